@@ -1,0 +1,52 @@
+"""What can go wrong, in words for the person at the keyboard; the command line maps each class to an exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class TorchlcError(Exception):
+    """Base of every error torchlc raises on purpose; ``exit_code`` is what the command line returns."""
+
+    exit_code = 1
+
+
+class InputError(TorchlcError):
+    """Input that cannot be used: says the file, the place in it, what was found, what was expected and what to do."""
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        source: str | Path | None,
+        place: str | None,
+        found: str,
+        expected: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.source, self.place, self.found, self.expected, self.hint = source, place, found, expected, hint
+        where = ": ".join(str(part) for part in (source, place) if part)
+        text = f"{where}: {found}" if where else found
+        if expected:
+            text += f"; expected {expected}"
+        if hint:
+            text += f". {hint}"
+        super().__init__(" ".join(text.split()))
+
+
+class BusyError(TorchlcError):
+    """The output directory is in use by a run that is alive."""
+
+    exit_code = 2
+
+
+class ResourceError(TorchlcError):
+    """Out of disk or memory."""
+
+    exit_code = 3
+
+
+class MissingExtraError(TorchlcError):
+    """An optional dependency is not installed; the message carries the pip line."""
+
+    exit_code = 2

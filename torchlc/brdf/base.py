@@ -1,0 +1,302 @@
+"""What every reflection model shares: the angles it sees, bounded learnable values, the evaluation contract.
+
+Shapes: T epochs, K = facets x quadrature nodes, ``...`` any batch; the last axis of a direction is 3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchlc.errors import InputError
+from torchlc.parameters import Quantity
+
+MODELS: dict[str, type[Brdf]] = {}
+"""Every reflection model by the name a scene uses; a class enters by being defined."""
+
+TINY_COS = 1e-15
+"""Floor of a cosine that is divided by or whose logarithm is taken."""
+
+
+@dataclass(frozen=True)
+class Incidence:
+    """Angles of light on a facet; all fields broadcast together.
+
+    With s to the Sun, o to the observer, h = unit(s + o), n the normal: ``cos_i`` = n.s, ``cos_r`` = n.o,
+    ``cos_half`` = h.s = cos(phase / 2). The lobe of eq. 4 is (n.h)^z = exp(n_u ``log_u`` + n_v ``log_v``),
+    and ``log_u + log_v`` = log(n.h).
+    """
+
+    cos_i: Tensor
+    cos_r: Tensor
+    cos_half: Tensor
+    log_u: Tensor
+    log_v: Tensor
+
+    @property
+    def log_half(self) -> Tensor:
+        """log(n.h): the logarithm of the cosine of the glint angle."""
+        return self.log_u + self.log_v
+
+    @property
+    def lit_and_seen(self) -> Tensor:
+        """True where the facet faces both the Sun and the observer."""
+        return (self.cos_i > 0) & (self.cos_r > 0)
+
+
+def incidence(normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) -> Incidence:
+    """Angles from unit vectors (..., 3) that broadcast; ``u`` lies in the facet and v = n x u.
+
+    log(n.h) comes from sin^2 = (h.u)^2 + (h.v)^2 near the glint, where the cosine has lost its digits, and
+    from n.h elsewhere.
+    """
+    bisector = to_sun + to_observer
+    square = (bisector * bisector).sum(-1)
+    length = torch.sqrt(square.clamp(min=4 * TINY_COS**2))
+    half = bisector / length[..., None]
+    cos_n = (normal * half).sum(-1)
+    square_u = (u * half).sum(-1) ** 2
+    square_v = (torch.linalg.cross(normal, u) * half).sum(-1) ** 2
+    front = cos_n > 0
+    per_square = _log_cos_per_sin2(
+        torch.where(front, cos_n, 0.5), torch.where(front, square_u + square_v, 0.75)
+    )
+    behind = 0.5 * math.log(TINY_COS)
+    return Incidence(
+        cos_i=(normal * to_sun).sum(-1),
+        cos_r=(normal * to_observer).sum(-1),
+        cos_half=0.5 * length,
+        log_u=torch.where(front, square_u * per_square, behind),
+        log_v=torch.where(front, square_v * per_square, behind),
+    )
+
+
+def _log_cos_per_sin2(cosine: Tensor, sin2: Tensor) -> Tensor:
+    """log(cos) / sin^2 for cos > 0, smooth through its limit -1/2 at sin = 0."""
+    near, oblique = sin2 < 1e-3, sin2 > 0.5
+    x = torch.where(near, sin2, 0.0)
+    series = -0.5 * (1 + x * (1 / 2 + x * (1 / 3 + x * (1 / 4 + x * (1 / 5 + x / 6)))))
+    x = torch.where(near | oblique, 0.25, sin2)
+    middle = 0.5 * torch.log1p(-x) / x
+    log_cos = torch.log(torch.where(oblique, cosine, 0.5).clamp(min=TINY_COS))
+    far = log_cos / torch.where(oblique, sin2, 0.75)
+    return torch.where(near, series, torch.where(oblique, far, middle))
+
+
+def schlick_weight(cos_half: Tensor) -> Tensor:
+    """(1 - h.s)^5 of Schlick's Fresnel factor F = r + (1 - r) (1 - h.s)^5, eq. 5."""
+    return (1 - cos_half).clamp(min=0) ** 5
+
+
+def coupled_diffuse(angles: Incidence) -> Tensor:
+    """mu0 mu times the diffuse shape of eq. 6: 28/(23 pi) [1 - (1 - mu0/2)^5] [1 - (1 - mu/2)^5].
+
+    The shape leaves to grazing light what Schlick's factor reflects there, so lobe and diffuse part never
+    exceed 1 together.
+    """
+    cos_i, cos_r = angles.cos_i.clamp(min=0), angles.cos_r.clamp(min=0)
+    shape_i, shape_r = (-torch.expm1(5 * torch.log1p(-0.5 * cosine)) for cosine in (cos_i, cos_r))
+    return 28 / (23 * math.pi) * cos_i * cos_r * shape_i * shape_r
+
+
+def lobe(exponent: Tensor) -> Tensor:
+    """exp(exponent), kept far above the denormal numbers, whose arithmetic is slower by an order of ten."""
+    return torch.exp(exponent.clamp(min=0.85 * math.log(torch.finfo(exponent.dtype).tiny)))
+
+
+def per_epoch(value: Tensor) -> Tensor:
+    """A parameter (...) shaped to meet (T,)."""
+    return value[..., None]
+
+
+def per_pair(value: Tensor) -> Tensor:
+    """A parameter (...) shaped to meet (K, T)."""
+    return value[..., None, None]
+
+
+class Brdf(nn.Module):
+    """A reflection model with learnable values that cannot leave their bounds, whatever an optimiser does.
+
+    ``AshikhminShirley(n=200.0, r_spec=0.05, r_diff=0.05)`` holds one unconstrained ``nn.Parameter`` per
+    value (``raw_n``, ...): the logit of its place between the bounds, on a logarithmic scale for exponents
+    and widths. Values that share one unit of light (``simplex``) break a stick in turn, r_spec =
+    sigmoid(a), r_diff = (1 - r_spec) sigmoid(b). A learnable value on a bound is moved inside by 1e-9; with
+    ``learnable=False`` every value is kept exactly, as a buffer. Numbers may be tensors of one batch shape.
+
+    A model adds ``quantities`` and two pure functions, ``tabulate`` and ``parts``; all evaluation goes
+    through them.
+    """
+
+    model: ClassVar[str]
+    quantities: ClassVar[tuple[Quantity, ...]]
+    simplex: ClassVar[tuple[str, ...]] = ()
+    """Names of the values whose sum may not exceed 1."""
+    shared: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """A name that stands for several quantities at once."""
+    defaults: ClassVar[Mapping[str, float]] = {}
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        MODELS[cls.model] = cls
+
+    def __init__(
+        self,
+        *,
+        learnable: bool = True,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str | None = None,
+        **numbers: float | Tensor,
+    ) -> None:
+        super().__init__()
+        self.learnable = learnable
+        natural = {
+            name: torch.as_tensor(number, dtype=dtype, device=device).detach().clone()
+            for name, number in {**self.defaults, **numbers}.items()
+        }
+        self.names = self.check(natural)
+        for name, value in self._raw(natural).items() if learnable else natural.items():
+            if learnable:
+                self.register_parameter(f"raw_{name}", nn.Parameter(value))
+            else:
+                self.register_buffer(f"fixed_{name}", value)
+
+    @classmethod
+    def quantity(cls, name: str) -> Quantity:
+        """The quantity called ``name``; a shared name answers with the first it stands for."""
+        wanted = cls.shared[name][0] if name in cls.shared else name
+        return next(quantity for quantity in cls.quantities if quantity.name == wanted)
+
+    @classmethod
+    def check(cls, values: Mapping[str, Tensor]) -> tuple[str, ...]:
+        """Names of ``values`` in declared order; InputError if one is missing, unknown or out of bounds."""
+        order = [quantity.name for quantity in cls.quantities]
+        for short, long in cls.shared.items():
+            if short in values:
+                order = [short if name == long[0] else name for name in order if name not in long[1:]]
+        for name in values:
+            if name not in order:
+                raise InputError(
+                    None, f"{cls.model}.{name}", "unknown parameter", f"one of {', '.join(order)}"
+                )
+        for name in order:
+            if name not in values:
+                raise InputError(None, f"{cls.model}.{name}", "missing", cls.quantity(name).meaning)
+            low, high = cls.quantity(name).low, cls.quantity(name).high
+            if not bool(((values[name] >= low) & (values[name] <= high)).all()):
+                raise InputError(
+                    None, f"{cls.model}.{name}", f"{values[name].tolist()}", f"{low:g} to {high:g}"
+                )
+        if cls.simplex:
+            total = torch.stack(torch.broadcast_tensors(*(values[name] for name in cls.simplex))).sum(0)
+            if bool((total > 1 + 1e-12).any()):
+                raise InputError(
+                    None, cls.model, f"{' + '.join(cls.simplex)} = {total.tolist()}", "at most 1"
+                )
+        return tuple(order)
+
+    def values(self) -> dict[str, Tensor]:
+        """Natural values by quantity name; a shared value appears under each name as the same tensor."""
+        if not self.learnable:
+            natural = {name: getattr(self, f"fixed_{name}") for name in self.names}
+        else:
+            natural, left = {}, torch.ones(())
+            for name in self.names:
+                share = torch.sigmoid(getattr(self, f"raw_{name}"))
+                if name in self.simplex:
+                    natural[name] = left.to(share) * share
+                    left = left.to(share) * (1 - share)
+                else:
+                    natural[name] = _from_unit(self.quantity(name), share)
+        return {long: value for name, value in natural.items() for long in self.shared.get(name, (name,))}
+
+    def _raw(self, natural: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        raw, left = {}, torch.ones(())
+        for name in self.names:
+            value = natural[name]
+            margin = max(1e-9, 2 * torch.finfo(value.dtype).eps)
+            if name in self.simplex:
+                share = (value / left.to(value)).clamp(margin, 1 - margin)
+                left = left.to(share) * (1 - share)
+            else:
+                share = _to_unit(self.quantity(name), value).clamp(margin, 1 - margin)
+            raw[name] = torch.logit(share)
+        return raw
+
+    def __getattr__(self, name: str) -> Any:
+        long = self.shared.get(name, (name,))[0]
+        if any(quantity.name == long for quantity in self.quantities):
+            return self.values()[long]
+        return super().__getattr__(name)
+
+    def extra_repr(self) -> str:
+        values = self.values()
+        texts = []
+        for name in self.names:
+            value = values[self.shared.get(name, (name,))[0]]
+            texts.append(f"{name}={value.item():.6g}" if value.ndim == 0 else f"{name}={tuple(value.shape)}")
+        return ", ".join([*texts, "learnable" if self.learnable else "fixed"])
+
+    @staticmethod
+    @abstractmethod
+    def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
+        """All that is free of the material's values, summed over K where the model is linear.
+
+        ``angles`` and ``weight`` (K, T): weight = area x visible fraction x irradiance / range^2, and 0 for
+        a pair that is not lit and seen, which then adds nothing to value or gradient.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Lobe and diffuse flux (..., T): sum over K of weight f_r mu0 mu, eqs. 8-10; every value is (...)."""
+
+    @staticmethod
+    def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:
+        """Variance of the lobe in the glint angle per in-plane axis, rad^2, (...); inf without a lobe."""
+        return torch.full_like(next(iter(values.values())), math.inf)
+
+    @staticmethod
+    def broadened(values: Mapping[str, Tensor], variance: Tensor) -> dict[str, Tensor]:
+        """Values after the normals are spread by ``variance``, rad^2 per axis, added in the lobe's core."""
+        return dict(values)
+
+    def forward(self, normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) -> Tensor:
+        """f_r, 1/sr, (batch of values..., batch of directions...); 0 if the facet is not lit and seen."""
+        angles = incidence(normal, u, to_sun, to_observer)
+        lit = angles.lit_and_seen
+        weight = torch.where(lit, 1 / torch.where(lit, angles.cos_i * angles.cos_r, 1.0), 0.0)
+        fields = (getattr(angles, field.name) for field in dataclasses.fields(angles))
+        row = Incidence(*(field.expand(weight.shape).reshape(1, -1) for field in fields))
+        values = self.values()
+        specular, diffuse = self.parts(self.tabulate(row, weight.reshape(1, -1)), values)
+        batch = torch.broadcast_shapes(*(value.shape for value in values.values()))
+        return (specular + diffuse).reshape((*batch, *weight.shape))
+
+
+def _offset(quantity: Quantity) -> float:
+    """A logarithmic scale that includes zero is that of 1 + value."""
+    return 0.0 if quantity.low > 0 else 1.0
+
+
+def _to_unit(quantity: Quantity, value: Tensor) -> Tensor:
+    """Where ``value`` lies between the bounds, 0 to 1."""
+    if quantity.prior != "loguniform":
+        return (value - quantity.low) / (quantity.high - quantity.low)
+    low, high = (bound + _offset(quantity) for bound in (quantity.low, quantity.high))
+    return torch.log((value + _offset(quantity)) / low) / math.log(high / low)
+
+
+def _from_unit(quantity: Quantity, share: Tensor) -> Tensor:
+    if quantity.prior != "loguniform":
+        natural = quantity.low + (quantity.high - quantity.low) * share
+    else:
+        low, high = (bound + _offset(quantity) for bound in (quantity.low, quantity.high))
+        natural = low * torch.exp(share * math.log(high / low)) - _offset(quantity)
+    return natural.clamp(quantity.low, quantity.high)

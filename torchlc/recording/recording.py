@@ -1,0 +1,113 @@
+"""A light curve as recorded: one checked array per quantity."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+from erfa import ErfaWarning
+
+from torchlc.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
+
+    ``seconds`` count from ``time[0]``; ``first_time`` is the first usable row of the file and stays when rows are dropped later.
+    ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``. ``error`` is None when the errors
+    have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and to the observer; ``position`` and ``velocity`` are
+    geocentric; ``alt``, ``az`` are in degrees, ``height`` in km above the ellipsoid.
+    """
+
+    time: Time
+    seconds: np.ndarray
+    first_time: Time
+    kind: str
+    observed: np.ndarray
+    error: np.ndarray | None
+    station: np.ndarray
+    station_ids: tuple[str, ...]
+    curve: np.ndarray
+    curve_ids: tuple[str, ...]
+    night: np.ndarray
+    night_ids: tuple[str, ...]
+    upper_limit: np.ndarray
+    exptime: np.ndarray | None = None
+    band: np.ndarray | None = None
+    sun: np.ndarray | None = None
+    obs: np.ndarray | None = None
+    position: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    alt: np.ndarray | None = None
+    az: np.ndarray | None = None
+    height: np.ndarray | None = None
+    frame: str | None = None
+    light_time_corrected: bool = False
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    source: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.observed)
+
+    @property
+    def error_source(self) -> str:
+        """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
+        return "fitted" if self.error is None else "recording"
+
+    def keep(self, mask: np.ndarray, reason: str) -> Recording:
+        """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""
+        lost = int(np.size(mask) - np.count_nonzero(mask))
+        if not lost:
+            return self
+        dropped = {**self.dropped, reason: self.dropped.get(reason, 0) + lost}
+        if lost == len(self):
+            raise no_usable_row(self.source, dropped)
+        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped)
+
+    def _rows(self, index: np.ndarray) -> Recording:
+        arrays = {
+            name: value[index]
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night")
+        }
+        curve, curve_ids = compact(self.curve[index], self.curve_ids)
+        night, night_ids = compact(self.night[index], self.night_ids)
+        time = self.time[index]
+        return replace(
+            self,
+            **arrays,
+            time=time,
+            seconds=seconds_since(time, time[0]),
+            curve=curve,
+            curve_ids=curve_ids,
+            night=night,
+            night_ids=night_ids,
+        )
+
+
+def seconds_since(time: Time, origin: Time) -> np.ndarray:
+    """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
+        return (time - origin).to_value(u.s)
+
+
+def compact(codes: np.ndarray, ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Indices (T,) into ``ids`` renumbered so that every id left is in use."""
+    used, renumbered = np.unique(codes, return_inverse=True)
+    return renumbered.astype(np.int64), tuple(ids[code] for code in used)
+
+
+def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
+    """The error of a recording of which nothing is left; says why the rows went."""
+    counts = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+    return InputError(source, None, f"no usable row ({counts})", "at least one row with finite values")

@@ -1,0 +1,233 @@
+"""Tables of text, ECSV or CSV, read column by column in bounded memory; every defect becomes one InputError."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from astropy.table.meta import get_header_from_yaml
+
+from torchlc.errors import InputError
+
+MAX_ROWS = 5_000_000
+MAX_LINE = 65_536
+MAX_HEADER_LINES = 10_000
+CHUNK_ROWS = 50_000
+BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked"})
+TRUE, FALSE = frozenset({"true", "t", "yes", "1", "1.0"}), frozenset({"false", "f", "no", "0", "0.0"})
+FORMAT = "CSV with a header line, or ECSV"
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a table says before its rows: column names, units, descriptions and metadata (empty for CSV)."""
+
+    source: Path
+    names: tuple[str, ...]
+    delimiter: str
+    ecsv: bool
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+
+CellReader = Callable[[Header, str, list[str], int], np.ndarray]
+"""Turns the cells of one column (header, name, cells, index of the first row) into an array of the same length."""
+
+
+def read_header(path: Path) -> Header:
+    """Check that ``path`` is a text table of a bearable length, and read what stands before its rows."""
+    _check_file(path)
+    with path.open(encoding="utf-8-sig") as stream:
+        comments, first = _leading_lines(path, stream)
+    if first is None:
+        raise InputError(path, None, "no rows", FORMAT)
+    if comments and comments[0].startswith("%ECSV"):
+        return _ecsv_header(path, comments, first)
+    delimiter = max(",;\t", key=first.count)
+    names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
+    _check_names(path, names)
+    return Header(path, names, delimiter, ecsv=False)
+
+
+def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str, np.ndarray]:
+    """The named columns, each turned from text by its reader a chunk of rows at a time; first axis T."""
+    where = {name: header.names.index(name) for name in readers}
+    pieces: dict[str, list[np.ndarray]] = {name: [] for name in readers}
+    count = 0
+    for rows in _chunks(header):
+        _check_widths(header, rows, count)
+        for name, read in readers.items():
+            column = where[name]
+            pieces[name].append(read(header, name, [row[column] for row in rows], count))
+        count += len(rows)
+        if count > MAX_ROWS:
+            raise _too_long(header.source)
+    if not count:
+        raise InputError(header.source, None, "no rows below the header", "at least one row")
+    return {name: np.concatenate(pieces.pop(name)) for name in readers}
+
+
+def row_place(index: int, column: str) -> str:
+    """How an error names a cell: rows count from 1 below the header."""
+    return f"row {index + 1}, column {column}"
+
+
+def _check_file(path: Path) -> None:
+    if not path.exists():
+        raise InputError(path, None, "no such file")
+    if not path.is_file():
+        raise InputError(path, None, "not a file", FORMAT)
+    lines, start = 0, b""
+    try:
+        with path.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                start = start or block[:4]
+                lines += block.count(b"\n")
+                if lines > MAX_ROWS + MAX_HEADER_LINES:
+                    raise _too_long(path)
+    except OSError as error:
+        raise InputError(path, None, f"cannot be read: {error.strerror}") from None
+    if not start:
+        raise InputError(path, None, "the file is empty", FORMAT)
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
+
+
+def _too_long(path: Path) -> InputError:
+    return InputError(path, None, f"more than {MAX_ROWS:,} rows", f"at most {MAX_ROWS:,}", "Split or average it.")
+
+
+def _lines(path: Path, stream: TextIO) -> Iterator[str]:
+    """Lines of bounded length; a byte that is no UTF-8 becomes an InputError."""
+    number = 0
+    try:
+        while line := stream.readline(MAX_LINE):
+            number += 1
+            if len(line) == MAX_LINE:
+                raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
+            yield line
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"after line {number}", f"not UTF-8 text: {error.reason}", "UTF-8 text") from None
+
+
+def _leading_lines(path: Path, stream: TextIO) -> tuple[list[str], str | None]:
+    comments: list[str] = []
+    for line in _lines(path, stream):
+        if line.startswith("#"):
+            comments.append(line[1:].rstrip("\r\n").removeprefix(" "))
+            if len(comments) > MAX_HEADER_LINES:
+                raise InputError(path, None, f"more than {MAX_HEADER_LINES} comment lines", FORMAT)
+        elif line.strip():
+            return comments, line.strip("\r\n")
+    return comments, None
+
+
+def _ecsv_header(path: Path, comments: Sequence[str], first: str) -> Header:
+    try:
+        header = get_header_from_yaml([line for line in comments[1:] if line.strip()])
+        declared = {str(column["name"]): column for column in header["datatype"]}
+        meta = dict(header.get("meta") or {})
+        delimiter = header.get("delimiter", " ")
+    except Exception as error:  # the YAML loader builds astropy objects on request and can raise anything
+        raise InputError(path, "header", f"unreadable ECSV header: {error}"[:300], "ECSV as astropy writes it") from None
+    if delimiter not in (" ", ","):
+        raise InputError(path, "header", f"delimiter {delimiter!r}", "a space or a comma")
+    names = tuple(next(csv.reader([first.strip()], delimiter=delimiter, skipinitialspace=True)))
+    _check_names(path, names)
+    if list(names) != list(declared):
+        raise InputError(path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200])
+    serialized = meta.pop("__serialized_columns__", {})
+    if isinstance(serialized, dict) and isinstance(serialized.get("time"), dict):
+        meta.setdefault("time_scale", serialized["time"].get("scale", "utc"))
+        meta.setdefault("time_format", serialized["time"].get("format", "isot"))
+    return Header(
+        source=path,
+        names=names,
+        delimiter=delimiter,
+        ecsv=True,
+        units={name: str(column["unit"]) for name, column in declared.items() if column.get("unit")},
+        descriptions={name: str(column.get("description") or "") for name, column in declared.items()},
+        meta=meta,
+    )
+
+
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) < 1000 else ["..."]
+    if repeated:
+        raise InputError(path, "header", f"column {repeated[0]!r} appears twice", "distinct column names")
+
+
+def _chunks(header: Header) -> Iterator[list[list[str]]]:
+    with header.source.open(encoding="utf-8-sig") as stream:
+        lines = _lines(header.source, stream)
+        if header.ecsv and header.delimiter == " ":
+            kept = (line.strip() for line in lines if line[0] != "#" and not line.isspace())
+        else:
+            kept = (line for line in lines if line[0] != "#" and not line.isspace())
+        reader = csv.reader(kept, delimiter=header.delimiter, skipinitialspace=header.ecsv)
+        try:
+            next(reader)
+            while rows := list(islice(reader, CHUNK_ROWS)):
+                yield rows
+        except csv.Error as error:
+            raise InputError(header.source, f"line {reader.line_num}", str(error), FORMAT) from None
+
+
+def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
+    width = len(header.names)
+    if set(map(len, rows)) != {width}:
+        index = next(i for i, row in enumerate(rows) if len(row) != width)
+        found = f"{len(rows[index])} values"
+        raise InputError(header.source, f"row {start + index + 1}", found, f"{width}, as in the header")
+
+
+def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
+    """(T,) float64; a blank cell is not-a-number."""
+    try:
+        return np.array(list(map(float, cells)))
+    except ValueError:
+        pass
+    numbers = np.empty(len(cells))
+    for index, cell in enumerate(cells):
+        try:
+            numbers[index] = float(cell)
+        except ValueError:
+            if cell.strip().lower() not in BLANK:
+                hint = "Write decimals with a point." if re.fullmatch(r"\s*-?\d+,\d+\s*", cell) else None
+                place = row_place(start + index, name)
+                raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
+            numbers[index] = np.nan
+    return numbers
+
+
+def read_flags(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
+    """(T,) bool; a blank cell is false."""
+    flags = np.empty(len(cells), dtype=bool)
+    for index, cell in enumerate(cells):
+        word = cell.strip().lower()
+        if word not in TRUE and word not in FALSE and word not in BLANK:
+            raise InputError(header.source, row_place(start + index, name), repr(cell[:40]), "true or false")
+        flags[index] = word in TRUE
+    return flags
+
+
+class LabelReader:
+    """Reads names as (T,) int64 indices into ``ids``, the distinct names in order of appearance."""
+
+    def __init__(self) -> None:
+        self._codes: dict[str, int] = {}
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(self._codes)
+
+    def __call__(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
+        codes = self._codes
+        return np.array([codes.setdefault(cell, len(codes)) for cell in map(str.strip, cells)], dtype=np.int64)

@@ -1,0 +1,121 @@
+"""Instants written by people: ISO 8601 or Julian date in, two-part Julian dates of a known time scale out."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from astropy.time import Time, conf
+from erfa import ErfaWarning
+
+ISO = re.compile(
+    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*(Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
+    re.IGNORECASE,
+)
+EARLIEST_YEAR = {"utc": 1960, "tdb": 1900}
+"""UTC is not defined before 1960."""
+LATEST_YEAR = 2200
+MJD_ZERO = 2400000.5
+
+
+class UnreadableTime(ValueError):
+    """One instant that cannot be used: its index in the sequence, the text found, and what is wrong with it."""
+
+    def __init__(self, index: int, found: str, expected: str) -> None:
+        super().__init__(f"{found!r}: expected {expected}")
+        self.index, self.found, self.expected = index, found, expected
+
+
+def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, np.ndarray]:
+    """Julian dates (T,), (T,) of ISO texts; an offset such as +08:00 is converted; a named zone or none of the clock is refused."""
+    offsets = None
+    joined = "".join(texts)
+    if set(joined) - set("0123456789-:.T ") or joined.count("-") != 2 * len(texts) or min(map(len, texts)) < 16:
+        texts, offsets = _without_offsets(texts, scale)
+    times = _parse_iso([text.replace(" ", "T") for text in texts], scale)
+    jd1, jd2 = times.jd1, times.jd2
+    if offsets is not None:
+        jd2 = jd2 - offsets / 1440.0
+    _check_range(jd1 + jd2, scale, texts)
+    return jd1, jd2
+
+
+def julian_dates_of_numbers(numbers: np.ndarray, scale: str, *, modified: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Two-part Julian dates of JD (or MJD) numbers (T,); not-a-number stays not-a-number."""
+    days = np.floor(numbers)
+    jd1, jd2 = (days + MJD_ZERO if modified else days), numbers - days
+    finite = np.isfinite(numbers)
+    _check_range(np.where(finite, jd1 + jd2, MJD_ZERO + 51544), scale, numbers)
+    return jd1, jd2
+
+
+def instant(value: str | float, scale: str) -> Time:
+    """One instant from ISO text or a Julian date, e.g. the ``epoch`` of a scene; raises UnreadableTime."""
+    if isinstance(value, str):
+        jd1, jd2 = julian_dates_of_iso([value], scale)
+    else:
+        jd1, jd2 = julian_dates_of_numbers(np.array([float(value)]), scale)
+    return Time(jd1[0], jd2[0], format="jd", scale=scale)
+
+
+def _without_offsets(texts: Sequence[str], scale: str) -> tuple[list[str], np.ndarray]:
+    plain, offsets = [], np.zeros(len(texts))
+    for index, text in enumerate(texts):
+        match = ISO.fullmatch(text)
+        if match is None:
+            raise UnreadableTime(index, text.strip(), _advice(text))
+        date, clock, zone, sign, hours, minutes = match.groups()
+        if zone and scale != "utc":
+            raise UnreadableTime(index, text.strip(), f"no UTC offset: the time scale is {scale}")
+        if sign:
+            minute = 60 * int(hours) + int(minutes or 0)
+            if minute > 14 * 60:
+                raise UnreadableTime(index, text.strip(), "an offset of at most 14 h")
+            offsets[index] = minute if sign == "+" else -minute
+        plain.append(f"{date}T{clock}")
+    return plain, offsets
+
+
+def _advice(text: str) -> str:
+    if not text.strip():
+        return "a time, found a blank cell"
+    if re.fullmatch(r"\s*\d{4}-\d\d-\d\d\s*", text):
+        return "a time of day beside the date"
+    if re.search(r"\d\s*[A-Za-z]{2,}\s*$", text) and re.match(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:", text):
+        return "UTC: a local time cannot be converted safely; write UTC or give the offset, as in +08:00"
+    return "ISO UTC such as 2020-10-17T16:31:00.5, or a Julian date"
+
+
+def _parse_iso(texts: list[str], scale: str) -> Time:
+    """Astropy's parser on all texts; when one is bad, halve the sequence until it is found."""
+    try:
+        with conf.set_temp("use_fast_parser", "force"), warnings.catch_warnings():
+            warnings.simplefilter("error", ErfaWarning)
+            warnings.filterwarnings("ignore", message=".*dubious year")
+            return Time(np.array(texts, dtype="S"), format="isot", scale=scale)
+    except (ValueError, ErfaWarning):
+        low, high = 0, len(texts)
+        if high == 1:
+            raise UnreadableTime(0, texts[0], "an existing date and time of day") from None
+        middle = high // 2
+    try:
+        _parse_iso(texts[low:middle], scale)
+    except UnreadableTime:
+        raise
+    try:
+        _parse_iso(texts[middle:high], scale)
+    except UnreadableTime as error:
+        raise UnreadableTime(error.index + middle, error.found, error.expected) from None
+    raise UnreadableTime(0, texts[0], "an existing date and time of day")
+
+
+def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) -> None:
+    first_year = EARLIEST_YEAR[scale]
+    low, high = ((year - 2000) * 365.25 + 2451544.5 for year in (first_year, LATEST_YEAR))
+    outside = np.flatnonzero(~((jd >= low) & (jd <= high)))
+    if outside.size:
+        index = int(outside[0])
+        hint = "; a modified Julian date needs the metadata time_format: mjd" if 30000 < jd[index] < 90000 else ""
+        raise UnreadableTime(index, str(found[index]), f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()}){hint}")

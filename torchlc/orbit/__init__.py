@@ -1,0 +1,16 @@
+"""Orbit, observer and Sun: what a scene and a recording say about where everything is."""
+
+from torchlc.orbit.shadow import ShadowCoordinate, shadow_coordinate
+from torchlc.orbit.track import State, Track, above_horizon, airmass, angle_between, elevation_deg, make_track
+
+__all__ = [
+    "ShadowCoordinate",
+    "State",
+    "Track",
+    "above_horizon",
+    "airmass",
+    "angle_between",
+    "elevation_deg",
+    "make_track",
+    "shadow_coordinate",
+]

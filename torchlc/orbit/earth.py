@@ -1,0 +1,141 @@
+"""The Earth's orientation, the stations on it and the Sun seen from its centre: numpy and astropy, from bundled tables only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import astropy.units as u
+import erfa
+import numpy as np
+from astropy.coordinates import get_sun
+from astropy.time import Time
+from astropy.utils import iers
+
+OBLIQUITY_J2000_ARCSEC = 84381.448
+"""Of the ecliptic J2000 of DAMIT, Horizons and the Minor Planet Center (IAU 1976)."""
+ROTATION_RATE = 2 * np.pi * 1.00273781191135448 / 86400.0
+"""Rate of the Earth Rotation Angle, rad per second of UT1."""
+AU_KM = 149597870.7
+WGS84 = 1
+"""The ellipsoid, in the numbering of ERFA."""
+UNKNOWN_UT1 = (
+    "UT1 - UTC is not tabulated for some of these times and taken as 0: stations may be off by up to 400 m"
+)
+
+
+def icrs_from_ecliptic() -> np.ndarray:
+    """Rotation (3, 3) that turns components along the ecliptic and equinox J2000 into ICRS components; frame bias (0.02") neglected."""
+    cos, sin = (
+        np.cos(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
+        np.sin(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
+    )
+    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Rotations (T, 3, 3) between terrestrial and celestial axes and the Earth's axis (T, 3) in GCRS."""
+
+    gcrs_from_itrs: np.ndarray
+    gcrs_from_teme: np.ndarray
+    axis: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def orientation(time: Time) -> Orientation:
+    """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion; TEME by the IAU 1982 sidereal time.
+
+    TEME reaches the celestial frame through the terrestrial one, as in Vallado et al. (2006), AIAA 2006-6753, and in astropy.
+    """
+    tt, utc = time.tt, time.utc
+    ut1_minus_utc, xp, yp, known = _earth_orientation_parameters(utc)
+    ut1, ut1_fraction = utc.jd1, utc.jd2 + ut1_minus_utc / 86400.0
+    cirs_from_gcrs = erfa.c2i06a(tt.jd1, tt.jd2)
+    itrs_from_tirs = erfa.pom00(xp, yp, erfa.sp00(tt.jd1, tt.jd2))
+    itrs_from_gcrs = erfa.c2tcio(cirs_from_gcrs, erfa.era00(ut1, ut1_fraction), itrs_from_tirs)
+    itrs_from_teme = erfa.c2tcio(np.eye(3), erfa.gmst82(ut1, ut1_fraction), erfa.pom00(xp, yp, 0.0))
+    gcrs_from_itrs = np.swapaxes(itrs_from_gcrs, -1, -2)
+    return Orientation(
+        gcrs_from_itrs=gcrs_from_itrs,
+        gcrs_from_teme=gcrs_from_itrs @ itrs_from_teme,
+        axis=cirs_from_gcrs[..., 2, :],
+        warnings=() if known else (UNKNOWN_UT1,),
+    )
+
+
+def _earth_orientation_parameters(utc: Time) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """UT1 - UTC (s), polar motion x and y (rad), and whether all times are tabulated; astropy's own lookup might download."""
+    table = _iers_table()
+    ut1_minus_utc, status = table.ut1_utc(utc.jd1, utc.jd2, return_status=True)
+    xp, yp, _ = table.pm_xy(utc.jd1, utc.jd2, return_status=True)
+    known = np.asarray(status) >= 0
+    return (
+        np.where(known, ut1_minus_utc.to_value(u.s), 0.0),
+        np.where(known, xp.to_value(u.rad), 0.0),
+        np.where(known, yp.to_value(u.rad), 0.0),
+        bool(known.all()),
+    )
+
+
+@cache
+def _iers_table() -> iers.IERS_A:
+    return iers.IERS_A.open(iers.IERS_A_FILE)
+
+
+def sun_of_earth(time: Time) -> tuple[np.ndarray, np.ndarray]:
+    """Apparent geocentric position, km, and velocity, km/s, of the Sun in GCRS, (T, 3) each.
+
+    Aberration of the Earth's motion is included, that of an object about the Earth (at most 5") is neglected.
+    """
+    heliocentric, _ = erfa.epv00(time.tdb.jd1, time.tdb.jd2)
+    position = get_sun(time).cartesian.xyz.to_value(u.km).T
+    return np.ascontiguousarray(position), -heliocentric["v"] * AU_KM / 86400.0
+
+
+def station_itrs(latitude: np.ndarray, longitude: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Terrestrial position, km, (..., 3), of geodetic latitude and longitude, degrees, and height, m, on the WGS84 ellipsoid."""
+    return erfa.gd2gc(WGS84, np.radians(longitude), np.radians(latitude), height_m) / 1000.0
+
+
+def height_km(position: np.ndarray) -> np.ndarray:
+    """Ellipsoidal height (T,), km, of terrestrial positions, km."""
+    _, _, height = erfa.gc2gd(WGS84, position * 1000.0)
+    return height / 1000.0
+
+
+def vertical_itrs(position: np.ndarray) -> np.ndarray:
+    """Upward normal (..., 3) of the ellipsoid through terrestrial positions, km."""
+    longitude, latitude, _ = erfa.gc2gd(WGS84, position * 1000.0)
+    return _direction(longitude, latitude)
+
+
+def _direction(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
+    cos = np.cos(latitude)
+    return np.stack([cos * np.cos(longitude), cos * np.sin(longitude), np.sin(latitude)], axis=-1)
+
+
+def horizontal_itrs(position: np.ndarray, altitude_deg: np.ndarray, azimuth_deg: np.ndarray) -> np.ndarray:
+    """Terrestrial unit vector (..., 3) of an altitude and an azimuth from north through east at terrestrial ``position``, km."""
+    altitude, azimuth = np.radians(altitude_deg)[..., None], np.radians(azimuth_deg)[..., None]
+    longitude, latitude, _ = erfa.gc2gd(WGS84, position * 1000.0)
+    up, north = _direction(longitude, latitude), _direction(longitude, latitude + np.pi / 2)
+    east = _direction(longitude + np.pi / 2, np.zeros_like(latitude))
+    return np.cos(altitude) * (np.cos(azimuth) * north + np.sin(azimuth) * east) + np.sin(altitude) * up
+
+
+def range_to_height(position: np.ndarray, direction: np.ndarray, target_km: np.ndarray) -> np.ndarray:
+    """Distance, km, (T,), along ``direction`` from terrestrial ``position`` at which the ellipsoidal height becomes ``target_km``.
+
+    Newton's iteration: along a ray the height changes by direction . normal. The start is the same question on a sphere.
+    """
+    radius = np.linalg.norm(position, axis=-1)
+    outward = np.sum(position * direction, axis=-1)
+    rise = np.maximum(target_km - height_km(position), 0.0)
+    distance = -outward + np.sqrt(outward**2 + rise * (2 * radius + rise))
+    for _ in range(6):
+        point = position + distance[..., None] * direction
+        longitude, latitude, height = erfa.gc2gd(WGS84, point * 1000.0)
+        slope = np.sum(_direction(longitude, latitude) * direction, axis=-1)
+        distance = distance - (height / 1000.0 - target_km) / np.maximum(slope, 1e-3)
+    return distance

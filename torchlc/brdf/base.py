@@ -95,6 +95,11 @@ def schlick_weight(cos_half: Tensor) -> Tensor:
     return (1 - cos_half).clamp(min=0) ** 5
 
 
+def lambert(angles: Incidence) -> Tensor:
+    """mu0 mu / pi: the flux of a white Lambert facet."""
+    return angles.cos_i.clamp(min=0) * angles.cos_r.clamp(min=0) / math.pi
+
+
 def coupled_diffuse(angles: Incidence) -> Tensor:
     """mu0 mu times the diffuse shape of eq. 6: 28/(23 pi) [1 - (1 - mu0/2)^5] [1 - (1 - mu/2)^5].
 
@@ -141,6 +146,8 @@ class Brdf(nn.Module):
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """A name that stands for several quantities at once."""
     defaults: ClassVar[Mapping[str, float]] = {}
+    additive: ClassVar[bool] = False
+    """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -255,7 +262,7 @@ class Brdf(nn.Module):
     @staticmethod
     @abstractmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Lobe and diffuse flux (..., T): sum over K of weight f_r mu0 mu, eqs. 8-10; every value is (...)."""
+        """Lobe and diffuse flux (..., T): sum over K of weight f_r mu0 mu, eqs. 8-10; values are (...)."""
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

@@ -1,0 +1,72 @@
+"""GGX (Walter et al. 2007; Trowbridge and Reitz 1975): a lobe with the long tail of polished surfaces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchlc.brdf.base import (
+    TINY_COS,
+    Brdf,
+    Incidence,
+    coupled_diffuse,
+    per_epoch,
+    per_pair,
+    schlick_weight,
+)
+from torchlc.parameters import Quantity
+
+
+class Ggx(Brdf):
+    """f_r = F D G / (4 mu0 mu) plus the diffuse part of eq. 6; D = alpha^2 / (pi (sin^2 + alpha^2 cos^2)^2).
+
+    G is Smith's, separable: G1(mu0) G1(mu), G1(mu) = 2 mu / (mu + sqrt(alpha^2 + (1 - alpha^2) mu^2)). F is
+    Schlick's with f0, and the diffuse part that of Ashikhmin and Shirley with f0 for r_spec. Neglected: light
+    scattered more than once between microfacets, at normal incidence 1 % of the lobe at alpha = 0.1, 31 %
+    (0.4 mag) at 0.5, 69 % at 1.
+    """
+
+    model: ClassVar[str] = "ggx"
+    quantities: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
+        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+    )
+    simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
+
+    @staticmethod
+    def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
+        fresnel = schlick_weight(angles.cos_half)
+        return {
+            "sin2": -torch.expm1(2 * angles.log_half),
+            "cos_i": angles.cos_i.clamp(min=TINY_COS),
+            "cos_r": angles.cos_r.clamp(min=TINY_COS),
+            "normal": weight * (1 - fresnel),
+            "grazing": weight * fresnel,
+            "diffuse": (weight * coupled_diffuse(angles)).sum(-2),
+        }
+
+    @staticmethod
+    def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        f0, square = per_epoch(values["f0"]), per_pair(values["alpha"] ** 2)
+
+        def open_(cosine: Tensor) -> Tensor:
+            return 2 * cosine / (cosine + torch.sqrt(square + (1 - square) * cosine**2))
+
+        slopes = square / (4 * math.pi * (square + (1 - square) * table["sin2"]) ** 2)
+        seen = slopes * open_(table["cos_i"]) * open_(table["cos_r"])
+        specular = f0 * (table["normal"] * seen).sum(-2) + (table["grazing"] * seen).sum(-2)
+        return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+
+    @staticmethod
+    def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:
+        """alpha^2 / 4, the Gaussian of the same core: D falls as 1 - 2 (angle / alpha)^2."""
+        return 0.25 * values["alpha"] ** 2
+
+    @staticmethod
+    def broadened(values: Mapping[str, Tensor], variance: Tensor) -> dict[str, Tensor]:
+        return {**values, "alpha": torch.sqrt(values["alpha"] ** 2 + 4 * variance)}

@@ -1,0 +1,78 @@
+"""The object as facets: where each is, where it faces, how large it is, and what it is made of.
+
+Letters: F facets, V corners of a facet, T or N rows, H corners of a hull. Lengths in metres, everything in
+the body frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from torchlc.errors import InputError
+from torchlc.shape.flat import Box, Plate
+from torchlc.shape.mesh import Mesh
+from torchlc.shape.part import Facets, Hull, Part, unit
+from torchlc.shape.smooth import Cone, Cylinder, Dish, Sphere
+from torchlc.shape.tracking import ALONG_AXIS, tracking_pose
+
+__all__ = ["Facets", "Hull", "Part", "Shape", "tracking_pose"]
+
+SMOOTH: dict[str, Any] = {"cylinder": Cylinder, "cone": Cone, "dish": Dish, "sphere": Sphere}
+LEAST_AROUND = 64
+MOST_AROUND = {"cylinder": 4096, "cone": 4096, "dish": 512, "sphere": 512}
+
+
+class Shape:
+    """All parts of a scene's object, in the order of its components.
+
+    ``lobe_n`` gives the largest lobe exponent expected of each material, which sets how finely smooth shapes
+    are cut.
+    """
+
+    def __init__(self, scene: Any, lobe_n: Mapping[str, float]) -> None:
+        self.warnings: list[str] = []
+        self.parts: tuple[Part, ...] = tuple(
+            self._part(component, scene, lobe_n) for component in scene.components
+        )
+
+    def _part(self, component: Any, scene: Any, lobe_n: Mapping[str, float]) -> Part:
+        match component.shape:
+            case "box":
+                part: Part = Box(component)
+            case "plate":
+                part = Plate(component)
+            case "mesh":
+                part = Mesh(component, scene.directory)
+            case smooth:
+                part = SMOOTH[smooth](component, self._around(component, lobe_n))
+        if component.tracks is not None:
+            axis = unit(component.tracks.axis)
+            if np.linalg.norm(np.cross(axis, part.front)) < ALONG_AXIS:
+                raise InputError(
+                    scene.source,
+                    f"component {component.name!r}",
+                    "tracks.axis is along the normal of the front",
+                    "an axis that can turn the front to the Sun",
+                )
+            part.tracks_axis = axis
+        self.warnings += part.warnings
+        return part
+
+    def _around(self, component: Any, lobe_n: Mapping[str, float]) -> int:
+        """Facets around a smooth shape: what the lobe needs or the scene wants, if it can be done."""
+        wanted = max(
+            LEAST_AROUND,
+            math.ceil(2 * math.pi * math.sqrt(lobe_n.get(component.material, 0.0))),
+            getattr(component, "facets", None) or 0,
+        )
+        most = MOST_AROUND[component.shape]
+        if wanted > most:
+            self.warnings.append(
+                f"{component.name}: {wanted} facets around are wanted for its material, {most} are used; "
+                "narrow glints of it may come out as spikes"
+            )
+        return min(wanted, most)

@@ -11,7 +11,7 @@ from astropy.time import Time, conf
 from erfa import ErfaWarning
 
 ISO = re.compile(
-    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*(Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
+    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*(?P<zone>Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
     re.IGNORECASE,
 )
 EARLIEST_YEAR = {"utc": 1960, "tdb": 1900}
@@ -32,7 +32,11 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
     """Julian dates (T,), (T,) of ISO texts; an offset such as +08:00 is converted; a named zone or none of the clock is refused."""
     offsets = None
     joined = "".join(texts)
-    if set(joined) - set("0123456789-:.T ") or joined.count("-") != 2 * len(texts) or min(map(len, texts)) < 16:
+    if (
+        set(joined) - set("0123456789-:.T ")
+        or joined.count("-") != 2 * len(texts)
+        or min(map(len, texts)) < 16
+    ):
         texts, offsets = _without_offsets(texts, scale)
     times = _parse_iso([text.replace(" ", "T") for text in texts], scale)
     jd1, jd2 = times.jd1, times.jd2
@@ -42,7 +46,9 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
     return jd1, jd2
 
 
-def julian_dates_of_numbers(numbers: np.ndarray, scale: str, *, modified: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def julian_dates_of_numbers(
+    numbers: np.ndarray, scale: str, *, modified: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Two-part Julian dates of JD (or MJD) numbers (T,); not-a-number stays not-a-number."""
     days = np.floor(numbers)
     jd1, jd2 = (days + MJD_ZERO if modified else days), numbers - days
@@ -117,5 +123,11 @@ def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) 
     outside = np.flatnonzero(~((jd >= low) & (jd <= high)))
     if outside.size:
         index = int(outside[0])
-        hint = "; a modified Julian date needs the metadata time_format: mjd" if 30000 < jd[index] < 90000 else ""
-        raise UnreadableTime(index, str(found[index]), f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()}){hint}")
+        hint = (
+            "; a modified Julian date needs the metadata time_format: mjd"
+            if 30000 < jd[index] < 90000
+            else ""
+        )
+        raise UnreadableTime(
+            index, str(found[index]), f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()}){hint}"
+        )

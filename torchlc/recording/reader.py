@@ -50,7 +50,6 @@ def load_recording(
     return _Reader(header, scene, use).recording(min_rows)
 
 
-
 class _Reader:
     """One recording on its way in: which columns are wanted, what they hold, and which rows survive."""
 
@@ -85,7 +84,9 @@ class _Reader:
             hint = "A local time cannot be converted safely." if "local" in scale else None
             raise InputError(self.source, "metadata time_scale", repr(scale[:40]), "utc or tdb", hint)
         if re.search(r"\blocal\b", self.header.descriptions.get("time", ""), re.IGNORECASE):
-            raise InputError(self.source, "column time", "described as local time", "UTC", "Convert it first.")
+            raise InputError(
+                self.source, "column time", "described as local time", "UTC", "Convert it first."
+            )
         return scale
 
     def _time_format(self) -> str:
@@ -113,7 +114,10 @@ class _Reader:
             raise InputError(self.source, "metadata frame", repr(said[:40]), "icrs or ecliptic")
         if expected and frame != expected:
             raise InputError(
-                self.source, "metadata frame", f"{frame}, but the scene says vectors = {expected!r}", "the same frame in both"
+                self.source,
+                "metadata frame",
+                f"{frame}, but the scene says vectors = {expected!r}",
+                "the same frame in both",
             )
         return frame
 
@@ -167,7 +171,12 @@ class _Reader:
                 self._require(name)
             if self.scene.attitude.mode == "nadir":
                 expected = 'a mode without it, such as "yaw-steering"'
-                raise InputError(self.scene.source, "attitude.mode", "nadir needs a velocity, which alt-az rows lack", expected)
+                raise InputError(
+                    self.scene.source,
+                    "attitude.mode",
+                    "nadir needs a velocity, which alt-az rows lack",
+                    expected,
+                )
         if self.scene is None or self.scene.orbit.altaz:
             numbers += ["alt", "az", "height"]
         readers: dict[str, Any] = {name: read_numbers for name in numbers if name in names}
@@ -217,7 +226,9 @@ class _Reader:
                 return values
             factor = unit.to(target)
         except (ValueError, TypeError, OverflowError, u.UnitsError):
-            raise InputError(self.source, f"column {name}", f"unit {text[:60]}", f"a unit like {target}") from None
+            raise InputError(
+                self.source, f"column {name}", f"unit {text[:60]}", f"a unit like {target}"
+            ) from None
         return values if factor == 1.0 else values * factor
 
     # --- judging rows
@@ -233,18 +244,23 @@ class _Reader:
         columns, rows = self.columns, len(self.columns["time"])
         if rows < min_rows:
             counts = "".join(f", {count} {reason}" for reason, count in self.dropped.items())
-            raise InputError(self.source, None, f"{rows} usable row{'s' * (rows > 1)}{counts}", f"at least {min_rows}")
+            raise InputError(
+                self.source, None, f"{rows} usable row{'s' * (rows > 1)}{counts}", f"at least {min_rows}"
+            )
         station, station_ids = self._stations()
         curve, curve_ids = self._curves(station, station_ids)
         night, night_ids = self._nights(station, station_ids)
         band = self._band()
         time = self._time()
         vectors = {
-            name: np.stack([columns[f"{VECTORS[name]}_{axis}"] for axis in "xyz"], axis=-1) for name in self.vectors
+            name: np.stack([columns[f"{VECTORS[name]}_{axis}"] for axis in "xyz"], axis=-1)
+            for name in self.vectors
         }
         for name, vector in vectors.items():
             if not (np.abs(vector).max(-1) > 0).all():
-                raise InputError(self.source, f"columns {VECTORS[name]}_*", "a vector of length 0", "a direction")
+                raise InputError(
+                    self.source, f"columns {VECTORS[name]}_*", "a vector of length 0", "a direction"
+                )
         return Recording(
             time=time,
             seconds=seconds_since(time, time[0]),
@@ -332,7 +348,11 @@ class _Reader:
         named = self.labels["station"].ids if codes is not None else ()
         known = () if self.scene is None else tuple(station.id for station in self.scene.stations)
         if not known:
-            return (codes, named) if codes is not None else (np.zeros(len(self.rows), dtype=np.int64), (NO_STATION,))
+            return (
+                (codes, named)
+                if codes is not None
+                else (np.zeros(len(self.rows), dtype=np.int64), (NO_STATION,))
+            )
         if codes is None:
             if len(known) > 1:
                 raise self._missing("station", f"a column station: the scene has {len(known)}")
@@ -347,7 +367,9 @@ class _Reader:
                 near = difflib.get_close_matches(name, known, n=1)
                 hint = f"Did you mean {near[0]!r}?" if near else None
                 expected = f"a station of the scene: {', '.join(known)}"
-                raise InputError(self.source, row_place(row, "station"), repr(name[:40]), expected[:200], hint)
+                raise InputError(
+                    self.source, row_place(row, "station"), repr(name[:40]), expected[:200], hint
+                )
         return numbers[codes], known
 
     def _band(self) -> np.ndarray | None:
@@ -359,15 +381,22 @@ class _Reader:
             present = [names[code] for code in np.unique(codes)] if codes is not None else []
             unknown = [name for name in present if name not in sun]
             if unknown:
-                place, expected = "model.parameters.band_sun_magnitude", f"the bands {', '.join(sorted(set(present)))}"
-                raise InputError(self.scene.source if self.scene else None, place, f"no band {unknown[0]!r}", expected)
+                place, expected = (
+                    "model.parameters.band_sun_magnitude",
+                    f"the bands {', '.join(sorted(set(present)))}",
+                )
+                raise InputError(
+                    self.scene.source if self.scene else None, place, f"no band {unknown[0]!r}", expected
+                )
             if codes is None and len(sun) > 1:
                 raise self._missing("band", "a column band: the scene gives the Sun's magnitude in several")
         if self.scene is not None and sun is None and self.kind == "mag":
             self.warnings.append("the scene has no band_sun_magnitude; -26.7 is taken")
         return None if codes is None else np.array(names, dtype=object)[codes]
 
-    def _curves(self, station: np.ndarray, station_ids: tuple[str, ...]) -> tuple[np.ndarray, tuple[str, ...]]:
+    def _curves(
+        self, station: np.ndarray, station_ids: tuple[str, ...]
+    ) -> tuple[np.ndarray, tuple[str, ...]]:
         """The ``curve`` column, else one curve for each station and band."""
         if "curve" in self.columns:
             return compact(self.columns["curve"], [name or "unnamed" for name in self.labels["curve"].ids])
@@ -376,7 +405,9 @@ class _Reader:
         pairs = [f"{place} {name}".strip() for place in station_ids for name in bands]
         return compact(station * len(bands) + band, pairs)
 
-    def _nights(self, station: np.ndarray, station_ids: tuple[str, ...]) -> tuple[np.ndarray, tuple[str, ...]]:
+    def _nights(
+        self, station: np.ndarray, station_ids: tuple[str, ...]
+    ) -> tuple[np.ndarray, tuple[str, ...]]:
         """A station's local noon to noon, named after the evening; without stations, rows between gaps."""
         jd = self.columns["time"].sum(-1)
         if self.scene is None or not self.scene.stations:
@@ -406,11 +437,14 @@ def _repeats(columns: Mapping[str, np.ndarray]) -> np.ndarray:
     time = columns["time"].sum(-1)
     tied = np.zeros(len(time), dtype=bool)
     equal = time[1:] == time[:-1]
-    tied[1:], tied[:-1] = equal, equal | tied[:-1]
+    tied[1:] |= equal
+    tied[:-1] |= equal
     index = np.flatnonzero(tied)
     repeats = np.zeros(len(time), dtype=bool)
     if index.size:
-        table = np.concatenate([c[index].reshape(len(index), -1).astype(np.float64) for c in columns.values()], axis=-1)
+        table = np.concatenate(
+            [c[index].reshape(len(index), -1).astype(np.float64) for c in columns.values()], axis=-1
+        )
         _, first = np.unique(table, axis=0, return_index=True)
         repeats[index] = True
         repeats[index[first]] = False

@@ -101,7 +101,9 @@ def _check_file(path: Path) -> None:
 
 
 def _too_long(path: Path) -> InputError:
-    return InputError(path, None, f"more than {MAX_ROWS:,} rows", f"at most {MAX_ROWS:,}", "Split or average it.")
+    return InputError(
+        path, None, f"more than {MAX_ROWS:,} rows", f"at most {MAX_ROWS:,}", "Split or average it."
+    )
 
 
 def _lines(path: Path, stream: TextIO) -> Iterator[str]:
@@ -114,7 +116,9 @@ def _lines(path: Path, stream: TextIO) -> Iterator[str]:
                 raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
             yield line
     except UnicodeDecodeError as error:
-        raise InputError(path, f"after line {number}", f"not UTF-8 text: {error.reason}", "UTF-8 text") from None
+        raise InputError(
+            path, f"after line {number}", f"not UTF-8 text: {error.reason}", "UTF-8 text"
+        ) from None
 
 
 def _leading_lines(path: Path, stream: TextIO) -> tuple[list[str], str | None]:
@@ -136,13 +140,17 @@ def _ecsv_header(path: Path, comments: Sequence[str], first: str) -> Header:
         meta = dict(header.get("meta") or {})
         delimiter = header.get("delimiter", " ")
     except Exception as error:  # the YAML loader builds astropy objects on request and can raise anything
-        raise InputError(path, "header", f"unreadable ECSV header: {error}"[:300], "ECSV as astropy writes it") from None
+        raise InputError(
+            path, "header", f"unreadable ECSV header: {error}"[:300], "ECSV as astropy writes it"
+        ) from None
     if delimiter not in (" ", ","):
         raise InputError(path, "header", f"delimiter {delimiter!r}", "a space or a comma")
     names = tuple(next(csv.reader([first.strip()], delimiter=delimiter, skipinitialspace=True)))
     _check_names(path, names)
     if list(names) != list(declared):
-        raise InputError(path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200])
+        raise InputError(
+            path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200]
+        )
     serialized = meta.pop("__serialized_columns__", {})
     if isinstance(serialized, dict) and isinstance(serialized.get("time"), dict):
         meta.setdefault("time_scale", serialized["time"].get("scale", "utc"))
@@ -230,4 +238,6 @@ class LabelReader:
 
     def __call__(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
         codes = self._codes
-        return np.array([codes.setdefault(cell, len(codes)) for cell in map(str.strip, cells)], dtype=np.int64)
+        return np.array(
+            [codes.setdefault(cell, len(codes)) for cell in map(str.strip, cells)], dtype=np.int64
+        )

@@ -1,0 +1,198 @@
+"""What one table of a scene cannot know of another: names, materials and their models, files, effects."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING
+
+from pydantic_core import PydanticCustomError
+
+from torchlc import brdf
+from torchlc.errors import InputError
+from torchlc.scene.numbers import Free, value_of, within
+from torchlc.scene.parts import Material, Mesh
+from torchlc.scene.problems import did_you_mean, shown
+from torchlc.scene.tle import PLACEHOLDER
+
+if TYPE_CHECKING:
+    from torchlc.scene.scene import Scene
+
+MAX_FILE_BYTES = 100_000_000
+PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[[^\[\]]+\])?")
+
+
+def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None) -> Scene:
+    """``scene`` with its materials completed from presets and models; InputError where its tables contradict each other."""
+    check = _Checks(scene, trust)
+    check.unique("stations", "id", [station.id for station in scene.stations])
+    check.unique("components", "name", [component.name for component in scene.components])
+    if scene.orbit.vectors is None and not scene.stations:
+        raise check.error(
+            "stations", "no station", "at least one [[stations]], which the object is seen from"
+        )
+    check.materials_in_use()
+    check.files()
+    check.effects(known_effects)
+    if scene.orbit.tle and PLACEHOLDER in scene.orbit.tle[0]:
+        scene.warnings.append(f"orbit.tle: the catalogue number is the placeholder {PLACEHOLDER}")
+    completed = {name: check.material(name, material) for name, material in scene.materials.items()}
+    return scene.model_copy(update={"materials": completed})
+
+
+class _Checks:
+    def __init__(self, scene: Scene, trust: bool) -> None:
+        self.scene, self.trust = scene, trust
+
+    def error(self, place: str, found: str, expected: str | None, hint: str | None = None) -> InputError:
+        return InputError(self.scene.source, place, found, expected, hint)
+
+    def unique(self, table: str, key: str, names: Sequence[str]) -> None:
+        for name, count in Counter(names).items():
+            if count > 1:
+                second = [index for index, other in enumerate(names) if other == name][1]
+                raise self.error(f"{table}[{second}].{key}", f"{name!r} again", "a name used once")
+
+    def materials_in_use(self) -> None:
+        known, used = list(self.scene.materials), set()
+        for index, component in enumerate(self.scene.components):
+            for key, name in component.materials():
+                if name not in known:
+                    place, expected = f"components[{index}].{key}", f"a table [materials.{name}]"
+                    raise self.error(place, f"unknown material {name!r}", expected, did_you_mean(name, known))
+                used.add(name)
+        for name in known:
+            if name not in used:
+                place = f"materials.{name}"
+                raise self.error(
+                    place, "used by no component", "a component made of it", "Remove it otherwise."
+                )
+
+    def material(self, name: str, material: Material) -> Material:
+        """``material`` with the values of its preset and the defaults of its model filled in, all in bounds."""
+        place = f"materials.{name}"
+        model, preset = self._preset(place, material)
+        if model not in brdf.MODELS:
+            known = sorted(brdf.MODELS)
+            expected = f"one of {', '.join(known)}"
+            raise self.error(f"{place}.model", shown(model), expected, did_you_mean(model, known))
+        reflection = brdf.MODELS[model]
+        parameters = self._complete(place, reflection, material.parameters, preset)
+        bounded: dict[str, float | Free] = {}
+        for key, number in parameters.items():
+            quantity = reflection.quantity(key)
+            bounded[key] = self._bounded(f"{place}.{key}", number, quantity.low, quantity.high)
+        total = sum(value_of(bounded[key]) for key in reflection.simplex)
+        if reflection.simplex and total > 1 + 1e-12:
+            raise self.error(place, f"{' + '.join(reflection.simplex)} = {total:g}", "at most 1")
+        return material.model_copy(update={"model": model, "parameters": bounded})
+
+    def _preset(self, place: str, material: Material) -> tuple[str, Mapping[str, float | Free]]:
+        if material.preset is None:
+            return material.model, {}
+        try:
+            from torchlc import materials
+
+            model, values = materials.preset(material.preset)
+        except InputError as error:
+            raise self.error(f"{place}.preset", error.found, error.expected, error.hint) from None
+        if "model" in material.model_fields_set and material.model != model:
+            raise self.error(
+                f"{place}.model", repr(material.model), f"{model}, as of preset {material.preset!r}"
+            )
+        return model, values
+
+    def _complete(
+        self,
+        place: str,
+        reflection: type[brdf.Brdf],
+        given: Mapping[str, float | Free],
+        preset: Mapping[str, float | Free],
+    ) -> dict[str, float | Free]:
+        """What the scene gives, else the preset, else the model's default; every quantity once."""
+        quantities = {quantity.name: quantity for quantity in reflection.quantities}
+        names = [*reflection.shared, *quantities]
+
+        def covered(keys: Collection[str]) -> set[str]:
+            return {name for key in keys for name in reflection.shared.get(key, (key,))}
+
+        for key in given:
+            if key not in names:
+                expected = f"one of {', '.join(names)} ({reflection.model})"
+                raise self.error(f"{place}.{key}", "unknown key", expected, did_you_mean(key, names))
+        for short, long in reflection.shared.items():
+            twice = [key for key in long if short in given and key in given]
+            if twice:
+                raise self.error(
+                    f"{place}.{twice[0]}", f"given beside {short}", f"{short}, or {' and '.join(long)}"
+                )
+        complete = dict(given)
+        for source in (preset, reflection.defaults):
+            complete |= {k: v for k, v in source.items() if not covered([k]) & covered(complete)}
+        missing = [key for key in quantities if key not in covered(complete)]
+        if missing:
+            aliases = [short for short, long in reflection.shared.items() if not set(long) - set(missing)]
+            key = next((short for short in aliases if missing[0] in reflection.shared[short]), missing[0])
+            raise self.error(f"{place}.{key}", "missing", f"a value: {quantities[missing[0]].meaning}")
+        return complete
+
+    def _bounded(self, place: str, number: float | Free, low: float, high: float) -> float | Free:
+        try:
+            return within(number, low, high)
+        except PydanticCustomError as error:
+            context = error.context or {}
+            key = f".{context['key']}" if context["key"] else ""
+            raise self.error(place + key, context["found"], context["expected"]) from None
+
+    def files(self) -> None:
+        for index, component in enumerate(self.scene.components):
+            if isinstance(component, Mesh):
+                self._file(f"components[{index}].file", component.file)
+        if self.scene.attitude.file is not None:
+            self._file("attitude.file", self.scene.attitude.file)
+
+    def _file(self, place: str, name: str) -> None:
+        """The file must lie in the scene's folder, links resolved, unless the scene is trusted, and be of a bearable size."""
+        if not self.trust:
+            outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
+            if outside or ".." in re.split(r"[/\\]", name):
+                raise self.error(place, shown(name), "a relative path inside the scene's folder")
+        directory = self.scene.directory
+        if directory is None:
+            raise self.error(place, shown(name), "a scene read from a file, or its directory")
+        try:
+            path = (directory / name).resolve()
+            size = path.stat().st_size if path.is_file() else None
+        except (OSError, ValueError, RuntimeError):
+            size, path = None, Path(directory)
+        if not self.trust and not path.is_relative_to(directory.resolve()):
+            raise self.error(place, f"{shown(name)} leads out of the scene's folder", "a file inside it")
+        if size is None:
+            raise self.error(place, f"no file {shown(name)}", f"a file in {directory}")
+        if size > MAX_FILE_BYTES:
+            raise self.error(place, f"{size / 1e6:.0f} MB", f"at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+
+    def effects(self, known: Collection[str] | None) -> None:
+        listed = self.scene.model.effects or []
+        self.unique("model.effects", "name", listed)
+        if known is not None:
+            for index, name in enumerate(listed):
+                if name not in known:
+                    raise self._unknown_effect(f"model.effects[{index}]", name, known)
+        for key in self.scene.model.parameters:
+            match = PARAMETER_KEY.fullmatch(key)
+            place = f'model.parameters."{key}"'
+            if key != "zero_point" and match is None:
+                expected = 'zero_point, band_sun_magnitude, or "effect.parameter"'
+                hint = did_you_mean(key, ["zero_point", "band_sun_magnitude"])
+                raise self.error(place, "unknown key", expected, hint)
+            if match and known is not None and match["effect"] not in known:
+                raise self._unknown_effect(place, match["effect"], known)
+
+    def _unknown_effect(self, place: str, name: str, known: Collection[str]) -> InputError:
+        names = sorted(known)
+        return self.error(
+            place, f"unknown effect {shown(name)}", f"one of {', '.join(names)}", did_you_mean(name, names)
+        )

@@ -1,0 +1,145 @@
+"""The atoms of a scene: strict tables, numbers that are fixed or free, vectors and names."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
+
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+def problem(found: str, expected: str, key: str = "", hint: str = "") -> PydanticCustomError:
+    """An error in our own words; ``key`` is the entry below the table at fault."""
+    return PydanticCustomError(
+        "torchlc", "{found}", {"found": found, "expected": expected, "key": key, "hint": hint}
+    )
+
+
+class Table(BaseModel):
+    """A TOML table: immutable, no key beyond its fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keys_are_known(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key in data:
+                if key not in cls.model_fields:
+                    raise PydanticCustomError(
+                        "unknown_key", "unknown key", {"key": str(key), "allowed": list(cls.model_fields)}
+                    )
+        return data
+
+
+class Free(Table):
+    """A number to be fitted: where to start and what is believed of it before the data.
+
+    ``sigma`` is the standard deviation of a normal prior centred on ``value``, that of the logarithm for a lognormal one with median
+    ``value``, or the scale of a halfnormal one; ``low`` and ``high`` truncate it, and a bound that the scene leaves open is the physical one.
+    """
+
+    value: Real
+    low: Real | None = None
+    high: Real | None = None
+    sigma: Annotated[Real, Field(gt=0)] | None = None
+    prior: Literal["uniform", "loguniform", "normal", "lognormal", "halfnormal"] = "uniform"
+    per: Literal["curve", "station", "night"] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_prior(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "prior" not in data and data.get("sigma") is not None:
+            return {**data, "prior": "normal"}
+        return data
+
+    @model_validator(mode="after")
+    def _is_a_prior(self) -> Free:
+        both = self.low is not None and self.high is not None
+        if self.sigma is None and not both:
+            raise problem(
+                "only a value" if self.low is self.high else "one bound only", "low and high, or sigma"
+            )
+        if both and not self.low < self.high:  # type: ignore[operator]
+            raise problem(f"low {self.low:g} and high {self.high:g}", "low < high")
+        if self.prior in ("uniform", "loguniform"):
+            if self.sigma is not None:
+                raise problem(
+                    f"a sigma with a {self.prior} prior", 'low and high alone, or prior = "normal"', "sigma"
+                )
+            if not both:
+                raise problem("missing bounds", f"low and high for a {self.prior} prior", "prior")
+        elif self.sigma is None:
+            raise problem("no sigma", f"a sigma for a {self.prior} prior", "prior")
+        if self.prior == "loguniform" and not self.low > 0:  # type: ignore[operator]
+            raise problem(f"{self.low:g}", "> 0 for a loguniform prior", "low")
+        if self.prior == "lognormal" and not (self.value > 0 and (self.low is None or self.low >= 0)):
+            raise problem(f"{self.value:g}", "> 0, with low >= 0, for a lognormal prior", "value")
+        if self.prior == "halfnormal" and not self.value >= max(0.0, self.low or 0.0):
+            raise problem(f"{self.value:g}", ">= 0 for a halfnormal prior", "value")
+        low, high = -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+        if not low <= self.value <= high:
+            raise problem(f"{self.value:g}", f"between low {low:g} and high {high:g}", "value")
+        return self
+
+
+def _fixed_or_free(data: Any) -> str:
+    return "#free" if isinstance(data, dict | Free) else "#fixed"
+
+
+Number = Annotated[
+    Annotated[float, Tag("#fixed"), Field(strict=True, allow_inf_nan=False)] | Annotated[Free, Tag("#free")],
+    Discriminator(_fixed_or_free),
+]
+
+
+def value_of(number: float | Free) -> float:
+    return number.value if isinstance(number, Free) else number
+
+
+def within(number: float | Free, low: float, high: float, *, above: bool = False) -> float | Free:
+    """``number`` if it can be nothing outside [low, high] (``above``: low itself excluded); open bounds become the physical ones."""
+    expected = (f"> {low:g}" if above else f">= {low:g}") if high == math.inf else f"{low:g} to {high:g}"
+    value = value_of(number)
+    if not low <= value <= high or (above and value == low):
+        raise problem(f"{value:g}", expected, "value" if isinstance(number, Free) else "")
+    if not isinstance(number, Free):
+        return number
+    for key, bound in (("low", number.low), ("high", number.high)):
+        if bound is not None and not low <= bound <= high:
+            raise problem(f"{bound:g}", expected, key)
+    return number.model_copy(
+        update={
+            "low": low if number.low is None and low > -math.inf else number.low,
+            "high": high if number.high is None and high < math.inf else number.high,
+        }
+    )
+
+
+def between(low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> AfterValidator:
+    return AfterValidator(lambda number: within(number, low, high, above=above))
+
+
+def _direction(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not math.hypot(*vector) > 1e-9:
+        raise problem(f"{list(vector)}", "a direction, not of length 0")
+    return vector
+
+
+def _name(text: str) -> str:
+    if not text or text != text.strip() or len(text) > 100 or not text.isprintable() or set(text) & set("[]"):
+        raise problem(
+            repr(text[:40]), "a name of 1 to 100 printable characters without brackets or outer blanks"
+        )
+    return text
+
+
+Positive = Annotated[Number, between(0.0, above=True)]
+Vector = tuple[Real, Real, Real]
+Direction = Annotated[tuple[Real, Real, Real], AfterValidator(_direction)]
+Name = Annotated[str, AfterValidator(_name)]

@@ -1,0 +1,297 @@
+"""The tables of a scene: orbit, stations, attitude, components, materials, model."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from torchlc.scene.numbers import (
+    Direction,
+    Free,
+    Name,
+    Number,
+    Positive,
+    Real,
+    Table,
+    Vector,
+    between,
+    problem,
+)
+from torchlc.scene.tle import checked_lines
+from torchlc.timestamps import ISO, UnreadableTime, instant
+
+FACES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+MAX_PLATE_SKEW = 1e-3
+"""Largest |cos| of the angle between a plate's u and v that counts as a right angle."""
+
+
+def _iso_text(value: Any) -> Any:
+    return value.isoformat() if isinstance(value, datetime.datetime) else value
+
+
+def _epoch(value: str | float) -> str | float:
+    try:
+        zoned = isinstance(value, str) and (match := ISO.fullmatch(value)) and match.group("zone")
+        instant(value, "utc" if zoned else "tdb")
+    except UnreadableTime as error:
+        raise problem(repr(error.found[:40]), error.expected) from None
+    return value
+
+
+Epoch = Annotated[
+    Annotated[str, Field(strict=True)] | Real, BeforeValidator(_iso_text), AfterValidator(_epoch)
+]
+"""ISO text or a Julian date."""
+
+
+class Orbit(Table):
+    """Where the object is: exactly one of elements, vectors in the recording (and their frame), or alt-az rows."""
+
+    tle: Annotated[tuple[str, str], AfterValidator(checked_lines)] | None = None
+    vectors: Literal["icrs", "ecliptic"] | None = None
+    altaz: bool = False
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Orbit:
+        count = (self.tle is not None) + (self.vectors is not None) + self.altaz
+        if count != 1:
+            raise problem(
+                "none of them" if count == 0 else "more than one", "one of tle, vectors, altaz = true"
+            )
+        return self
+
+
+class Station(Table):
+    """An observing site: geodetic latitude and east longitude in degrees, height in metres above the ellipsoid."""
+
+    id: Name
+    latitude: Annotated[Real, between(-90, 90)]
+    longitude: Annotated[Real, between(-180, 360)]
+    height: Annotated[Real, between(-1000, 100_000)]
+
+
+class Attitude(Table):
+    """How the object is turned; which keys belong to a mode is in MODE_KEYS. Angles in degrees, spin_rate rev/h, period h."""
+
+    SPIN: ClassVar = ("spin_axis", "spin_rate", "spin_phase", "spin_epoch")
+    MODE_KEYS: ClassVar[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+        "nadir": ((), SPIN),
+        "yaw-steering": ((), SPIN),
+        "sun": ((), SPIN),
+        "inertial": ((), ("x_angle", *SPIN)),
+        "quaternions": (("file",), ()),
+        "spin-pole": (("pole", "period", "phase", "epoch"), ()),
+    }
+    """Mode: keys it needs, keys it may have."""
+
+    mode: Literal["nadir", "yaw-steering", "sun", "inertial", "quaternions", "spin-pole"]
+    spin_axis: Direction | None = None
+    spin_rate: Number = 0.0
+    spin_phase: Number = 0.0
+    spin_epoch: Epoch | None = None
+    x_angle: Number = 0.0
+    pole: tuple[Number, Annotated[Number, between(-90, 90)]] | None = None
+    period: Positive | None = None
+    phase: Number = 0.0
+    epoch: Epoch | None = None
+    file: str | None = None
+
+    def number_keys(self) -> list[str]:
+        """The keys of this mode that hold one number each."""
+        needed, allowed = self.MODE_KEYS[self.mode]
+        return [
+            key
+            for key in ("spin_rate", "spin_phase", "x_angle", "period", "phase")
+            if key in needed + allowed
+        ]
+
+    @model_validator(mode="after")
+    def _keys_suit_the_mode(self) -> Attitude:
+        needed, allowed = self.MODE_KEYS[self.mode]
+        given = self.model_fields_set - {"mode"}
+        for key in needed:
+            if key not in given:
+                raise problem("missing", f'a value: mode "{self.mode}" needs it', key)
+        for key in sorted(given - {*needed, *allowed}):
+            also = ", ".join((*needed, *allowed)) or "none"
+            raise problem("a key that does not belong to this mode", f'for mode "{self.mode}": {also}', key)
+        if given & set(self.SPIN) and not {"spin_axis", "spin_rate"} <= given:
+            raise problem("a spin without its axis or rate", "spin_axis and spin_rate", "spin_axis")
+        return self
+
+
+class Tracks(Table):
+    """The component turns about the line along ``axis`` (body frame) through its centre to face the Sun."""
+
+    target: Literal["sun"]
+    axis: Direction
+
+
+class _Component(Table):
+    """What all shapes share. ``rotation`` turns about body x, then y, then z, in degrees; lengths are in metres."""
+
+    name: Name
+    centre: Vector
+    material: Name
+    rotation: Vector = (0.0, 0.0, 0.0)
+    tracks: Tracks | None = None
+
+    def numbers(self) -> dict[str, float | Free]:
+        """Sizes by the end of their full name, e.g. "size_x"."""
+        return {}
+
+    def materials(self) -> list[tuple[str, str]]:
+        """(key, material name) of everything this component is made of."""
+        return [("material", self.material)]
+
+
+class Box(_Component):
+    """``size`` along body X, Y, Z before ``rotation``."""
+
+    shape: Literal["box"]
+    size: tuple[Positive, Positive, Positive]
+    face_materials: dict[Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"], Name] = Field(default_factory=dict)
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {f"size_{axis}": size for axis, size in zip("xyz", self.size, strict=True)}
+
+    def materials(self) -> list[tuple[str, str]]:
+        return [
+            *super().materials(),
+            *((f"face_materials.{face}", name) for face, name in self.face_materials.items()),
+        ]
+
+
+class Plate(_Component):
+    """A two-sided rectangle, ``size`` along u and v; the normal of its front is u x v."""
+
+    shape: Literal["plate"]
+    size: tuple[Positive, Positive]
+    u: Direction
+    v: Direction
+    back_material: Name | None = None
+
+    @model_validator(mode="after")
+    def _right_angle(self) -> Plate:
+        cosine = sum(a * b for a, b in zip(self.u, self.v, strict=True)) / (
+            math.hypot(*self.u) * math.hypot(*self.v)
+        )
+        if abs(cosine) > MAX_PLATE_SKEW:
+            raise problem(
+                f"{math.degrees(math.acos(max(-1.0, min(1.0, cosine)))):.3f} deg between u and v",
+                "90 deg",
+                "v",
+            )
+        return self
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {"size_u": self.size[0], "size_v": self.size[1]}
+
+    def materials(self) -> list[tuple[str, str]]:
+        return [
+            *super().materials(),
+            *([("back_material", self.back_material)] if self.back_material else []),
+        ]
+
+
+Facets = Annotated[int, Field(strict=True, ge=3, le=100_000)]
+
+
+class Cylinder(_Component):
+    """Closed by two caps; ``axis`` points to cap+, ``facets`` is the least number of side facets."""
+
+    shape: Literal["cylinder"]
+    radius: Positive
+    length: Positive
+    axis: Direction = (0.0, 0.0, 1.0)
+    facets: Facets | None = None
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {"radius": self.radius, "length": self.length}
+
+
+class Cone(_Component):
+    """A frustum from ``radius`` to ``radius_top`` along ``axis``."""
+
+    shape: Literal["cone"]
+    radius: Positive
+    radius_top: Annotated[Number, between(0.0)] = 0.0
+    length: Positive
+    axis: Direction = (0.0, 0.0, 1.0)
+    facets: Facets | None = None
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {"radius": self.radius, "radius_top": self.radius_top, "length": self.length}
+
+
+class Dish(_Component):
+    """An open two-sided bowl; ``axis`` points out of its opening."""
+
+    shape: Literal["dish"]
+    radius: Positive
+    depth: Positive
+    axis: Direction = (0.0, 0.0, 1.0)
+    facets: Facets | None = None
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {"radius": self.radius, "depth": self.depth}
+
+
+class Sphere(_Component):
+    shape: Literal["sphere"]
+    radius: Positive
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {"radius": self.radius}
+
+
+class Mesh(_Component):
+    """Triangles of ``file``, ``scale`` metres per unit of the file."""
+
+    shape: Literal["mesh"]
+    file: str
+    scale: Annotated[Real, between(0.0, above=True)] = 1.0
+
+
+Component = Annotated[Box | Plate | Cylinder | Cone | Dish | Sphere | Mesh, Field(discriminator="shape")]
+
+
+class Material(Table):
+    """A reflection model and its numbers; ``preset`` says where numbers that the scene leaves out come from."""
+
+    model: str = "ashikhmin-shirley"
+    preset: str | None = None
+    parameters: dict[str, Number] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_parameters(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        own = {key: value for key, value in data.items() if key in ("model", "preset")}
+        return {**own, "parameters": {key: value for key, value in data.items() if key not in own}}
+
+
+class Model(Table):
+    """What the model holds. ``effects`` None: the known physics that the data allow; an empty list: none."""
+
+    effects: list[str] | None = None
+    parameters: dict[str, Number] = Field(default_factory=dict)
+    band_sun_magnitude: Real | dict[str, Real] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _split_parameters(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("parameters"), dict):
+            return data
+        parameters = dict(data["parameters"])
+        if "band_sun_magnitude" in parameters:
+            return {
+                **data,
+                "parameters": parameters,
+                "band_sun_magnitude": parameters.pop("band_sun_magnitude"),
+            }
+        return data

@@ -1,0 +1,143 @@
+"""A scene: what is looked at, from where, how it is turned, what it is made of, and which physics is in the model."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationError
+
+from torchlc.errors import InputError
+from torchlc.scene.checks import checked
+from torchlc.scene.numbers import Free, Name, Table
+from torchlc.scene.parts import Attitude, Component, Material, Model, Orbit, Station
+from torchlc.scene.problems import of_toml, of_validation
+from torchlc.scene.writer import toml_key, toml_table, toml_value
+
+MAX_TOML_BYTES = 1 << 20
+
+
+class Scene(Table):
+    """The checked content of one scene file; see docs/formats for the meaning of every key."""
+
+    format: Literal["torchlc-scene/1"]
+    name: str
+    orbit: Orbit
+    stations: list[Station] = Field(default_factory=list)
+    attitude: Attitude
+    components: Annotated[list[Component], Field(min_length=1, max_length=1000)]
+    materials: dict[Name, Material]
+    model: Model = Model()
+
+    _directory: Path | None = PrivateAttr(None)
+    _source: str | Path | None = PrivateAttr(None)
+    _warnings: list[str] = PrivateAttr(default_factory=list)
+
+    @property
+    def directory(self) -> Path | None:
+        """Where relative file names start."""
+        return self._directory
+
+    @property
+    def source(self) -> str | Path | None:
+        """The file this scene was read from."""
+        return self._source
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was accepted but deserves to be known."""
+        return self._warnings
+
+    @classmethod
+    def from_toml(
+        cls,
+        text: str,
+        directory: str | Path | None = None,
+        source: str | Path | None = None,
+        *,
+        trust: bool = False,
+        known_effects: Collection[str] | None = None,
+    ) -> Scene:
+        """Parse and check a scene. ``trust`` lets file names leave ``directory``; ``known_effects`` are the names an effect may have."""
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise of_toml(source, error) from None
+        except (RecursionError, ValueError) as error:
+            raise InputError(source, None, f"unreadable TOML: {error}", "TOML without deep nesting") from None
+        try:
+            scene = cls.model_validate(data)
+        except ValidationError as error:
+            raise of_validation(source, error) from None
+        scene._directory = None if directory is None else Path(directory)
+        scene._source = source
+        return checked(scene, trust=trust, known_effects=known_effects)
+
+    def to_toml(self) -> str:
+        """This scene as TOML; reading it again gives an equal scene."""
+        head = f"format = {toml_value(self.format)}\nname = {toml_value(self.name)}\n"
+        tables = [head, toml_table("orbit", _given(self.orbit))]
+        tables += [toml_table("stations", _given(station), array=True) for station in self.stations]
+        tables.append(toml_table("attitude", _given(self.attitude)))
+        tables += [toml_table("components", _given(component), array=True) for component in self.components]
+        for name, material in self.materials.items():
+            content = {"model": material.model, "preset": material.preset, **material.parameters}
+            tables.append(toml_table(toml_key("materials", name), content))
+        parameters: dict[str, Any] = dict(self.model.parameters)
+        if self.model.band_sun_magnitude is not None:
+            parameters["band_sun_magnitude"] = self.model.band_sun_magnitude
+        tables.append(toml_table("model", {"effects": self.model.effects}))
+        tables.append(toml_table("model.parameters", parameters))
+        return "\n".join(tables)
+
+    def numbers(self) -> dict[str, float | Free]:
+        """Every number of materials, attitude and component sizes by its full name, e.g. "panel.n", "body.size_x"."""
+        numbers: dict[str, float | Free] = {}
+        for name, material in self.materials.items():
+            numbers |= {f"{name}.{parameter}": number for parameter, number in material.parameters.items()}
+        attitude = self.attitude
+        for key in attitude.number_keys():
+            numbers[f"attitude.{key}"] = getattr(attitude, key)
+        if attitude.pole is not None:
+            numbers["attitude.pole_lon"], numbers["attitude.pole_lat"] = attitude.pole
+        for component in self.components:
+            numbers |= {f"{component.name}.{size}": number for size, number in component.numbers().items()}
+        return numbers
+
+    def file_path(self, name: str) -> Path:
+        """The path of a file that the scene names."""
+        return (self._directory or Path()) / name
+
+
+def load_scene(
+    path: str | Path, *, trust: bool = False, known_effects: Collection[str] | None = None
+) -> Scene:
+    """Read a scene file; every defect is one InputError that names its place. ``trust``: see Scene.from_toml."""
+    path = Path(path)
+    return Scene.from_toml(_text(path), path.parent, path, trust=trust, known_effects=known_effects)
+
+
+def _text(path: Path) -> str:
+    if not path.exists():
+        raise InputError(path, None, "no such file")
+    if not path.is_file():
+        raise InputError(path, None, "not a file", "a scene in TOML")
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_TOML_BYTES + 1)
+    except OSError as error:
+        raise InputError(path, None, f"cannot be read: {error.strerror}") from None
+    if len(content) > MAX_TOML_BYTES:
+        raise InputError(path, None, "more than 1 MiB", "a scene of at most 1 MiB")
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise InputError(path, f"line {line}", "not UTF-8 text", "UTF-8 text") from None
+
+
+def _given(table: Table) -> dict[str, Any]:
+    """The fields that differ from their defaults, or that were given."""
+    return {name: getattr(table, name) for name in type(table).model_fields if name in table.model_fields_set}

@@ -1,0 +1,52 @@
+"""A scene as TOML text, the inverse of reading it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from torchlc.scene.numbers import Free
+
+
+def toml_table(path: str, content: Mapping[str, Any], *, array: bool = False) -> str:
+    """One ``[path]`` (or ``[[path]]``) with its keys; entries that are None are left out."""
+    header = f"[[{path}]]" if array else f"[{path}]"
+    lines = [f"{_key(key)} = {_value(value)}" for key, value in content.items() if value is not None]
+    return "\n".join([header, *lines]) + "\n"
+
+
+def toml_key(*names: str) -> str:
+    """A dotted key, quoted where TOML needs it."""
+    return ".".join(map(_key, names))
+
+
+def toml_value(value: Any) -> str:
+    """One value; tables are written inline."""
+    return _value(value)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Free):
+        value = value.model_dump(exclude_none=True)
+    elif isinstance(value, BaseModel):
+        value = {key: getattr(value, key) for key in type(value).model_fields}
+    if isinstance(value, Mapping):
+        pairs = (f"{_key(key)} = {_value(entry)}" for key, entry in value.items() if entry is not None)
+        return "{ " + ", ".join(pairs) + " }"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    raise TypeError(f"no TOML for {type(value).__name__}")

@@ -63,7 +63,8 @@ def incidence(normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) ->
     half = bisector / length[..., None]
     cos_n = (normal * half).sum(-1)
     square_u = (u * half).sum(-1) ** 2
-    square_v = (torch.linalg.cross(normal, u) * half).sum(-1) ** 2
+    v = torch.linalg.cross(*torch.broadcast_tensors(normal, u))
+    square_v = (v * half).sum(-1) ** 2
     front = cos_n > 0
     per_square = _log_cos_per_sin2(
         torch.where(front, cos_n, 0.5), torch.where(front, square_u + square_v, 0.75)
@@ -243,7 +244,7 @@ class Brdf(nn.Module):
         return super().__getattr__(name)
 
     def extra_repr(self) -> str:
-        values = self.values()
+        values = {name: value.detach() for name, value in self.values().items()}
         texts = []
         for name in self.names:
             value = values[self.shared.get(name, (name,))[0]]

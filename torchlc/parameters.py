@@ -1,8 +1,21 @@
-"""Parameters: what each number means, its prior, and the map between natural values and the unconstrained space of Adam."""
+"""Parameters: what each number means, its prior, and the map between natural values and the unconstrained space of Adam.
+
+A :class:`ParameterSet` turns the scene's numbers (fixed or free) into one flat vector theta (..., P) of natural values and back,
+knows the prior density of theta, and maps theta to unconstrained coordinates z (..., P) by ``torch.distributions`` transforms.
+The two reflectances of one material are kept on the triangle r_spec + r_diff <= 1: the second is mapped to what the first leaves.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.distributions import transforms
+
+PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
 
 
 @dataclass(frozen=True)
@@ -23,3 +36,324 @@ class Quantity:
     prior: str = "uniform"
     mean: float | None = None
     sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of one scalar: kind, bounds (may be infinite), and for the peaked kinds the centre and width.
+
+    ``centre`` and ``sigma`` are mean and standard deviation (normal), median and standard deviation of the logarithm (lognormal),
+    lower end and scale (halfnormal). Every kind is truncated to [low, high] and normalised there.
+    """
+
+    kind: str
+    low: float
+    high: float
+    centre: float = 0.0
+    sigma: float = 1.0
+
+    @property
+    def logarithmic(self) -> bool:
+        return self.kind in ("loguniform", "lognormal")
+
+    def log_density(self, x: Tensor) -> Tensor:
+        """Log density at x, same shape; -inf outside [low, high]."""
+        inside = (x >= self.low) & (x <= self.high)
+        if self.logarithmic:
+            safe = torch.where(inside, x, max(self.low, 1e-300) if math.isfinite(self.low) else 1.0)
+            y = torch.log(safe)
+            jacobian = -y
+        else:
+            y = torch.where(inside, x, self.low if math.isfinite(self.low) else self.centre)
+            jacobian = torch.zeros_like(y)
+        if self.kind in ("uniform", "loguniform"):
+            density = jacobian - math.log(self._width())
+        else:
+            centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
+            u = (y - centre) / self.sigma
+            density = jacobian - 0.5 * u * u - math.log(self.sigma * math.sqrt(2 * math.pi)) - self._log_mass()
+        return torch.where(inside, density, -math.inf)
+
+    def quantile(self, p: Tensor) -> Tensor:
+        """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw from the prior."""
+        if self.kind in ("uniform", "loguniform"):
+            low, high = self._range()
+            y = low + (high - low) * p
+        else:
+            a, b = self._cdf_range()
+            q = (a + (b - a) * p).clamp(1e-15, 1 - 1e-15)
+            centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
+            y = centre + self.sigma * math.sqrt(2) * torch.erfinv(2 * q - 1)
+        return y.exp() if self.logarithmic else y
+
+    def transform(self) -> transforms.Transform:
+        """Bijection from the real line onto (low, high); z = 0 is the middle of the prior and z of order 1 its width."""
+        low, high = self._range()
+        flat = self.kind in ("uniform", "loguniform")
+        middle = 0.5 * (low + high) if flat else (math.log(self.centre) if self.kind == "lognormal" else self.centre)
+        if self.kind == "halfnormal":
+            middle = low + 0.7 * self.sigma
+        steps: list[transforms.Transform]
+        if math.isfinite(low) and math.isfinite(high):
+            p = min(max((middle - low) / (high - low), 1e-12), 1 - 1e-12)
+            scale = 1.0 if flat else self.sigma / ((high - low) * p * (1 - p))
+            steps = [
+                transforms.AffineTransform(math.log(p / (1 - p)), scale),
+                transforms.SigmoidTransform(),
+                transforms.AffineTransform(low, high - low),
+            ]
+        elif math.isfinite(low):
+            gap = max(middle - low, 1e-12)
+            steps = [
+                transforms.AffineTransform(math.log(gap), min(self.sigma / gap, 3.0)),
+                transforms.ExpTransform(),
+                transforms.AffineTransform(low, 1.0),
+            ]
+        elif math.isfinite(high):
+            gap = max(high - middle, 1e-12)
+            steps = [
+                transforms.AffineTransform(math.log(gap), min(self.sigma / gap, 3.0)),
+                transforms.ExpTransform(),
+                transforms.AffineTransform(high, -1.0),
+            ]
+        else:
+            steps = [transforms.AffineTransform(middle, self.sigma)]
+        if self.logarithmic:
+            steps.append(transforms.ExpTransform())
+        return transforms.ComposeTransform(steps)
+
+    def _range(self) -> tuple[float, float]:
+        if not self.logarithmic:
+            return self.low, self.high
+        return (
+            math.log(self.low) if self.low > 0 else -math.inf,
+            math.log(self.high) if math.isfinite(self.high) else math.inf,
+        )
+
+    def _width(self) -> float:
+        low, high = self._range()
+        return high - low
+
+    def _cdf_range(self) -> tuple[float, float]:
+        low, high = self._range()
+        centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
+
+        def cdf(value: float) -> float:
+            return 0.5 * (1 + math.erf((value - centre) / (self.sigma * math.sqrt(2))))
+
+        return cdf(low), cdf(high)
+
+    def _log_mass(self) -> float:
+        a, b = self._cdf_range()
+        return math.log(max(b - a, 1e-300))
+
+
+@dataclass(frozen=True)
+class Free:
+    """A free parameter: its full name, its prior and the value to start from."""
+
+    name: str
+    prior: Prior
+    start: float
+    unit: str = ""
+    meaning: str = ""
+
+
+def prior_of(quantity: Quantity) -> Prior:
+    """The default prior of a quantity, truncated to its bounds."""
+    if quantity.prior == "halfnormal":
+        return Prior("halfnormal", quantity.low, quantity.high, quantity.low, quantity.sigma or 1.0)
+    centre = quantity.mean if quantity.mean is not None else (quantity.off or 0.0)
+    return Prior(quantity.prior, quantity.low, quantity.high, centre, quantity.sigma or 1.0)
+
+
+class ParameterSet:
+    """The free parameters in order, the fixed ones beside them.
+
+    ``simplex`` lists pairs (first, second) of names whose sum may not exceed 1; a pair with one member fixed narrows the other.
+    """
+
+    def __init__(
+        self,
+        free: Sequence[Free],
+        fixed: Mapping[str, float],
+        simplex: Iterable[tuple[str, str]] = (),
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.fixed = dict(fixed)
+        self.dtype, self.device = dtype, device
+        entries = {parameter.name: parameter for parameter in free}
+        self.pairs: list[tuple[int, int]] = []
+        order = [parameter.name for parameter in free]
+        for first, second in simplex:
+            for name, other in ((first, second), (second, first)):
+                if name in entries and other in self.fixed:
+                    entries[name] = _narrowed(entries[name], 1.0 - self.fixed[other])
+            if first in entries and second in entries:
+                entries[first] = _narrowed(entries[first], 1.0 - max(entries[second].prior.low, 0.0))
+                entries[second] = _narrowed(entries[second], 1.0 - max(entries[first].prior.low, 0.0))
+                self.pairs.append((order.index(first), order.index(second)))
+        self.free = [entries[name] for name in order]
+        self.names = order
+        self._transforms = [parameter.prior.transform() for parameter in self.free]
+        self._second = {second: first for first, second in self.pairs}
+
+    def __len__(self) -> int:
+        return len(self.free)
+
+    def start(self) -> Tensor:
+        """Natural starting values, (P,)."""
+        return torch.tensor([p.start for p in self.free], dtype=self.dtype, device=self.device)
+
+    def values(self, theta: Tensor) -> dict[str, Tensor]:
+        """Every number by its full name: free ones (...) from theta (..., P), fixed ones as scalars."""
+        found = {name: theta.new_tensor(value) for name, value in self.fixed.items()}
+        found.update(zip(self.names, theta.unbind(-1), strict=True))
+        return found
+
+    def to_natural(self, z: Tensor) -> Tensor:
+        """Natural values theta (..., P) of unconstrained coordinates z (..., P)."""
+        columns: list[Tensor] = []
+        for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
+            value = self._transforms[index](column)
+            if index in self._second:
+                value = self._squeeze(entry.prior, value, columns[self._second[index]])
+            columns.append(value)
+        return torch.stack(columns, -1) if columns else z.clone()
+
+    def to_unconstrained(self, theta: Tensor) -> Tensor:
+        """Inverse of :meth:`to_natural`; values on a bound are taken a billionth of the range inside."""
+        columns: list[Tensor] = []
+        natural = theta.unbind(-1)
+        for index, (entry, column) in enumerate(zip(self.free, natural, strict=True)):
+            value = column
+            if index in self._second:
+                value = self._unsqueeze(entry.prior, value, natural[self._second[index]])
+            prior = entry.prior
+            if math.isfinite(prior.low) and math.isfinite(prior.high):
+                margin = 1e-9 * (prior.high - prior.low)
+                low = prior.low * (1 + 1e-9) if prior.logarithmic else prior.low + margin
+                high = prior.high * (1 - 1e-9) if prior.logarithmic else prior.high - margin
+                value = value.clamp(low, high)
+            elif math.isfinite(prior.low):
+                value = value.clamp(min=prior.low + 1e-9 * prior.sigma)
+            elif math.isfinite(prior.high):
+                value = value.clamp(max=prior.high - 1e-9 * prior.sigma)
+            columns.append(self._transforms[index].inv(value))
+        return torch.stack(columns, -1) if columns else theta.clone()
+
+    def log_abs_det(self, z: Tensor) -> Tensor:
+        """log |d theta / d z|, (...), at unconstrained z (..., P): turns a density of theta into one of z."""
+        theta = self.to_natural(z)
+        total = torch.zeros(z.shape[:-1], dtype=z.dtype, device=z.device)
+        for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
+            transform = self._transforms[index]
+            total = total + transform.log_abs_det_jacobian(column, transform(column))
+            if index in self._second:
+                first = theta[..., self._second[index]]
+                room = torch.clamp(1.0 - first, max=entry.prior.high) - entry.prior.low
+                total = total + torch.log(room / (entry.prior.high - entry.prior.low))
+        return total
+
+    def log_prior(self, theta: Tensor) -> Tensor:
+        """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle; normalised on each pair's
+        triangle where both are uniform, else up to the constant that the triangle cuts off."""
+        total = torch.zeros(theta.shape[:-1], dtype=theta.dtype, device=theta.device)
+        for entry, column in zip(self.free, theta.unbind(-1), strict=True):
+            total = total + entry.prior.log_density(column)
+        for first, second in self.pairs:
+            total = total + self._log_triangle(first, second)
+            total = torch.where(theta[..., first] + theta[..., second] <= 1.0, total, -math.inf)
+        return total
+
+    def flat_bounds(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper bounds (P,) of the flat coordinates y; infinite where there is none."""
+        low, high = [], []
+        for index, entry in enumerate(self.free):
+            a, b = (0.0, 1.0) if index in self._second else entry.prior._range()
+            low.append(a)
+            high.append(b)
+        return self.start().new_tensor(low), self.start().new_tensor(high)
+
+    def to_flat(self, theta: Tensor) -> Tensor:
+        """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: logarithms of log-scaled parameters, and the
+        second reflectance of a pair as its share of what the first leaves."""
+        columns = []
+        natural = theta.unbind(-1)
+        for index, (entry, value) in enumerate(zip(self.free, natural, strict=True)):
+            prior = entry.prior
+            if index in self._second:
+                room = torch.clamp(1.0 - natural[self._second[index]], max=prior.high) - prior.low
+                columns.append(((value - prior.low) / room.clamp(min=1e-12)).clamp(0.0, 1.0))
+            elif prior.logarithmic:
+                columns.append(torch.log(value.clamp(min=1e-300)))
+            else:
+                columns.append(value)
+        return torch.stack(columns, -1) if columns else theta.clone()
+
+    def from_flat(self, y: Tensor) -> Tensor:
+        """Inverse of :meth:`to_flat`."""
+        columns: list[Tensor] = []
+        for index, (entry, value) in enumerate(zip(self.free, y.unbind(-1), strict=True)):
+            prior = entry.prior
+            if index in self._second:
+                room = torch.clamp(1.0 - columns[self._second[index]], max=prior.high) - prior.low
+                columns.append(prior.low + room * value)
+            else:
+                columns.append(torch.exp(value) if prior.logarithmic else value)
+        return torch.stack(columns, -1) if columns else y.clone()
+
+    def prior_residuals(self, theta: Tensor) -> Tensor:
+        """Peaked priors as rows of a least-squares problem: (..., number of peaked priors), zero at each prior's centre."""
+        rows = []
+        for entry, value in zip(self.free, theta.unbind(-1), strict=True):
+            prior = entry.prior
+            if prior.kind == "lognormal":
+                rows.append((torch.log(value.clamp(min=1e-300)) - math.log(prior.centre)) / prior.sigma)
+            elif prior.kind in ("normal", "halfnormal"):
+                rows.append((value - prior.centre) / prior.sigma)
+        return torch.stack(rows, -1) if rows else theta.new_zeros(*theta.shape[:-1], 0)
+
+    def sample_prior(self, count: int, generator: torch.Generator | None = None) -> Tensor:
+        """Independent draws (count, P) from the prior, pairs rejected until inside their triangle."""
+        if not self.free:
+            return torch.zeros(count, 0, dtype=self.dtype, device=self.device)
+
+        def draw(number: int) -> Tensor:
+            u = torch.rand(number, len(self.free), generator=generator, dtype=self.dtype, device=self.device)
+            return torch.stack([e.prior.quantile(c) for e, c in zip(self.free, u.unbind(-1), strict=True)], -1)
+
+        theta = draw(count)
+        for first, second in self.pairs:
+            outside = theta[:, first] + theta[:, second] > 1.0
+            while bool(outside.any()):
+                again = draw(int(outside.sum()))
+                theta[outside, first], theta[outside, second] = again[:, first], again[:, second]
+                outside = theta[:, first] + theta[:, second] > 1.0
+        return theta
+
+    def _squeeze(self, prior: Prior, value: Tensor, first: Tensor) -> Tensor:
+        room = torch.clamp(1.0 - first, max=prior.high) - prior.low
+        return prior.low + (value - prior.low) * room / (prior.high - prior.low)
+
+    def _unsqueeze(self, prior: Prior, value: Tensor, first: Tensor) -> Tensor:
+        room = torch.clamp(1.0 - first, max=prior.high) - prior.low
+        return prior.low + (value - prior.low) * (prior.high - prior.low) / room.clamp(min=1e-12)
+
+    def _log_triangle(self, first: int, second: int) -> float:
+        """Minus the log of the share of the pair's rectangle that lies under the line sum = 1 (0 unless both are uniform)."""
+        a, b = self.free[first].prior, self.free[second].prior
+        if a.kind != "uniform" or b.kind != "uniform":
+            return 0.0
+        x = torch.linspace(a.low, a.high, 4001, dtype=torch.float64)
+        room = (torch.clamp(1.0 - x, max=b.high) - b.low).clamp(min=0.0)
+        return -math.log(float(torch.trapezoid(room, x)) / ((a.high - a.low) * (b.high - b.low)))
+
+
+def _narrowed(entry: Free, high: float) -> Free:
+    prior = entry.prior
+    if high >= prior.high:
+        return entry
+    room = max(high, prior.low + 1e-9)
+    return replace(entry, prior=replace(prior, high=room), start=min(entry.start, room))

@@ -11,7 +11,8 @@ from astropy.time import Time, conf
 from erfa import ErfaWarning
 
 ISO = re.compile(
-    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*(?P<zone>Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
+    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*"
+    r"(?P<zone>Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
     re.IGNORECASE,
 )
 EARLIEST_YEAR = {"utc": 1960, "tdb": 1900}
@@ -21,7 +22,7 @@ MJD_ZERO = 2400000.5
 
 
 class UnreadableTime(ValueError):
-    """One instant that cannot be used: its index in the sequence, the text found, and what is wrong with it."""
+    """One instant that cannot be used: its index in the sequence, the text found, what was expected."""
 
     def __init__(self, index: int, found: str, expected: str) -> None:
         super().__init__(f"{found!r}: expected {expected}")
@@ -29,7 +30,7 @@ class UnreadableTime(ValueError):
 
 
 def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, np.ndarray]:
-    """Julian dates (T,), (T,) of ISO texts; an offset such as +08:00 is converted; a named zone or none of the clock is refused."""
+    """Two-part Julian dates (T,), (T,) of ISO texts; an offset such as +08:00 is converted."""
     offsets = None
     joined = "".join(texts)
     if (

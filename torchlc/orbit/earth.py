@@ -1,4 +1,6 @@
-"""The Earth's orientation, the stations on it and the Sun seen from its centre: numpy and astropy, from bundled tables only."""
+"""The Earth's orientation, the stations on it and the Sun seen from its centre: numpy and astropy, from
+bundled tables only.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ UNKNOWN_UT1 = (
 
 
 def icrs_from_ecliptic() -> np.ndarray:
-    """Rotation (3, 3) that turns components along the ecliptic and equinox J2000 into ICRS components; frame bias (0.02") neglected."""
+    """Rotation (3, 3) that turns components along the ecliptic and equinox J2000 into ICRS components;
+    frame bias (0.02") neglected.
+    """
     cos, sin = (
         np.cos(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
         np.sin(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
@@ -44,9 +48,11 @@ class Orientation:
 
 
 def orientation(time: Time) -> Orientation:
-    """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion; TEME by the IAU 1982 sidereal time.
+    """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion; TEME by the
+    IAU 1982 sidereal time.
 
-    TEME reaches the celestial frame through the terrestrial one, as in Vallado et al. (2006), AIAA 2006-6753, and in astropy.
+    TEME reaches the celestial frame through the terrestrial one, as in Vallado et al. (2006), AIAA
+    2006-6753, and in astropy.
     """
     tt, utc = time.tt, time.utc
     ut1_minus_utc, xp, yp, known = _earth_orientation_parameters(utc)
@@ -65,7 +71,9 @@ def orientation(time: Time) -> Orientation:
 
 
 def _earth_orientation_parameters(utc: Time) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """UT1 - UTC (s), polar motion x and y (rad), and whether all times are tabulated; astropy's own lookup might download."""
+    """UT1 - UTC (s), polar motion x and y (rad), and whether all times are tabulated; astropy's own lookup
+    might download.
+    """
     table = _iers_table()
     ut1_minus_utc, status = table.ut1_utc(utc.jd1, utc.jd2, return_status=True)
     xp, yp, _ = table.pm_xy(utc.jd1, utc.jd2, return_status=True)
@@ -94,7 +102,9 @@ def sun_of_earth(time: Time) -> tuple[np.ndarray, np.ndarray]:
 
 
 def station_itrs(latitude: np.ndarray, longitude: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Terrestrial position, km, (..., 3), of geodetic latitude and longitude, degrees, and height, m, on the WGS84 ellipsoid."""
+    """Terrestrial position, km, (..., 3), of geodetic latitude and longitude, degrees, and height, m, on
+    the WGS84 ellipsoid.
+    """
     return erfa.gd2gc(WGS84, np.radians(longitude), np.radians(latitude), height_m) / 1000.0
 
 
@@ -116,7 +126,9 @@ def _direction(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
 
 
 def horizontal_itrs(position: np.ndarray, altitude_deg: np.ndarray, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Terrestrial unit vector (..., 3) of an altitude and an azimuth from north through east at terrestrial ``position``, km."""
+    """Terrestrial unit vector (..., 3) of an altitude and an azimuth from north through east at terrestrial
+    ``position``, km.
+    """
     altitude, azimuth = np.radians(altitude_deg)[..., None], np.radians(azimuth_deg)[..., None]
     longitude, latitude, _ = erfa.gc2gd(WGS84, position * 1000.0)
     up, north = _direction(longitude, latitude), _direction(longitude, latitude + np.pi / 2)
@@ -125,9 +137,11 @@ def horizontal_itrs(position: np.ndarray, altitude_deg: np.ndarray, azimuth_deg:
 
 
 def range_to_height(position: np.ndarray, direction: np.ndarray, target_km: np.ndarray) -> np.ndarray:
-    """Distance, km, (T,), along ``direction`` from terrestrial ``position`` at which the ellipsoidal height becomes ``target_km``.
+    """Distance, km, (T,), along ``direction`` from terrestrial ``position`` at which the ellipsoidal height
+    becomes ``target_km``.
 
-    Newton's iteration: along a ray the height changes by direction . normal. The start is the same question on a sphere.
+    Newton's iteration: along a ray the height changes by direction . normal. The start is the same question
+    on a sphere.
     """
     radius = np.linalg.norm(position, axis=-1)
     outward = np.sum(position * direction, axis=-1)

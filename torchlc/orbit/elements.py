@@ -16,7 +16,9 @@ from torchlc.orbit.motion import Piecewise
 CELLS_PER_REVOLUTION = 400
 """At the angular rate of perigee."""
 STENCIL = np.arange(-2, 4)
-"""Nodes, in cells, that fix the polynomial of a cell: degree 5, error below 1e-5 km (measured in the tests)."""
+"""Nodes, in cells, that fix the polynomial of a cell: degree 5, error below 1e-5 km (measured in the
+tests).
+"""
 REACH_S = 3660.0
 """Offset in time that a row must bear: the bound of time_offset, and light time."""
 REACH_REVOLUTIONS = 10.0 / 360.0
@@ -72,7 +74,8 @@ class ElementSet:
     def age_warning(self, utc: Time) -> tuple[str, ...]:
         """A sentence when the elements are old.
 
-        Rule: 0.02 deg of along-track error up to 3 days, and 0.01 to 0.1 deg more on each day after that (no manoeuvres).
+        Rule: 0.02 deg of along-track error up to 3 days, and 0.01 to 0.1 deg more on each day after that
+        (no manoeuvres).
         """
         age = self.age_days(utc)
         if age <= FRESH_DAYS:
@@ -108,7 +111,9 @@ class ElementSet:
         )
 
     def _coefficients(self, origin: Time, first: int, last: int, step: float) -> np.ndarray:
-        """Polynomial coefficients (C, 3, 6) of the cells ``first`` to ``last``. Where SGP4 fails beyond the rows they are NaN."""
+        """Polynomial coefficients (C, 3, 6) of the cells ``first`` to ``last``. Where SGP4 fails beyond the
+        rows they are NaN.
+        """
         nodes = np.arange(first + STENCIL[0], last + STENCIL[-1] + 1)
         position, codes = self.positions(origin + TimeDelta(nodes * step * u.s))
         position = np.where(codes[:, None] == 0, position, np.nan)
@@ -118,7 +123,9 @@ class ElementSet:
 
 
 def _runs(cell: np.ndarray, width: int) -> list[tuple[int, int]]:
-    """First and last cell of each stretch without gaps when every row needs ``width`` cells on both sides of its own."""
+    """First and last cell of each stretch without gaps when every row needs ``width`` cells on both sides
+    of its own.
+    """
     used = np.unique(cell)
     breaks = np.flatnonzero(np.diff(used) > 2 * width + 1)
     firsts, lasts = used[np.concatenate([[0], breaks + 1])], used[np.concatenate([breaks, [used.size - 1]])]

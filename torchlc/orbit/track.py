@@ -1,4 +1,6 @@
-"""From scene and recording to where object, observer and Sun are: ``make_track`` once, then ``Track.at`` for any offsets."""
+"""From scene and recording to where object, observer and Sun are: ``make_track`` once, then ``Track.at``
+for any offsets.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,18 @@ if TYPE_CHECKING:
     from torchlc.scene import Scene
 
 LONGEST_TURN_DEG = 5.0
-"""Between neighbouring rows of a curve whose difference may serve as a rate: the chord is then 0.1 % short."""
+"""Between neighbouring rows of a curve whose difference may serve as a rate: the chord is then 0.1 % short.
+"""
 GROUND_KM = (-1.0, 50.0)
 """Ellipsoidal heights at which an observer turns with the Earth."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Geometry with leading axes (..., T), GCRS (ICRS axes): ``time`` s since the recording's first row, of the light leaving the
-    object; ``position`` km and ``velocity`` km/s, geocentric, None where unknown; ``sun`` and ``observer`` km, from the object.
-    Offsets of different shapes leave the fields in different shapes, which broadcast.
+    """Geometry with leading axes (..., T), GCRS (ICRS axes): ``time`` s since the recording's first row, of
+    the light leaving the object; ``position`` km and ``velocity`` km/s, geocentric, None where unknown;
+    ``sun`` and ``observer`` km, from the object. Offsets of different shapes leave the fields in different
+    shapes, which broadcast.
     """
 
     time: Tensor
@@ -42,10 +46,12 @@ class State:
 
 
 class Track(nn.Module):
-    """Motions of observer, object and Sun about the T rows of a recording; frozen, moved between devices with ``to``.
+    """Motions of observer, object and Sun about the T rows of a recording; frozen, moved between devices
+    with ``to``.
 
-    ``seconds`` (T,) are the stamps, ``zenith`` (T, 3) the observer's vertical, ``elevation_deg`` and ``airmass`` (T,) its use, None
-    where the observer's place on the Earth is unknown; ``range_km`` and ``phase_angle_deg`` (T,); all at the stamps, offsets zero.
+    ``seconds`` (T,) are the stamps, ``zenith`` (T, 3) the observer's vertical, ``elevation_deg`` and
+    ``airmass`` (T,) its use, None where the observer's place on the Earth is unknown; ``range_km`` and
+    ``phase_angle_deg`` (T,); all at the stamps, offsets zero.
     """
 
     seconds: Tensor
@@ -88,14 +94,17 @@ class Track(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def supports(self, what: str) -> bool:
-        """Whether the recording lets one know "position", "velocity", "elevation", or move "time_offset" or "along_track"."""
+        """Whether the recording lets one know "position", "velocity", "elevation", or move "time_offset" or
+        "along_track".
+        """
         return what in self._known
 
     def at(
         self, observer_offset: Tensor | float, object_offset: Tensor | float, ahead: Tensor | float
     ) -> State:
-        """State with the observer at stamp + ``observer_offset``, the object and the Sun at stamp + ``object_offset`` (s, (..., T)),
-        and the object ``ahead`` rad of mean anomaly further along its orbit (the Sun's and the spin's clocks are not touched).
+        """State with the observer at stamp + ``observer_offset``, the object and the Sun at stamp +
+        ``object_offset`` (s, (..., T)), and the object ``ahead`` rad of mean anomaly further along its
+        orbit (the Sun's and the spin's clocks are not touched).
         """
         observer_offset, object_offset, ahead = (
             torch.as_tensor(offset, dtype=self.seconds.dtype, device=self.seconds.device)
@@ -114,7 +123,9 @@ class Track(nn.Module):
 
 
 def make_track(scene: Scene, recording: Recording) -> Track:
-    """Everything that SGP4 and astropy have to say about the rows; from bundled tables, never from the network."""
+    """Everything that SGP4 and astropy have to say about the rows; from bundled tables, never from the
+    network.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AstropyWarning)
         warnings.simplefilter("ignore", ErfaWarning)
@@ -126,14 +137,18 @@ def make_track(scene: Scene, recording: Recording) -> Track:
 
 
 def above_horizon(track: Track) -> np.ndarray:
-    """Rows (T,) at which the object is above the geometric horizon; all of them where the elevation is unknown."""
+    """Rows (T,) at which the object is above the geometric horizon; all of them where the elevation is
+    unknown.
+    """
     if track.elevation_deg is None:
         return np.ones(track.seconds.shape[0], dtype=bool)
     return (track.elevation_deg > 0).cpu().numpy()
 
 
 def angle_between(a: Tensor, b: Tensor) -> Tensor:
-    """Angle (...,), rad, between vectors (..., 3), accurate at 0 and pi, where its gradient is taken as zero."""
+    """Angle (...,), rad, between vectors (..., 3), accurate at 0 and pi, where its gradient is taken as
+    zero.
+    """
     cross2 = (torch.linalg.cross(a, b) ** 2).sum(-1)
     apart = cross2 > 0
     sine = torch.where(apart, torch.sqrt(torch.where(apart, cross2, 1.0)), 0.0)
@@ -146,7 +161,9 @@ def elevation_deg(zenith: Tensor, to_object: Tensor) -> Tensor:
 
 
 def airmass(elevation: Tensor) -> Tensor:
-    """Kasten & Young (1989), Appl. Opt. 28, 4735, of a geometric elevation (...,) in degrees; below the horizon that of the horizon, 38."""
+    """Kasten & Young (1989), Appl. Opt. 28, 4735, of a geometric elevation (...,) in degrees; below the
+    horizon that of the horizon, 38.
+    """
     height = elevation.clamp(min=0.0)
     return 1.0 / (torch.sin(torch.deg2rad(height)) + 0.50572 * (height + 6.07995) ** -1.6364)
 
@@ -173,7 +190,9 @@ def _track_of_elements(scene: Scene, recording: Recording) -> Track:
 
 
 def _track_of_altaz(scene: Scene, recording: Recording) -> Track:
-    """Rows placed from the station; nothing tells how the object moves on, so it stands still under offsets."""
+    """Rows placed from the station; nothing tells how the object moves on, so it stands still under
+    offsets.
+    """
     if recording.alt is None or recording.az is None or recording.height is None:
         raise InputError(
             recording.source, "columns", "no alt, az and height", "all three, for a scene with altaz = true"
@@ -295,9 +314,11 @@ def _turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def _rates(recording: Recording, vector: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Time derivative (T, 3) of ``vector`` from the neighbouring rows of the same curve, and whether every row had a neighbour.
+    """Time derivative (T, 3) of ``vector`` from the neighbouring rows of the same curve, and whether every
+    row had a neighbour.
 
-    Second order where both neighbours are near (less than LONGEST_TURN_DEG apart in direction), else first; zero without any.
+    Second order where both neighbours are near (less than LONGEST_TURN_DEG apart in direction), else first;
+    zero without any.
     """
     order = np.lexsort((recording.seconds, recording.curve))
     x, t, curve = vector[order], recording.seconds[order], recording.curve[order]

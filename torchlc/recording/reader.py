@@ -1,4 +1,4 @@
-"""Recording files, ECSV or CSV, checked at the door: every defect is one InputError, every row lost is counted."""
+"""Recording files, ECSV or CSV: every defect is one InputError, every row lost is counted."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ def load_recording(
 ) -> Recording:
     """Read an ECSV or CSV recording and check it, against the scene's needs when one is given.
 
-    ``use`` picks "mag" or "flux" when both are there (default mag). Without a ``curve`` column each station and band is one curve.
-    A night is a station's local noon to noon, or, without stations, what lies between gaps of more than 6 h.
+    ``use`` picks "mag" or "flux" when both are there (default mag). Without a ``curve`` column each station
+    and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
+    stations, what lies between gaps of more than 6 h.
     """
     header = read_header(Path(path))
     return _Reader(header, scene, use).recording(min_rows)
@@ -137,7 +138,7 @@ class _Reader:
         return InputError(self.source, "header", found[:200], expected, hint)
 
     def _wanted_vectors(self) -> list[str]:
-        """Fields of VECTORS to read: all three columns or none, and those the scene's attitude cannot do without."""
+        """Fields of VECTORS to read: those present, all three columns each, and those the scene needs."""
         orbit = None if self.scene is None else self.scene.orbit
         if orbit is not None and orbit.vectors is None:
             return []
@@ -196,7 +197,7 @@ class _Reader:
         return columns
 
     def _read_times(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
-        """Two-part Julian dates (T, 2) of one chunk; the first cell of the file decides between ISO and JD."""
+        """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
         if not self.time_format:
             self.time_format = "jd" if re.fullmatch(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*", cells[0]) else "iso"
         try:
@@ -302,7 +303,7 @@ class _Reader:
             raise no_usable_row(self.source, self.dropped)
 
     def _drop_non_finite(self) -> None:
-        """Rows with a blank or infinite number go; an upper limit may lack its error and then takes the median one."""
+        """Rows with a blank or infinite number go; an upper limit without an error takes the median."""
         error = self.columns.get(f"{self.kind}_err")
         limit = self.columns.get("upper_limit")
         if error is not None and limit is not None:

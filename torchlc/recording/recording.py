@@ -20,10 +20,11 @@ from torchlc.errors import InputError
 class Recording:
     """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
 
-    ``seconds`` count from ``time[0]``; ``first_time`` is the first usable row of the file and stays when rows are dropped later.
-    ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``. ``error`` is None when the errors
-    have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and to the observer; ``position`` and ``velocity`` are
-    geocentric; ``alt``, ``az`` are in degrees, ``height`` in km above the ellipsoid.
+    ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
+    are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
+    ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
+    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees, ``height``
+    in km above the ellipsoid.
     """
 
     time: Time

@@ -1,4 +1,4 @@
-"""Tables of text, ECSV or CSV, read column by column in bounded memory; every defect becomes one InputError."""
+"""Text tables, ECSV or CSV, read in chunks of bounded memory; every defect is one InputError."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Header:
 
 
 CellReader = Callable[[Header, str, list[str], int], np.ndarray]
-"""Turns the cells of one column (header, name, cells, index of the first row) into an array of the same length."""
+"""Turns cells of one column (header, name, cells, index of the first row) into an array, first axis rows."""
 
 
 def read_header(path: Path) -> Header:

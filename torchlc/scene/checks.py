@@ -25,7 +25,7 @@ PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[[^\[
 
 
 def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None) -> Scene:
-    """``scene`` with its materials completed from presets and models; InputError where its tables contradict each other."""
+    """``scene`` with its materials completed; InputError where its tables contradict each other."""
     check = _Checks(scene, trust)
     check.unique("stations", "id", [station.id for station in scene.stations])
     check.unique("components", "name", [component.name for component in scene.components])
@@ -154,7 +154,7 @@ class _Checks:
             self._file("attitude.file", self.scene.attitude.file)
 
     def _file(self, place: str, name: str) -> None:
-        """The file must lie in the scene's folder, links resolved, unless the scene is trusted, and be of a bearable size."""
+        """Unless the scene is trusted, the file must lie in its folder, links resolved."""
         if not self.trust:
             outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
             if outside or ".." in re.split(r"[/\\]", name):

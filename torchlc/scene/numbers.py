@@ -40,8 +40,9 @@ class Table(BaseModel):
 class Free(Table):
     """A number to be fitted: where to start and what is believed of it before the data.
 
-    ``sigma`` is the standard deviation of a normal prior centred on ``value``, that of the logarithm for a lognormal one with median
-    ``value``, or the scale of a halfnormal one; ``low`` and ``high`` truncate it, and a bound that the scene leaves open is the physical one.
+    ``sigma`` is the standard deviation of a normal prior centred on ``value``, that of the logarithm for a
+    lognormal one with median ``value``, or the scale of a halfnormal one. ``low`` and ``high`` truncate it; a
+    bound that the scene leaves open is the physical one where there is one.
     """
 
     value: Real
@@ -103,7 +104,7 @@ def value_of(number: float | Free) -> float:
 
 
 def within(number: float | Free, low: float, high: float, *, above: bool = False) -> float | Free:
-    """``number`` if it can be nothing outside [low, high] (``above``: low itself excluded); open bounds become the physical ones."""
+    """``number`` if it cannot leave [low, high] (``above``: its value is not low); open bounds are filled in."""
     expected = (f"> {low:g}" if above else f">= {low:g}") if high == math.inf else f"{low:g} to {high:g}"
     value = value_of(number)
     if not low <= value <= high or (above and value == low):

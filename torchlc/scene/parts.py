@@ -48,7 +48,7 @@ Epoch = Annotated[
 
 
 class Orbit(Table):
-    """Where the object is: exactly one of elements, vectors in the recording (and their frame), or alt-az rows."""
+    """Where the object is: elements, or in the recording as vectors (in this frame) or as alt-az rows."""
 
     tle: Annotated[tuple[str, str], AfterValidator(checked_lines)] | None = None
     vectors: Literal["icrs", "ecliptic"] | None = None
@@ -65,7 +65,7 @@ class Orbit(Table):
 
 
 class Station(Table):
-    """An observing site: geodetic latitude and east longitude in degrees, height in metres above the ellipsoid."""
+    """A site: geodetic latitude and east longitude in degrees, height in metres above the ellipsoid."""
 
     id: Name
     latitude: Annotated[Real, between(-90, 90)]
@@ -74,7 +74,7 @@ class Station(Table):
 
 
 class Attitude(Table):
-    """How the object is turned; which keys belong to a mode is in MODE_KEYS. Angles in degrees, spin_rate rev/h, period h."""
+    """How the object is turned: angles in degrees, spin_rate in rev/h, period in h."""
 
     SPIN: ClassVar = ("spin_axis", "spin_rate", "spin_phase", "spin_epoch")
     MODE_KEYS: ClassVar[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
@@ -131,7 +131,7 @@ class Tracks(Table):
 
 
 class _Component(Table):
-    """What all shapes share. ``rotation`` turns about body x, then y, then z, in degrees; lengths are in metres."""
+    """What all shapes share: lengths in metres; ``rotation`` about body x, then y, then z, in degrees."""
 
     name: Name
     centre: Vector
@@ -260,7 +260,7 @@ Component = Annotated[Box | Plate | Cylinder | Cone | Dish | Sphere | Mesh, Fiel
 
 
 class Material(Table):
-    """A reflection model and its numbers; ``preset`` says where numbers that the scene leaves out come from."""
+    """A reflection model and its numbers; those that the scene leaves out come from ``preset``."""
 
     model: str = "ashikhmin-shirley"
     preset: str | None = None

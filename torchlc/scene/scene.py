@@ -1,4 +1,4 @@
-"""A scene: what is looked at, from where, how it is turned, what it is made of, and which physics is in the model."""
+"""A scene: what is seen, from where, how it is turned, what it is made of, which physics is modelled."""
 
 from __future__ import annotations
 
@@ -60,7 +60,10 @@ class Scene(Table):
         trust: bool = False,
         known_effects: Collection[str] | None = None,
     ) -> Scene:
-        """Parse and check a scene. ``trust`` lets file names leave ``directory``; ``known_effects`` are the names an effect may have."""
+        """Parse and check a scene.
+
+        ``trust`` lets file names leave ``directory``; effects are checked against ``known_effects`` if given.
+        """
         try:
             data = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -93,7 +96,7 @@ class Scene(Table):
         return "\n".join(tables)
 
     def numbers(self) -> dict[str, float | Free]:
-        """Every number of materials, attitude and component sizes by its full name, e.g. "panel.n", "body.size_x"."""
+        """Numbers of materials, attitude and components by full name, e.g. "panel.n", "body.size_x"."""
         numbers: dict[str, float | Free] = {}
         for name, material in self.materials.items():
             numbers |= {f"{name}.{parameter}": number for parameter, number in material.parameters.items()}
@@ -114,7 +117,7 @@ class Scene(Table):
 def load_scene(
     path: str | Path, *, trust: bool = False, known_effects: Collection[str] | None = None
 ) -> Scene:
-    """Read a scene file; every defect is one InputError that names its place. ``trust``: see Scene.from_toml."""
+    """Read a scene file; every defect is one InputError with its place. Options: see Scene.from_toml."""
     path = Path(path)
     return Scene.from_toml(_text(path), path.parent, path, trust=trust, known_effects=known_effects)
 

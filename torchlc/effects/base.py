@@ -1,0 +1,260 @@
+"""The contract of an effect: one class, its parameters, and one method of one stage.
+
+A light curve is computed in stages, in this order; an effect changes what passes through its own stage and nothing else:
+
+=============  ===========================================================================================
+stage          what passes through
+=============  ===========================================================================================
+``clock``      :class:`Nodes`: the instants at which a row is evaluated, and their weights
+``orbit``      :class:`Request`: where object and observer are taken
+``spin``       the values of the attitude
+``attitude``   rotation (Q, T, 3, 3), body to inertial
+``pointing``   poses of the parts that track the Sun
+``light``      :class:`Light` sources
+``shade``      share of the Sun that the object sees, by row
+``surface``    :class:`Patch` surfaces: area, visible fraction
+``scatter``    further light that needs the whole geometry, added per component
+``material``   lobe and diffuse light of a patch as functions of its material
+``detector``   :class:`Brightness`: total flux and component shares
+``noise``      :class:`Noise`: variance, correlation and tails of the residuals
+=============  ===========================================================================================
+
+Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of ``p``, an effect's own
+parameters, end in a row axis of size 1 or T; any batch axes stand before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchlc.brdf.base import Brdf
+from torchlc.parameters import Quantity
+
+if TYPE_CHECKING:
+    from torchlc.orbit import State, Track
+    from torchlc.shape import Facets, Part, Shape
+
+Parameters = Mapping[str, Tensor]
+STAGES = (
+    "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "scatter",
+    "shade", "material", "detector", "noise",
+)  # fmt: skip
+GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Instants of each row: seconds after the stamp (Q, T) and weights (Q, 1) or (Q, T) that sum to 1 over Q."""
+
+    offset: Tensor
+    weight: Tensor
+
+
+@dataclass(frozen=True)
+class Request:
+    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit, rad (1,) or (T,)."""
+
+    observer_offset: Tensor
+    object_offset: Tensor
+    ahead: Tensor
+
+
+@dataclass(frozen=True)
+class Light:
+    """A set of L point sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance over the Sun's
+    at 1 au (L, Q, T). ``primary`` marks the Sun, whose shadows count."""
+
+    direction: Tensor
+    irradiance: Tensor
+    primary: bool = True
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Facets of one component that share a material.
+
+    ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest; ``pose`` (Q, T, 3, 3) turns them into the body frame (None: they
+    stay). ``visible`` (Q, T, F) is the lit-and-seen fraction of the area (None: 1). ``values`` holds the material's names as
+    ``prefix.quantity``.
+    """
+
+    component: str
+    material: str
+    model: type[Brdf]
+    faces: Sequence[str]
+    normal: Tensor
+    u: Tensor
+    area: Tensor
+    pose: Tensor | None = None
+    visible: Tensor | None = None
+    part: int | None = None
+    select: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class View:
+    """The geometry of all rows and instants: directions are unit vectors in the body frame."""
+
+    nodes: Nodes
+    state: State
+    rotation: Tensor
+    to_sun: Tensor
+    to_observer: Tensor
+    range_m: Tensor
+    poses: tuple[Tensor | None, ...]
+    facets: tuple[Facets, ...]
+    lights: tuple[Light, ...] = ()
+    patches: tuple[Patch, ...] = ()
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if its light is the Sun's."""
+
+    component: str
+    material: str
+    model: type[Brdf]
+    table: Mapping[str, Tensor]
+    phase_angle: Tensor
+    sunlit: bool = True
+
+
+@dataclass(frozen=True)
+class Sky:
+    """What the shade stage sees: positions at every instant, their weights, and ``fixed`` if no free parameter moves them."""
+
+    state: State
+    nodes: Nodes
+    fixed: bool
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """Irradiance over the Sun's at 1 au, (..., T), and the component shares of the object's light (..., C, T), or None if unasked."""
+
+    flux: Tensor
+    shares: Tensor | None
+    components: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag and time scale ``tau``
+    min; a share ``outliers`` of rows with errors ``width`` times as large. Each (..., 1) or None."""
+
+    jitter: Tensor | None = None
+    red: Tensor | None = None
+    tau: Tensor | None = None
+    outliers: Tensor | None = None
+    width: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Context:
+    """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index."""
+
+    seconds: Tensor
+    exptime: Tensor | None
+    cadence: float
+    airmass: Tensor | None
+    curve: Tensor
+    station: Tensor
+    night: Tensor
+    curve_ids: Sequence[str]
+    night_ids: Sequence[str]
+    track: Track
+    shape: Shape
+    materials: Sequence[str]
+    mode: str
+    light_time_corrected: bool
+    kind: str
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.shape.parts
+
+
+Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]
+
+
+class Effect:
+    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities`` and override the method
+    of their stage; ``per`` gives each material or component its own set of parameters; ``known`` switches it on by default; ``nodes`` is by
+    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds."""
+
+    name: ClassVar[str]
+    stage: ClassVar[str]
+    quantities: ClassVar[tuple[Quantity, ...]] = ()
+    per: ClassVar[str | None] = None
+    known: ClassVar[bool] = False
+    order: ClassVar[int] = 0
+    needs_shares: ClassVar[bool] = False
+    nodes: ClassVar[int] = 1
+    brdf: ClassVar[type[Brdf] | None] = None
+
+    def __init__(self, target: str | None = None) -> None:
+        self.target = target
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.target or ''})"
+
+    def full_name(self, quantity: str) -> str:
+        return f"{self.name}.{quantity}" + (f"[{self.target}]" if self.target else "")
+
+    def missing(self, context: Context) -> str | None:
+        """Why these data cannot carry the effect, in words; None if they can."""
+        return None
+
+    @classmethod
+    def targets(cls, context: Context) -> Sequence[str | None]:
+        """What the effect may be applied to: materials or components where ``per`` says so, else the whole."""
+        if cls.per == "material":
+            return context.materials
+        if cls.per == "component":
+            return [part.name for part in context.parts]
+        return [None]
+
+    def clock(self, nodes: Nodes, p: Parameters, context: Context) -> Nodes:
+        return nodes
+
+    def orbit(self, request: Request, p: Parameters, context: Context) -> Request:
+        return request
+
+    def spin(self, values: dict[str, Any], p: Parameters, context: Context) -> dict[str, Any]:
+        return values
+
+    def attitude(self, rotation: Tensor, state: State, p: Parameters, context: Context) -> Tensor:
+        return rotation
+
+    def pointing(self, poses: tuple[Tensor | None, ...], p: Parameters, context: Context) -> tuple[Tensor | None, ...]:
+        return poses
+
+    def light(self, lights: tuple[Light, ...], view: View, p: Parameters, context: Context) -> tuple[Light, ...]:
+        return lights
+
+    def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
+        """Factor (..., T) on sunlight."""
+        return torch.ones(())
+
+    def surface(self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context) -> tuple[Patch, ...]:
+        return patches
+
+    def scatter(
+        self, view: View, values: Mapping[str, Tensor], p: Parameters, context: Context
+    ) -> Mapping[str, Tensor]:
+        """Further flux (T,) by component name."""
+        return {}
+
+    def material(self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters) -> Reflect:
+        return reflect
+
+    def detector(self, brightness: Brightness, p: Parameters, context: Context) -> Brightness:
+        return brightness
+
+    def noise(self, noise: Noise, p: Parameters, context: Context) -> Noise:
+        return noise

@@ -1,0 +1,34 @@
+"""Light leaves the object before it is recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from torchlc.effects.base import Effect
+
+LIGHT_KM_S = 299_792.458
+
+
+class LightTime(Effect):
+    """The object is taken range/c before the stamp: 0.12 s at GEO, below 1e-4 mag unless it spins in seconds.
+
+    One iteration from the stamp; the second would move a LEO object by 0.02 m.
+    """
+
+    name = "light_time"
+    stage = "orbit"
+    known = True
+
+    def missing(self, context):
+        if context.light_time_corrected or context.mode == "spin-pole":
+            return "the times are already those at the object"
+        if not context.track.supports("time_offset"):
+            return "the recording gives no motion from which to step back by the light time"
+        return None
+
+    def orbit(self, request, p, context):
+        state = context.track.at(request.observer_offset, request.object_offset, request.ahead)
+        delay = torch.linalg.vector_norm(state.observer, dim=-1) / LIGHT_KM_S
+        return replace(request, object_offset=request.object_offset - delay)

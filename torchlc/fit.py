@@ -1,0 +1,345 @@
+"""Maximum a posteriori: Adam on chi-square from many starts in one batch, then a Levenberg-Marquardt polish of the best.
+
+The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add nothing: it is the least chi-square,
+peaked priors counted as further rows. Noise parameters (jitter, red noise, outliers) are fitted in turn with the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torchlc.effects.base import Noise
+from torchlc.least_squares import Minimum, minimise
+from torchlc.likelihood import Likelihood, Residuals, matern32
+from torchlc.model import LightCurve
+
+DISTINCT_CHI2 = 10.0
+"""Minima within this of the best are kept as modes."""
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A minimum: natural values theta (P,), its objective (chi-square with the priors' rows, plus 2 ln of the noise's scale), and the
+    Laplace covariance (P, P) in flat coordinates; columns at a bound have no variance."""
+
+    theta: Tensor
+    objective: float
+    covariance: Tensor
+    at_bound: Tensor
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best mode and what is needed to judge it; ``converged`` with its ``reason`` in words, ``history`` the best chi-square of Adam."""
+
+    likelihood: Likelihood
+    modes: Sequence[Mode]
+    chi2: float
+    converged: bool
+    reason: str
+    history: Sequence[float] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)
+
+    @property
+    def model(self) -> LightCurve:
+        return self.likelihood.model
+
+    @property
+    def theta(self) -> Tensor:
+        """Natural values (P,) of the best mode."""
+        return self.modes[0].theta
+
+    @property
+    def dof(self) -> int:
+        return self.likelihood.degrees_of_freedom
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a larger chi-square if the model and the errors are right."""
+        return chi2_tail(self.chi2, max(self.dof, 1))
+
+
+def chi2_tail(chi2: float, dof: float) -> float:
+    """Upper tail of the chi-square distribution."""
+    return float(torch.special.gammaincc(torch.tensor(dof / 2, dtype=torch.float64), torch.tensor(chi2 / 2, dtype=torch.float64)))
+
+
+def find_modes(
+    likelihood: Likelihood,
+    *,
+    starts: int = 24,
+    adam_steps: int = 150,
+    seed: int = 0,
+    extra_starts: Tensor | None = None,
+    progress: Progress | None = None,
+) -> tuple[list[Mode], list[float], Minimum | None]:
+    """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural values added to the
+    scene's own and the prior's draws."""
+    model = likelihood.model
+    parameters = model.parameter_set
+    if not parameters.names:
+        return [_evaluated(likelihood)], [], None
+    generator = torch.Generator().manual_seed(seed)
+    draws = parameters.sample_prior(max(starts - 1, 0), generator)
+    draws = _crowded(parameters.names, draws, generator)
+    points = torch.cat([parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else []))
+    theta, history = adam(likelihood, points, adam_steps, progress)
+    fixed_noise = model.noise(parameters.start())
+    best = polish(likelihood, theta, fixed_noise)
+    if model.assembly.stage("noise") or likelihood.fitted_errors:
+        best_theta = parameters.from_flat(best.y)
+        keep = torch.argsort(best.cost)[:4]
+        for _ in range(4):
+            noise_theta = torch.stack([fit_noise(likelihood, best_theta[i]) for i in keep.tolist()])
+            found = [
+                polish(likelihood, one[None], model.noise(one), level_at=one) for one in noise_theta
+            ]
+            best_theta = torch.cat([parameters.from_flat(one.y) for one in found])
+            best = Minimum(
+                torch.cat([one.y for one in found]), torch.cat([one.cost for one in found]),
+                torch.cat([one.jacobian for one in found]), torch.cat([one.residual for one in found]),
+                torch.cat([one.converged for one in found]), max(one.iterations for one in found),
+            )  # fmt: skip
+            keep = torch.arange(len(best_theta))
+    modes = _distinct(likelihood, best)
+    return modes, history, best
+
+
+def adam(
+    likelihood: Likelihood, theta: Tensor, steps: int, progress: Progress | None = None, rate: float = 0.08
+) -> tuple[Tensor, list[float]]:
+    """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns the last points and the best
+    chi-square at each step. The rate falls to a tenth along a cosine."""
+    parameters = likelihood.model.parameter_set
+    z = parameters.to_unconstrained(theta).detach().clone().requires_grad_(True)
+    optimiser = torch.optim.Adam([z], lr=rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1), eta_min=0.1 * rate)
+    history: list[float] = []
+    for step in range(steps):
+        optimiser.zero_grad()
+        natural = parameters.to_natural(z)
+        found = likelihood.residuals(natural)
+        loss = 0.5 * (likelihood._terms(found) ** 2).sum(-1)
+        loss = loss + 0.5 * (parameters.prior_residuals(natural) ** 2).sum(-1)
+        usable = torch.where(torch.isfinite(loss), loss, 0.0)
+        usable.sum().backward()
+        assert z.grad is not None
+        z.grad.nan_to_num_(0.0, 0.0, 0.0)
+        optimiser.step()
+        schedule.step()
+        history.append(2 * float(loss.detach().nan_to_num(torch.inf).min()))
+        if progress is not None and step % 10 == 0:
+            progress("Adam", (step + 1) / steps)
+    with torch.no_grad():
+        return parameters.to_natural(z).detach(), history
+
+
+def polish(
+    likelihood: Likelihood,
+    theta: Tensor,
+    noise: Noise | None,
+    *,
+    level_at: Tensor | None = None,
+    iterations: int = 60,
+) -> Minimum:
+    """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the rows, prior rows follow.
+    Noise levels of curves without errors are those of the residuals at ``level_at``."""
+    model = likelihood.model
+    parameters = model.parameter_set
+    low, high = parameters.flat_bounds()
+    with torch.no_grad():
+        reference = parameters.start() if level_at is None else level_at
+        whiten = whitener(likelihood, likelihood.residuals(reference), noise, fitted=level_at is not None)
+
+        def residual(y: Tensor) -> Tensor:
+            natural = parameters.from_flat(y)
+            return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)])
+
+        chunk = None if not model.geometry_free else max(1, 4_000_000 // max(1, model.assembly.pairs))
+        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations, chunk=chunk)
+
+
+def whitener(
+    likelihood: Likelihood, at: Residuals, noise: Noise | None, *, fitted: bool = False
+) -> Callable[[Residuals], Tensor]:
+    """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the residuals ``at``."""
+    sigma = at.sigma.expand(at.delta.shape)
+    if likelihood.fitted_errors and fitted:
+        sigma = likelihood.fitted_levels(at.delta)[likelihood.curve]
+    if noise is not None and noise.jitter is not None:
+        sigma = torch.sqrt(sigma**2 + (noise.jitter * at.scale) ** 2)
+    if noise is not None and noise.red is not None and noise.tau is not None:
+        factors = []
+        seconds = likelihood.model.assembly.context.seconds
+        for one in torch.unique(likelihood.curve).tolist():
+            rows = torch.nonzero(likelihood.curve == one)[:, 0]
+            gap = (seconds[rows, None] - seconds[None, rows]).abs() / 60
+            red = (noise.red * at.scale)[rows]
+            covariance = matern32(gap, noise.tau) * red[:, None] * red[None] + torch.diag(sigma[rows] ** 2)
+            factors.append((rows, torch.linalg.cholesky(covariance)))
+        order = torch.argsort(torch.cat([rows for rows, _ in factors]))
+
+        def correlated(found: Residuals) -> Tensor:
+            pieces = [
+                torch.linalg.solve_triangular(factor, found.delta[rows, None], upper=False)[:, 0]
+                for rows, factor in factors
+            ]
+            return torch.cat(pieces)[order]
+
+        return correlated
+
+    def independent(found: Residuals) -> Tensor:
+        white = found.delta / sigma
+        if bool(likelihood.limit.any()):
+            below = -2 * torch.special.log_ndtr(torch.where(likelihood.limit, -white, 0.0))
+            white = torch.where(likelihood.limit, torch.sqrt(below.clamp(min=1e-300)), white)
+        return white
+
+    return independent
+
+
+def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 60) -> Tensor:
+    """The noise parameters of theta (P,) at their best for the residuals of its other parameters: Newton's method in unconstrained
+    coordinates, every step kept only if it improves."""
+    model = likelihood.model
+    parameters = model.parameter_set
+    owners = {effect.name for effect in model.assembly.stage("noise")}
+    index = [i for i, name in enumerate(parameters.names) if name.partition(".")[0] in owners]
+    if not index:
+        return theta
+    with torch.no_grad():
+        found = likelihood.residuals(theta)
+    frozen = _Frozen(likelihood, found)
+    z = parameters.to_unconstrained(theta)
+
+    def objective(part: Tensor) -> Tensor:
+        whole = z.clone()
+        whole[index] = part
+        natural = parameters.to_natural(whole)
+        prior = 0.5 * (parameters.prior_residuals(natural) ** 2).sum()
+        return prior - frozen.log_likelihood(natural)
+
+    best_part, best = z[index], math.inf
+    for shift in (0.0, -2.0, 2.0):
+        part = z[index] + shift
+        value = float(objective(part))
+        lam = 1e-1
+        for _ in range(steps):
+            gradient = torch.func.grad(objective)(part)
+            hessian = torch.func.hessian(objective)(part)
+            values, vectors = torch.linalg.eigh(torch.nan_to_num(hessian))
+            move = -vectors @ ((vectors.T @ torch.nan_to_num(gradient)) / (values.abs() + lam))
+            trial = part + move.clamp(-1.5, 1.5)
+            new = float(objective(trial))
+            if new < value:
+                done = value - new < 1e-7 * (abs(value) + 1)
+                part, value, lam = trial, new, lam / 4
+                if done:
+                    break
+            else:
+                lam *= 6
+                if lam > 1e6:
+                    break
+        if value < best:
+            best_part, best = part, value
+    z = z.clone()
+    z[index] = best_part
+    return parameters.to_natural(z)
+
+
+class _Frozen:
+    """The likelihood of noise parameters alone, the model's residuals held."""
+
+    def __init__(self, likelihood: Likelihood, found: Residuals) -> None:
+        self.likelihood, self.found = likelihood, found
+
+    def log_likelihood(self, theta: Tensor) -> Tensor:
+        return self.likelihood.density(self.found, self.likelihood.model.noise(theta))
+
+
+def _crowded(names: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
+    """Every other start has its lobe reflectances near 0, where the best minimum of a faint lobe lies."""
+    columns = [i for i, name in enumerate(names) if name.endswith(("r_spec", ".f0"))]
+    if columns and len(draws):
+        shrink = torch.rand(len(draws), len(columns), generator=generator, dtype=draws.dtype) ** 3
+        shrink[1::2] = 1.0
+        draws[:, columns] = draws[:, columns] * shrink
+    return draws
+
+
+def _distinct(likelihood: Likelihood, found: Minimum) -> list[Mode]:
+    """Minima within DISTINCT_CHI2 of the best that differ by more than 2 standard deviations in some parameter."""
+    low, high = likelihood.model.parameter_set.flat_bounds()
+    modes: list[Mode] = []
+    kept: list[Tensor] = []
+    for index in torch.argsort(found.cost).tolist():
+        cost = float(found.cost[index])
+        if modes and cost > modes[0].objective + DISTINCT_CHI2:
+            break
+        y = found.y[index]
+        covariance, held = laplace(found.jacobian[index], y, low, high)
+        sd = torch.sqrt(torch.diagonal(covariance)).clamp(min=1e-9)
+        if any(bool((((y - other).abs() / sd)[~held] < 2.0).all()) for other in kept):
+            continue
+        kept.append(y)
+        modes.append(Mode(likelihood.model.parameter_set.from_flat(y), cost, covariance, held))
+    return modes
+
+
+def laplace(jacobian: Tensor, y: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """Covariance (P, P) in flat coordinates from the Jacobian (R, P) of the normalised rows, and which coordinates are held by a bound.
+
+    A flat direction gets the variance of its bounded range, so that the covariance is that of likelihood and prior together.
+    """
+    span = torch.where(torch.isfinite(high - low), high - low, torch.inf)
+    near = 1e-6 * torch.where(torch.isfinite(span), span, 0.0)
+    held = (y <= low + near) | (y >= high - near)
+    precision = jacobian.T @ jacobian + torch.diag(torch.where(torch.isfinite(span), 12 / span**2, 0.0))
+    keep = torch.nonzero(~held)[:, 0]
+    covariance = torch.zeros_like(precision)
+    if len(keep):
+        block = precision[keep][:, keep]
+        scale = torch.sqrt(torch.diagonal(block).clamp(min=1e-30))
+        inverse = torch.linalg.pinv(block / scale[:, None] / scale[None], hermitian=True)
+        covariance[keep[:, None], keep[None]] = inverse / scale[:, None] / scale[None]
+    return covariance, held
+
+
+def _evaluated(likelihood: Likelihood) -> Mode:
+    theta = likelihood.model.parameter_set.start()
+    with torch.no_grad():
+        return Mode(theta, float(likelihood.chi2(theta)), theta.new_zeros(0, 0), torch.zeros(0, dtype=torch.bool))
+
+
+def fit_map(
+    likelihood: Likelihood,
+    *,
+    starts: int = 24,
+    adam_steps: int = 150,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Fit:
+    """The maximum a posteriori of a likelihood, its modes, and whether the search converged."""
+    modes, history, found = find_modes(
+        likelihood, starts=starts, adam_steps=adam_steps, seed=seed, progress=progress
+    )
+    with torch.no_grad():
+        chi2 = float(likelihood.chi2(modes[0].theta))
+    if found is None:
+        return Fit(likelihood, modes, chi2, True, "nothing is free: the model was evaluated as it stands")
+    cost = found.cost
+    best = int(torch.argmin(cost))
+    reached = int((cost < cost[best] + 0.01 * (1 + cost[best].abs())).sum())
+    converged = bool(found.converged[best]) and math.isfinite(chi2)
+    reason = (
+        f"the best of {len(cost)} starts stopped improving; {reached} reached it"
+        if converged
+        else f"chi-square was still falling after {found.iterations} steps of the polish"
+    )
+    return Fit(likelihood, modes, chi2, converged, reason, history)

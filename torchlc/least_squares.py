@@ -1,0 +1,84 @@
+"""Levenberg-Marquardt in a box, many starts in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+LARGEST_STEP = 0.25
+"""Largest step along a bounded coordinate, in units of its range."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """State of S starts: points y (S, P), costs |r|^2 (S,), Jacobians (S, R, P), residuals (S, R), which have converged (S,)."""
+
+    y: Tensor
+    cost: Tensor
+    jacobian: Tensor
+    residual: Tensor
+    converged: Tensor
+    iterations: int
+
+
+def minimise(
+    residual: Callable[[Tensor], Tensor],
+    start: Tensor,
+    low: Tensor,
+    high: Tensor,
+    *,
+    iterations: int = 60,
+    tolerance: float = 1e-7,
+    chunk: int | None = None,
+) -> Minimum:
+    """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (P,) to (R,).
+
+    Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where they lower the cost, so every
+    start descends monotonically. A start has converged when a step gains less than ``tolerance`` of its cost (plus 1).
+    """
+    batched = torch.vmap(residual, chunk_size=chunk)
+    jacobian = torch.vmap(torch.func.jacfwd(residual), chunk_size=chunk)
+    y = torch.minimum(torch.maximum(start, low), high)
+    r = batched(y)
+    cost = _finite(r.square().sum(-1))
+    jac = torch.nan_to_num(jacobian(y))
+    damping = torch.full_like(cost, 1e-2)
+    scale = torch.zeros_like(y)
+    converged = torch.zeros_like(cost, dtype=torch.bool)
+    cap = torch.where(torch.isfinite(high - low), LARGEST_STEP * (high - low), torch.inf)
+    margin = torch.where(torch.isfinite(high - low), 1e-12 * (high - low), 0.0)
+    step = 0
+    for step in range(1, iterations + 1):
+        gradient = torch.einsum("srp,sr->sp", jac, torch.nan_to_num(r))
+        normal = torch.einsum("srp,srq->spq", jac, jac)
+        scale = torch.maximum(scale * 0.9, torch.diagonal(normal, dim1=-2, dim2=-1).clamp(min=1e-12))
+        held = ((y <= low + margin) & (gradient > 0)) | ((y >= high - margin) & (gradient < 0))
+        moving = (~held).to(y)
+        system = normal * moving[:, :, None] * moving[:, None, :]
+        system = system + torch.diag_embed(damping[:, None] * scale + held.to(y))
+        move = -torch.linalg.solve(system, (gradient * moving)[..., None])[..., 0]
+        move = torch.maximum(torch.minimum(torch.nan_to_num(move), cap), -cap)
+        trial = torch.minimum(torch.maximum(y + move, low), high)
+        trial_r = batched(trial)
+        trial_cost = _finite(trial_r.square().sum(-1))
+        better = (trial_cost < cost) & ~converged
+        gain = cost - trial_cost
+        small = gain.abs() <= tolerance * (cost + 1.0)
+        stuck = damping > 1e8
+        y = torch.where(better[:, None], trial, y)
+        r = torch.where(better[:, None], trial_r, r)
+        cost = torch.where(better, trial_cost, cost)
+        converged = converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
+        damping = torch.where(better, (damping / 6).clamp(min=1e-9), damping * 5)
+        if bool(better.any()):
+            jac = torch.nan_to_num(jacobian(y))
+        if bool(converged.all()):
+            break
+    return Minimum(y, cost, jac, r, converged, step)
+
+
+def _finite(cost: Tensor) -> Tensor:
+    return torch.where(torch.isfinite(cost), cost, torch.inf)

@@ -1,0 +1,405 @@
+"""The light curve as a module: geometry and effects around the facet sum of eqs. 8-11, from theta to magnitudes.
+
+``LightCurve`` separates what depends on geometry (computed once while no geometric parameter is free) from what depends on materials
+(one exponential per lit-and-seen pair of facet and epoch). Letters: B batch, L lights, Q instants, T rows, F facets, C components.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from torchlc.assemble import Assembly, assemble
+from torchlc.brdf.base import Incidence, incidence
+from torchlc.effects.base import Brightness, Effect, Light, Nodes, Noise, Patch, Request, Sky, Surface, View
+from torchlc.parameters import ParameterSet
+from torchlc.recording import Recording
+from torchlc.scene import Scene
+from torchlc.shape import tracking_pose
+from torchlc.shape.part import like
+
+PAIRS_PER_CHUNK = 4_000_000
+"""Facet-epoch pairs held at once while a table is made: about 0.5 GiB with its intermediates."""
+VALUES_PER_CHUNK = 8_000_000
+"""Exponentials held at once in a batched call: 64 MiB a buffer."""
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What the material stage needs: a surface per component and material, and further light (T,) by component."""
+
+    surfaces: tuple[Surface, ...]
+    extra: Mapping[str, Tensor]
+    sky: Sky
+
+
+class LightCurve(nn.Module):
+    """Model of one recording. ``model()`` is the light curve at the module's own parameters, ``model(theta)`` at natural values
+    theta (..., P): magnitudes (..., T), or the irradiance ratio Phi for a recording of relative flux.
+
+    The free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as ``free.<owner>.<name>``; ``names`` lists
+    them in the order of theta and ``theta()`` gives their natural values. Neglects everything that is not among ``effects``.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        recording: Recording,
+        *,
+        effects: Sequence[str] | None = None,
+        assembly: Assembly | None = None,
+    ) -> None:
+        super().__init__()
+        self.assembly = assembly if assembly is not None else assemble(scene, recording, effects)
+        self.free = nn.ModuleDict()
+        z = self.parameter_set.to_unconstrained(self.parameter_set.start())
+        self._keys: list[tuple[str, str]] = []
+        for index, name in enumerate(self.parameter_set.names):
+            owner, _, short = name.rpartition(".") if "." in name else ("calibration", "", name)
+            owner, short = owner.replace(".", "_"), short.replace(".", "_")
+            if owner not in self.free:
+                self.free[owner] = nn.ParameterDict()
+            self.free[owner][short] = nn.Parameter(z[index].clone())
+            self._keys.append((owner, short))
+        self._tables: dict[bool, Tables] = {}
+
+    # ------------------------------------------------------------------ parameters
+
+    @property
+    def scene(self) -> Scene:
+        return self.assembly.scene
+
+    @property
+    def recording(self) -> Recording:
+        return self.assembly.recording
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        return self.assembly.parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Full names of the free parameters, in the order of theta."""
+        return self.parameter_set.names
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return self.assembly.effects
+
+    def unconstrained(self) -> Tensor:
+        """The module's own parameters as one vector z, (P,)."""
+        leaves = [self.free[owner][short] for owner, short in self._keys]
+        return torch.stack(leaves) if leaves else self.parameter_set.start()
+
+    def theta(self) -> Tensor:
+        """The module's own parameters as natural values, (P,)."""
+        return self.parameter_set.to_natural(self.unconstrained())
+
+    @torch.no_grad()
+    def set_theta(self, theta: Tensor) -> None:
+        """Make natural values theta (P,) the module's own."""
+        for (owner, short), value in zip(self._keys, self.parameter_set.to_unconstrained(theta), strict=True):
+            self.free[owner][short].copy_(value)
+
+    def values(self, theta: Tensor | None = None) -> dict[str, Tensor]:
+        """Every number of the model by its full name, free and fixed."""
+        return self.parameter_set.values(self.theta() if theta is None else theta)
+
+    @property
+    def geometry_free(self) -> bool:
+        """True if a free parameter moves the geometry, so that its tables cannot be kept."""
+        return self.assembly.geometry_free
+
+    # ------------------------------------------------------------------ the curve
+
+    def forward(self, theta: Tensor | None = None) -> Tensor:
+        """Magnitudes (..., T), or relative flux for a recording of kind ``flux``, of natural values theta (..., P)."""
+        brightness = self.brightness(theta)
+        return self.magnitude(brightness, theta) if self.recording.kind == "mag" else brightness.flux
+
+    def magnitude(self, brightness: Brightness, theta: Tensor | None = None) -> Tensor:
+        """Eq. 11: band_sun_magnitude - 2.5 log10 Phi + zero_point, (..., T); +inf where the flux is 0."""
+        return self.assembly.sun_magnitude - 2.5 * torch.log10(brightness.flux) + self.zero_point(theta)
+
+    def zero_point(self, theta: Tensor | None = None) -> Tensor:
+        """Zero point, mag, (..., 1) or (..., T)."""
+        return self.assembly.rows(self.values(theta), "zero_point")
+
+    def brightness(self, theta: Tensor | None = None, *, shares: bool = False) -> Brightness:
+        """Total flux Phi (..., T), and component shares (..., C, T) if asked for, of natural values theta (..., P)."""
+        theta = self.theta() if theta is None else theta
+        if not self.geometry_free:
+            detail = shares or self.assembly.needs_shares
+            return self._chunked(theta, self.tables(detail), shares)
+        if theta.ndim == 1:
+            return self._single(theta, shares)
+        flat = theta.reshape(-1, theta.shape[-1])
+        size = max(1, VALUES_PER_CHUNK // max(1, self.assembly.pairs))
+
+        def one(row: Tensor) -> tuple[Tensor, ...]:
+            result = self._single(row, shares)
+            return (result.flux,) if result.shares is None else (result.flux, result.shares)
+
+        found = torch.vmap(one, chunk_size=size)(flat)
+        flux = found[0].reshape(*theta.shape[:-1], -1)
+        kept = found[1].reshape(*theta.shape[:-1], *found[1].shape[1:]) if len(found) > 1 else None
+        return Brightness(flux, kept, self.assembly.components)
+
+    def _single(self, theta: Tensor, shares: bool) -> Brightness:
+        values = self.parameter_set.values(theta)
+        tables = self.make_tables(self.view(values), values, shares or self.assembly.needs_shares, compact=False)
+        return self.shine(tables, values, shares)
+
+    def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
+        """Batches beyond the memory rule are cut along their leading axis; gradients need the whole and are never cut."""
+        flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
+        largest = max((table.numel() for s in tables.surfaces for table in s.table.values()), default=1)
+        size = max(1, VALUES_PER_CHUNK // max(largest, 1))
+        if theta.ndim == 1 or torch.is_grad_enabled() or len(flat) <= size:
+            return self.shine(tables, self.parameter_set.values(theta), shares)
+        pieces = [self.shine(tables, self.parameter_set.values(piece), shares) for piece in flat.split(size)]
+        flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
+        kept = None
+        if shares:
+            stacked = torch.cat([piece.shares for piece in pieces if piece.shares is not None])
+            kept = stacked.reshape(*theta.shape[:-1], *stacked.shape[1:])
+        return Brightness(flux, kept, self.assembly.components)
+
+    # ------------------------------------------------------------------ geometry
+
+    def view(self, values: Mapping[str, Tensor], rows: slice | None = None) -> View:
+        """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to surface."""
+        a = self.assembly
+        context = a.context
+        zero = torch.zeros(1, a.T, dtype=a.dtype, device=a.device)
+        nodes = Nodes(zero, torch.ones(1, 1, dtype=a.dtype, device=a.device))
+        for effect in a.stage("clock"):
+            nodes = effect.clock(nodes, a.own(effect, values), context)
+        request = Request(nodes.offset, nodes.offset, zero[0, :1])
+        for effect in a.stage("orbit"):
+            request = effect.orbit(request, a.own(effect, values), context)
+        state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
+        turned = dict(values)
+        for effect in a.stage("spin"):
+            turned = effect.spin(turned, a.own(effect, values), context)
+        rotation = a.attitude.rotation(state, turned)
+        for effect in a.stage("attitude"):
+            rotation = effect.attitude(rotation, state, a.own(effect, values), context)
+        range_km = torch.linalg.vector_norm(state.observer, dim=-1)
+        to_sun = torch.einsum("...ij,...i->...j", rotation, _unit(state.sun))
+        to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
+        facets = tuple(part.facets(values) for part in a.shape.parts)
+        poses: tuple[Tensor | None, ...] = tuple(
+            None
+            if part.tracks_axis is None
+            else tracking_pose(like(part.tracks_axis, to_sun), like(part.front, to_sun), to_sun)
+            for part in a.shape.parts
+        )
+        for effect in a.stage("pointing"):
+            poses = effect.pointing(poses, a.own(effect, values), context)
+        view = View(
+            nodes, state, rotation, to_sun, to_observer, 1e3 * range_km, poses, facets,
+            lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
+        )  # fmt: skip
+        patches = tuple(
+            Patch(
+                component=part.name, material=material, model=a.models[material],
+                faces=[part.faces[i] for i in index.tolist()],
+                normal=one.normal[index], u=one.u[index], area=one.area[index],
+                pose=poses[number], part=number, select=index,
+            )
+            for number, (part, one) in enumerate(zip(a.shape.parts, facets, strict=True))
+            for material, index in a.patches[number]
+        )  # fmt: skip
+        lights = view.lights
+        for effect in a.stage("light"):
+            lights = effect.light(lights, view, a.own(effect, values), context)
+        view = replace(view, lights=lights)
+        for effect in a.stage("surface"):
+            patches = effect.surface(patches, view, a.own(effect, values), context)
+        return replace(view, patches=patches)
+
+    def tables(self, detail: bool = False) -> Tables:
+        """The tables of a model whose geometry is fixed, made on first use; with ``detail`` wings stay apart."""
+        if detail not in self._tables:
+            with torch.no_grad():
+                values = self.parameter_set.values(self.parameter_set.start())
+                self._tables[detail] = self.make_tables(self.view(values), values, detail, compact=True)
+        return self._tables[detail]
+
+    def make_tables(self, view: View, values: Mapping[str, Tensor], detail: bool, *, compact: bool) -> Tables:
+        """Angles and weights of every pair of facet and instant, reduced as far as the materials' models allow."""
+        a = self.assembly
+        phase = torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2
+        phase_angle = 2 * torch.acos(phase[phase.shape[0] // 2].clamp(max=1 - 1e-15))
+        extra: dict[str, Tensor] = {}
+        for effect in a.stage("scatter"):
+            for component, flux in effect.scatter(view, values, a.own(effect, values), a.context).items():
+                extra[component] = extra[component] + flux if component in extra else flux
+        groups: dict[tuple[str, str], list[Patch]] = {}
+        for patch in view.patches:
+            groups.setdefault((patch.component if detail else "", patch.material), []).append(patch)
+        surfaces = []
+        for (component, material), patches in groups.items():
+            for sunlit in (True, False):
+                lights = tuple(light for light in view.lights if light.primary == sunlit)
+                table = _table(replace(view, lights=lights), patches, compact) if lights else None
+                if table is not None:
+                    model = patches[0].model
+                    surfaces.append(Surface(component, material, model, table, phase_angle, sunlit))
+        return Tables(tuple(surfaces), extra, Sky(view.state, view.nodes, compact))
+
+    # ------------------------------------------------------------------ materials and detector
+
+    def shine(self, tables: Tables, values: Mapping[str, Tensor], shares: bool = False) -> Brightness:
+        """Facet sum (eqs. 8-10) of prepared tables for values of any batch shape, then the detector stage."""
+        a = self.assembly
+        sunlight: Tensor | None = None
+        for effect in a.stage("shade"):
+            factor = effect.shade(tables.sky, a.own(effect, values), a.context)
+            sunlight = factor if sunlight is None else sunlight * factor
+        by_component: dict[str, Tensor] = {}
+        for surface in tables.surfaces:
+            specular, diffuse = self.reflect(surface, values)
+            light = specular + diffuse
+            if sunlight is not None and surface.sunlit:
+                light = light * sunlight
+            old = by_component.get(surface.component)
+            by_component[surface.component] = light if old is None else old + light
+        for component, light in tables.extra.items():
+            old = by_component.get(component)
+            by_component[component] = light if old is None else old + light
+        if not by_component:
+            any_value = next(iter(values.values()), a.sun_magnitude)
+            by_component = {"": torch.zeros(*any_value.shape, a.T, dtype=a.dtype, device=a.device)}
+        total = sum(by_component.values(), start=torch.zeros((), dtype=a.dtype, device=a.device))
+        found = None
+        if shares or a.needs_shares:
+            zeros = torch.zeros_like(total)
+            stacked = torch.stack([by_component.get(name, zeros) + zeros for name in a.components], -2)
+            found = stacked / torch.where(total > 0, total, 1.0)[..., None, :]
+        brightness = Brightness(total, found, a.components)
+        for effect in a.stage("detector"):
+            brightness = effect.detector(brightness, a.own(effect, values), a.context)
+        return brightness
+
+    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Specular and diffuse flux (..., T) of one surface, through the effects of its material."""
+        a = self.assembly
+        own = a.material_values(surface.material, surface.model, values)
+
+        def reflect(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+            return surface.model.parts(surface.table, material)
+
+        for effect in a.stage("material"):
+            if effect.target in (None, surface.material):
+                reflect = effect.material(reflect, surface, own, a.own(effect, values))
+        return reflect(own)
+
+    def noise(self, theta: Tensor) -> Noise:
+        """What the noise effects add to the quoted errors at natural values theta (..., P)."""
+        noise = Noise()
+        values = self.values(theta)
+        for effect in self.assembly.stage("noise"):
+            noise = effect.noise(noise, self.assembly.own(effect, values), self.assembly.context)
+        return noise
+
+    def extra_repr(self) -> str:
+        effects = ", ".join(dict.fromkeys(effect.name for effect in self.effects)) or "none"
+        return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
+
+
+def _unit(vector: Tensor) -> Tensor:
+    return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+
+
+def _table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, Tensor] | None:
+    """The material's table of all facets, lights and instants of some patches of one material; None if none is lit and seen.
+
+    The weight of a pair is area x visible fraction x irradiance x share of the exposure / range^2 if lit and seen and 0 elsewhere.
+    With ``compact`` the pairs of each row are moved up into as few slots as the busiest row needs, and equal pairs (wings that share
+    a normal) are counted once. Models without a lobe are summed over facets piece by piece, so that a mesh needs little memory.
+    """
+    model = patches[0].model
+    sums: dict[str, Tensor] | None = None
+    found: list[tuple[Tensor, ...]] = []
+    for patch in patches:
+        facets = len(patch.area)
+        instants = view.to_observer.shape[0] * view.to_observer.shape[1]
+        lights = sum(light.irradiance.shape[0] for light in view.lights)
+        size = max(1, PAIRS_PER_CHUNK // max(instants * lights, 1)) if compact else facets
+        for start in range(0, facets, size):
+            columns = _columns(view, patch, slice(start, start + size))
+            if model.additive:
+                table = model.tabulate(Incidence(*columns[:-1]), columns[-1])
+                sums = table if sums is None else {key: sums[key] + table[key] for key in table}
+                continue
+            compacted = _compacted(columns) if compact else columns
+            if compacted is not None:
+                found.append(compacted)
+    if model.additive or not found:
+        return sums
+    columns = tuple(torch.cat(fields) for fields in zip(*found, strict=True))
+    if compact and len(found) > 1:
+        columns = _compacted(_deduplicated(columns)) or columns
+    return model.tabulate(Incidence(*columns[:-1]), columns[-1])
+
+
+def _columns(view: View, patch: Patch, cut: slice) -> tuple[Tensor, ...]:
+    """The fields of :class:`Incidence` and the weight of a cut of a patch's facets, each (K, T)."""
+    fields: list[list[Tensor]] = [[] for _ in range(6)]
+    normal, u, area = patch.normal[cut], patch.u[cut], patch.area[cut]
+    observer = _into(patch.pose, view.to_observer)
+    for light in view.lights:
+        source = _into(patch.pose, light.direction)
+        angles = incidence(
+            normal[:, None, :], u[:, None, :], source[:, :, None], observer[None, :, None]
+        )  # (L, Q, F, T)
+        lit = (angles.cos_i > 0) & (angles.cos_r > 0)
+        gain = light.irradiance * view.nodes.weight / view.range_m**2
+        weight = gain[:, :, None] * area[:, None]
+        if patch.visible is not None:
+            weight = weight * patch.visible[..., cut].transpose(-1, -2)
+        weight = torch.where(lit, weight, 0.0)
+        for store, value in zip(fields, (*vars(angles).values(), weight), strict=True):
+            store.append(value.expand(weight.shape).reshape(-1, weight.shape[-1]))
+    return tuple(torch.cat(store) for store in fields)
+
+
+def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
+    """A body-frame direction (..., Q, T, 3) seen in the rest frame of a posed part; the facet axis is added by the caller."""
+    if pose is None:
+        return direction
+    return torch.einsum("...ij,...i->...j", pose, direction)
+
+
+def _compacted(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...] | None:
+    weight = columns[-1]
+    slots = int((weight > 0).sum(0).max()) if weight.numel() else 0
+    if slots == 0:
+        return None
+    order = torch.sort((weight > 0).to(torch.int8), dim=0, descending=True, stable=True).indices[:slots]
+    return tuple(torch.gather(field, 0, order) for field in columns)
+
+
+def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Merge the weight of a slot into an earlier one of the same row with the same angles (to 1e-13)."""
+    weight = columns[-1].clone()
+    if len(weight) > 64:
+        return columns
+    angles = torch.stack(columns[:-1])
+    for first in range(len(weight)):
+        for second in range(first + 1, len(weight)):
+            same = ((angles[:, first] - angles[:, second]).abs().amax(0) < 1e-13) & (weight[first] > 0)
+            weight[first] += torch.where(same, weight[second], 0.0)
+            weight[second] = torch.where(same, 0.0, weight[second])
+    return (*columns[:-1], weight)
+
+
+def degrees_between(a: Tensor, b: Tensor) -> Tensor:
+    """Angle between unit vectors (..., 3), degrees, accurate at any size."""
+    return 2 * torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)) * (180 / math.pi)

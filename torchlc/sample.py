@@ -1,0 +1,271 @@
+"""The posterior by emcee, with the same module that Adam trained, in batches without gradients.
+
+The ensemble moves in the unconstrained coordinates of :class:`~torchlc.parameters.ParameterSet`, where no prior has a wall; densities carry
+the Jacobian, so the draws are those of the natural parameters. The chain lives in memory and is put on disk whole, in emcee's HDF5
+layout, each time it has grown by a quarter: a killed run resumes from there with the random state it had, to the same result.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import emcee
+import h5py
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.errors import InputError
+from torchlc.fit import Fit, Progress
+from torchlc.likelihood import Likelihood
+
+CHECK_EVERY = 100
+LONG_ENOUGH = 50
+"""A chain is long enough when it holds this many autocorrelation times."""
+BACKEND_NAME = "mcmc"
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws after burn-in and thinning, theta (W walkers, N draws, P) natural, with log_prob (W, N).
+
+    ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all, ``burn`` and ``thin`` applied;
+    ``converged`` with its ``reason`` in words.
+    """
+
+    names: list[str]
+    theta: Tensor
+    log_prob: Tensor
+    tau: np.ndarray
+    acceptance: float
+    steps: int
+    burn: int
+    thin: int
+    converged: bool
+    reason: str
+
+    @property
+    def flat(self) -> Tensor:
+        """Draws of all walkers, (W N, P)."""
+        return self.theta.reshape(-1, self.theta.shape[-1])
+
+    def effective(self) -> np.ndarray:
+        """Effective number of draws of each parameter, (P,): walkers x steps kept / tau."""
+        kept = self.theta.shape[0] * self.theta.shape[1] * self.thin
+        return kept / np.maximum(self.tau, 1.0)
+
+    def rhat(self) -> np.ndarray:
+        """Split R-hat of each parameter over four groups of walkers, halved in time: near 1 if groups and halves agree.
+
+        Single walkers are too short to be chains of their own, and an ensemble's walkers lean on one another.
+        """
+        walkers, draws, _ = self.theta.shape
+        half = draws // 2
+        if half < 2:
+            return np.full(len(self.names), np.nan)
+        groups = []
+        for part in np.array_split(np.arange(walkers), 4):
+            for piece in (self.theta[part, :half], self.theta[part, half : 2 * half]):
+                groups.append(piece.reshape(-1, len(self.names)).numpy())
+        means = np.array([g.mean(0) for g in groups])
+        within = np.array([g.var(0, ddof=1) for g in groups]).mean(0)
+        effective = np.maximum(self.effective() / len(groups), 2.0)
+        between = means.var(0, ddof=1)
+        return np.sqrt(1.0 + np.maximum(between - within / effective, 0.0) / np.maximum(within, 1e-300))
+
+
+def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
+    """What emcee calls: unconstrained z (W, P) to log posterior densities (W,), batched, without gradients, never NaN."""
+    parameters = likelihood.model.parameter_set
+
+    def call(z: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            point = torch.as_tensor(np.atleast_2d(z), dtype=parameters.dtype, device=parameters.device)
+            total = likelihood.log_prob(parameters.to_natural(point)) + parameters.log_abs_det(point)
+            return torch.where(torch.isfinite(total), total, -math.inf).cpu().numpy()
+
+    return call
+
+
+def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
+    """Starting points z (W, P) from the Laplace covariances of the modes, each mode with a share by its Laplace evidence."""
+    likelihood = fit.likelihood
+    parameters = likelihood.model.parameter_set
+    generator = torch.Generator().manual_seed(seed)
+    low, high = parameters.flat_bounds()
+    weights = []
+    for mode in fit.modes:
+        held = mode.at_bound
+        block = mode.covariance[~held][:, ~held]
+        log_det = float(torch.linalg.slogdet(block)[1]) if len(block) else 0.0
+        weights.append(-0.5 * mode.objective + 0.5 * log_det)
+    share = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0).clamp(min=0.05)
+    counts = torch.multinomial(share, walkers, replacement=True, generator=generator).bincount(minlength=len(fit.modes))
+    points = []
+    for mode, count in zip(fit.modes, counts.tolist(), strict=True):
+        y0 = parameters.to_flat(mode.theta)
+        values, vectors = torch.linalg.eigh(mode.covariance)
+        spread = vectors @ torch.diag(torch.sqrt(values.clamp(min=0)))
+        needed, tries = count, 0
+        while needed > 0:
+            noise = torch.randn(4 * needed + 8, len(parameters), generator=generator, dtype=y0.dtype)
+            shrink = 0.7**tries
+            y = y0 + shrink * noise @ spread.T
+            inward = torch.rand(len(y), len(parameters), generator=generator, dtype=y0.dtype)
+            span = torch.where(torch.isfinite(high - low), high - low, 1.0)
+            step = torch.where(mode.at_bound, 0.03 * inward * span, 1e-6 * span * (inward - 0.5))
+            y = torch.where(y0 <= low + 1e-9, y + step, torch.where(y0 >= high - 1e-9, y - step, y))
+            inside = y[((y > low) & (y < high)).all(-1)]
+            z = parameters.to_unconstrained(parameters.from_flat(inside))
+            with torch.no_grad():
+                good = torch.isfinite(likelihood.log_prob(parameters.to_natural(z)))
+            points.append(z[good][:needed])
+            needed -= len(points[-1])
+            tries += 1
+            if tries > 60:
+                raise RuntimeError("no walker with a finite posterior could be placed around the fit")
+    return torch.cat(points)
+
+
+def moves() -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution along bananas, its jumps between modes (gamma 1), snooker steps across, stretches for the rest."""
+    return [
+        (emcee.moves.DEMove(), 0.55),
+        (emcee.moves.DEMove(gamma0=1.0), 0.1),
+        (emcee.moves.DESnookerMove(), 0.1),
+        (emcee.moves.StretchMove(), 0.25),
+    ]
+
+
+def sample(
+    fit: Fit,
+    *,
+    walkers: int | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    chain_file: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    longest: int = 12_000,
+) -> Posterior:
+    """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time, or for ``steps``.
+
+    ``walkers`` defaults to 6 a parameter, at least 32. Raises InputError if ``resume`` finds a chain of another problem.
+    """
+    likelihood = fit.likelihood
+    names = likelihood.model.names
+    dimensions = len(names)
+    count = walkers if walkers is not None else max(32, 6 * dimensions)
+    count += count % 2
+    if count < 2 * dimensions + 2:
+        raise InputError(None, "--walkers", f"{count} walkers", f"at least {2 * dimensions + 2} for {dimensions} parameters")
+    backend = emcee.backends.Backend()
+    sampler = emcee.EnsembleSampler(
+        count, dimensions, log_density(likelihood), moves=moves(), vectorize=True, backend=backend
+    )
+    state = _resumed(chain_file, backend, names, count) if resume and chain_file is not None else None
+    if state is None:
+        start = initial_walkers(fit, count, seed)
+        state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
+        backend.reset(count, dimensions)
+    limit = steps if steps is not None else longest
+    written = backend.iteration
+    while backend.iteration < limit:
+        block = min(CHECK_EVERY, limit - backend.iteration)
+        state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+        if progress is not None:
+            progress("emcee", _done(backend, limit, steps is not None))
+        if chain_file is not None and backend.iteration >= written + max(2 * CHECK_EVERY, written // 4):
+            write_chain(chain_file, backend, names)
+            written = backend.iteration
+        if steps is None and backend.iteration >= 5 * CHECK_EVERY and _long_enough(backend):
+            break
+    if chain_file is not None and backend.iteration != written:
+        write_chain(chain_file, backend, names)
+    return _posterior(likelihood, backend, names, steps)
+
+
+def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -> None:
+    """The chain so far in emcee's HDF5 layout (unconstrained coordinates), whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.unlink(missing_ok=True)
+    disk = emcee.backends.HDFBackend(str(partial), name=BACKEND_NAME)
+    walkers, dimensions = backend.shape
+    disk.reset(walkers, dimensions)
+    disk.grow(backend.iteration, None)
+    with h5py.File(partial, "r+") as file:
+        group = file[BACKEND_NAME]
+        group["chain"][...] = backend.chain[: backend.iteration]
+        group["log_prob"][...] = backend.log_prob[: backend.iteration]
+        group["accepted"][...] = backend.accepted
+        group.attrs["iteration"] = backend.iteration
+        group.attrs["parameters"] = names
+        for index, part in enumerate(backend.random_state):
+            group.attrs[f"random_state_{index}"] = part
+        file.flush()
+    os.replace(partial, path)
+
+
+def _resumed(path: Path, backend: emcee.backends.Backend, names: list[str], walkers: int) -> emcee.State | None:
+    """Fill the in-memory backend from a chain on disk; None if there is none."""
+    if not path.exists():
+        return None
+    try:
+        disk = emcee.backends.HDFBackend(str(path), name=BACKEND_NAME, read_only=True)
+        with h5py.File(path, "r") as file:
+            stored = list(file[BACKEND_NAME].attrs["parameters"])
+        shape = disk.shape
+    except (OSError, KeyError) as error:
+        raise InputError(path, None, f"cannot be read as a chain ({error})", hint="Remove it to start anew") from error
+    if stored != names or shape != (walkers, len(names)):
+        raise InputError(
+            path, None, f"a chain of {shape[0]} walkers over {', '.join(stored)}", f"{walkers} walkers over {', '.join(names)}",
+            "Remove it to start anew, or give the scene and --walkers it was made with",
+        )  # fmt: skip
+    backend.reset(*shape)
+    backend.grow(disk.iteration, None)
+    backend.chain[:] = disk.get_chain()
+    backend.log_prob[:] = disk.get_log_prob()
+    backend.accepted[:] = disk.accepted
+    backend.iteration = disk.iteration
+    backend.random_state = disk.random_state
+    return backend.get_last_sample()
+
+
+def _tau(backend: emcee.backends.Backend) -> np.ndarray:
+    chain = backend.get_chain(discard=backend.iteration // 4)
+    return np.nan_to_num(emcee.autocorr.integrated_time(chain, tol=0, quiet=True), nan=float(backend.iteration))
+
+
+def _long_enough(backend: emcee.backends.Backend) -> bool:
+    return 0.75 * backend.iteration > LONG_ENOUGH * float(np.max(_tau(backend)))
+
+
+def _done(backend: emcee.backends.Backend, limit: int, fixed: bool) -> float:
+    if fixed or backend.iteration < 5 * CHECK_EVERY:
+        return backend.iteration / limit
+    return min(0.99, 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend)))))
+
+
+def _posterior(
+    likelihood: Likelihood, backend: emcee.backends.Backend, names: list[str], steps: int | None
+) -> Posterior:
+    tau = _tau(backend)
+    longest = float(np.max(tau))
+    burn = min(int(max(3 * longest, backend.iteration // 4)), backend.iteration // 2)
+    thin = max(1, int(longest / 4))
+    chain = torch.as_tensor(backend.get_chain(discard=burn, thin=thin).copy())
+    log_prob = torch.as_tensor(backend.get_log_prob(discard=burn, thin=thin).copy())
+    kept = (backend.iteration - burn) / longest
+    converged = kept >= LONG_ENOUGH * 0.9
+    reason = f"{backend.iteration} steps, {kept:.0f} autocorrelation times of {longest:.0f} steps after burn-in"
+    if not converged:
+        reason += f"; {LONG_ENOUGH} are wanted: run on with --resume and more --steps"
+    accepted = float(np.mean(backend.accepted / max(backend.iteration, 1)))
+    with torch.no_grad():
+        theta = likelihood.model.parameter_set.to_natural(chain).transpose(0, 1).contiguous()
+    return Posterior(names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin, converged, reason)

@@ -1,13 +1,13 @@
 """How the body is turned: each mode a pure function of the geometry, rotations with v_gcrs = R v_body.
 
-Letters: T rows; leading axes (...) are batches or instants. The columns of a rotation are the body axes in
-GCRS.
+Letters: T rows; leading axes (...) are batches or instants. Modes map vectors (..., 3) to rotations
+(..., 3, 3), whose columns are the body axes in GCRS.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchlc.errors import InputError
 from torchlc.orbit import State
 from torchlc.orbit.earth import icrs_from_ecliptic
-from torchlc.quaternions import read_quaternions
+from torchlc.quaternions import Slerp, read_quaternions
 from torchlc.recording import seconds_since
 from torchlc.rotations import frame_turned_about_y, frame_turned_about_z, rotation_about
 from torchlc.timestamps import UnreadableTime, instant
@@ -31,18 +31,14 @@ ALIGNED = 1e-12
 
 
 def nadir(position: Tensor, velocity: Tensor) -> Tensor:
-    """+Z to Earth's centre, +X along the velocity made orthogonal to it, +Y against the orbit normal; (...,
-    3) -> (..., 3, 3).
-    """
+    """+Z to Earth's centre, +X along the velocity made orthogonal to it, +Y against the orbit normal."""
     z = _unit(-position)
     y = _unit_cross(z, velocity)
     return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
 
 
 def yaw_steering(position: Tensor, sun: Tensor) -> Tensor:
-    """+Z to Earth's centre, +Y = unit(Z x Sun), +X = Y x Z on the Sun's side; any Y where the Sun is along
-    Z.
-    """
+    """+Z to Earth's centre, +Y = unit(Z x Sun), +X = Y x Z; any Y where the Sun is along Z."""
     z = _unit(-position)
     y = _unit_cross(z, _unit(sun))
     return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
@@ -61,8 +57,8 @@ def inertial(x_angle_deg: Tensor) -> Tensor:
 
 
 def spin_pole(longitude_deg: Tensor, latitude_deg: Tensor, turn: Tensor) -> Tensor:
-    """Inertial to body, Rz(turn) Ry(90 deg - latitude) Rz(longitude), each turning the frame; ``turn``
-    (...,) in revolutions.
+    """Body from inertial, Rz(turn) Ry(90 deg - latitude) Rz(longitude), each turning the frame; ``turn`` in
+    revolutions, the angles in degrees.
     """
     longitude, colatitude = torch.deg2rad(longitude_deg), torch.deg2rad(90.0 - latitude_deg)
     spin = frame_turned_about_z(2 * torch.pi * turn)
@@ -74,9 +70,7 @@ def _unit(vector: Tensor) -> Tensor:
 
 
 def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
-    """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles to
-    a.
-    """
+    """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles."""
     cross = torch.linalg.cross(a, b)
     parallel = (cross**2).sum(-1, keepdim=True) <= ALIGNED * (b**2).sum(-1, keepdim=True)
     x, y = (a.new_tensor(axis).expand_as(a) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
@@ -85,9 +79,11 @@ def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 class Attitude(nn.Module):
-    """The attitude of a scene at the rows of a recording; ``rotation`` is where numbers of the scene may be
-    replaced by tensors.
-    """
+    """The attitude of a scene at the rows of a recording."""
+
+    spin_axis: Tensor
+    frame: Tensor
+    slerp: Slerp
 
     def __init__(self, scene: Scene, recording: Recording) -> None:
         super().__init__()
@@ -167,7 +163,7 @@ def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool)
         raise InputError(
             scene.source,
             "attitude.mode",
-            f'"{scene.attitude.mode}" without the object\'s {"velocity" if not lacks_position else "position"}',
+            f'"{scene.attitude.mode}" with no {"position" if lacks_position else "velocity"} of the object',
             f"columns {columns} in the recording, or a TLE",
             'Mode "yaw-steering" needs no velocity.' if needs_velocity and not lacks_position else None,
         )
@@ -176,9 +172,9 @@ def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool)
 def _seconds_of_epoch(scene: Scene, recording: Recording, key: str) -> float:
     """Seconds from the recording's row 0 to an epoch of the scene, by default the first time of the file."""
     epoch = getattr(scene.attitude, key)
-    if epoch is None:
-        return float(seconds_since(recording.first_time, recording.time[0]))
+    first: Any = recording.time[0]
     try:
-        return float(seconds_since(instant(epoch, recording.time.scale), recording.time[0]))
+        moment = recording.first_time if epoch is None else instant(epoch, first.scale)
     except UnreadableTime as error:
         raise InputError(scene.source, f"attitude.{key}", repr(error.found), error.expected) from None
+    return float(seconds_since(moment, first))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,8 +74,9 @@ def _matrices(q: np.ndarray) -> np.ndarray:
 
 def read_quaternions(path: Path, recording: Recording) -> Slerp:
     """Read time,q0,q1,q2,q3, times in the recording's scale and in any order; all its rows must be inside."""
-    times, quaternions = _rows(path, recording.time.scale)
-    seconds = seconds_since(times, recording.time[0])
+    first: Any = recording.time[0]
+    times, quaternions = _rows(path, first.scale)
+    seconds = seconds_since(times, first)
     order = np.argsort(seconds)
     seconds, quaternions = seconds[order], quaternions[order]
     norm = np.linalg.norm(quaternions, axis=-1)
@@ -90,7 +92,8 @@ def read_quaternions(path: Path, recording: Recording) -> Slerp:
     outside = np.flatnonzero((recording.seconds < early) | (recording.seconds > late))
     if outside.size:
         iso = times.isot
-        found = f"{outside.size} rows of the recording are outside, the first at {recording.time.isot[outside[0]]}"
+        where = recording.time.isot[outside[0]]
+        found = f"{outside.size} rows of the recording are outside, the first at {where}"
         span = f"{iso[order[0]]} to {iso[order[-1]]}"
         raise InputError(path, None, found, f"quaternions for all rows (these span {span})")
     return Slerp(seconds, quaternions / norm[:, None])
@@ -116,4 +119,5 @@ def _rows(path: Path, scale: str) -> tuple[Time, np.ndarray]:
     jd1, jd2 = columns["time"].T
     if jd1.size < 2:
         raise InputError(path, None, "1 row", "at least 2")
-    return Time(jd1, jd2, format="jd", scale=scale), np.stack([columns[name] for name in COMPONENTS], axis=-1)
+    times: Any = Time(jd1, jd2, format="jd", scale=scale)
+    return times, np.stack([columns[name] for name in COMPONENTS], axis=-1)

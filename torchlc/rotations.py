@@ -7,9 +7,7 @@ from torch import Tensor
 
 
 def rotation_about(axis: Tensor, angle: Tensor) -> Tensor:
-    """Right-handed rotation (..., 3, 3) about unit vectors ``axis`` (..., 3) by ``angle`` (...,) rad
-    (Rodrigues).
-    """
+    """Right-handed rotation (..., 3, 3) about unit ``axis`` (..., 3) by ``angle`` (...,) rad (Rodrigues)."""
     x, y, z = axis.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -1,17 +1,18 @@
-"""The Earth's orientation, the stations on it and the Sun seen from its centre: numpy and astropy, from
-bundled tables only.
+"""The Earth's orientation, the stations on it and the Sun seen from its centre.
+
+Numpy and astropy's ERFA, from bundled tables only: nothing here reaches for the network.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import astropy.units as u
 import erfa
 import numpy as np
-from astropy.coordinates import get_sun
-from astropy.time import Time
+from astropy.time import Time, TimeDelta
 from astropy.utils import iers
 
 OBLIQUITY_J2000_ARCSEC = 84381.448
@@ -19,22 +20,30 @@ OBLIQUITY_J2000_ARCSEC = 84381.448
 ROTATION_RATE = 2 * np.pi * 1.00273781191135448 / 86400.0
 """Rate of the Earth Rotation Angle, rad per second of UT1."""
 AU_KM = 149597870.7
+LIGHT_KM_S = 299792.458
+DAY_S = 86400.0
 WGS84 = 1
 """The ellipsoid, in the numbering of ERFA."""
-UNKNOWN_UT1 = (
-    "UT1 - UTC is not tabulated for some of these times and taken as 0: stations may be off by up to 400 m"
-)
+UNKNOWN_UT1 = "UT1 - UTC is not tabulated for all these times and taken as 0: stations may be off by 400 m"
 
 
 def icrs_from_ecliptic() -> np.ndarray:
-    """Rotation (3, 3) that turns components along the ecliptic and equinox J2000 into ICRS components;
-    frame bias (0.02") neglected.
-    """
-    cos, sin = (
-        np.cos(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
-        np.sin(np.radians(OBLIQUITY_J2000_ARCSEC / 3600)),
-    )
+    """Rotation (3, 3) of ecliptic J2000 components into ICRS components; neglects the frame bias, 0.02"."""
+    obliquity = np.radians(OBLIQUITY_J2000_ARCSEC / 3600)
+    cos, sin = np.cos(obliquity), np.sin(obliquity)
     return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+
+def julian_dates(time: Time, scale: str) -> tuple[np.ndarray, np.ndarray]:
+    """Two-part Julian dates (T,), (T,) of ``time`` in another scale."""
+    converted: Any = getattr(time, scale)
+    return converted.jd1, converted.jd2
+
+
+def after(time: Time, seconds: np.ndarray) -> Time:
+    """Instants ``seconds`` (N,) of elapsed time after the first of ``time``, in TAI."""
+    first: Any = time[0]
+    return first.tai + TimeDelta(seconds, format="sec")
 
 
 @dataclass(frozen=True)
@@ -48,19 +57,17 @@ class Orientation:
 
 
 def orientation(time: Time) -> Orientation:
-    """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion; TEME by the
-    IAU 1982 sidereal time.
+    """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion.
 
-    TEME reaches the celestial frame through the terrestrial one, as in Vallado et al. (2006), AIAA
-    2006-6753, and in astropy.
+    TEME, by the IAU 1982 sidereal time, reaches the celestial frame through the terrestrial one, as in
+    Vallado et al. (2006), AIAA 2006-6753, and in astropy.
     """
-    tt, utc = time.tt, time.utc
+    tt, utc = julian_dates(time, "tt"), julian_dates(time, "utc")
     ut1_minus_utc, xp, yp, known = _earth_orientation_parameters(utc)
-    ut1, ut1_fraction = utc.jd1, utc.jd2 + ut1_minus_utc / 86400.0
-    cirs_from_gcrs = erfa.c2i06a(tt.jd1, tt.jd2)
-    itrs_from_tirs = erfa.pom00(xp, yp, erfa.sp00(tt.jd1, tt.jd2))
-    itrs_from_gcrs = erfa.c2tcio(cirs_from_gcrs, erfa.era00(ut1, ut1_fraction), itrs_from_tirs)
-    itrs_from_teme = erfa.c2tcio(np.eye(3), erfa.gmst82(ut1, ut1_fraction), erfa.pom00(xp, yp, 0.0))
+    ut1 = utc[0], utc[1] + ut1_minus_utc / DAY_S
+    cirs_from_gcrs = erfa.c2i06a(*tt)
+    itrs_from_gcrs = erfa.c2tcio(cirs_from_gcrs, erfa.era00(*ut1), erfa.pom00(xp, yp, erfa.sp00(*tt)))
+    itrs_from_teme = erfa.c2tcio(np.eye(3), erfa.gmst82(*ut1), erfa.pom00(xp, yp, 0.0))
     gcrs_from_itrs = np.swapaxes(itrs_from_gcrs, -1, -2)
     return Orientation(
         gcrs_from_itrs=gcrs_from_itrs,
@@ -70,13 +77,13 @@ def orientation(time: Time) -> Orientation:
     )
 
 
-def _earth_orientation_parameters(utc: Time) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """UT1 - UTC (s), polar motion x and y (rad), and whether all times are tabulated; astropy's own lookup
-    might download.
-    """
+def _earth_orientation_parameters(
+    utc: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """UT1 - UTC (s), polar motion x and y (rad), (T,) each, and whether all times are tabulated."""
     table = _iers_table()
-    ut1_minus_utc, status = table.ut1_utc(utc.jd1, utc.jd2, return_status=True)
-    xp, yp, _ = table.pm_xy(utc.jd1, utc.jd2, return_status=True)
+    ut1_minus_utc, status = table.ut1_utc(*utc, return_status=True)
+    xp, yp, _ = table.pm_xy(*utc, return_status=True)
     known = np.asarray(status) >= 0
     return (
         np.where(known, ut1_minus_utc.to_value(u.s), 0.0),
@@ -87,7 +94,8 @@ def _earth_orientation_parameters(utc: Time) -> tuple[np.ndarray, np.ndarray, np
 
 
 @cache
-def _iers_table() -> iers.IERS_A:
+def _iers_table() -> Any:
+    """1973 to a year ahead; opened by name because astropy's own choice of a table may download one."""
     return iers.IERS_A.open(iers.IERS_A_FILE)
 
 
@@ -96,15 +104,16 @@ def sun_of_earth(time: Time) -> tuple[np.ndarray, np.ndarray]:
 
     Aberration of the Earth's motion is included, that of an object about the Earth (at most 5") is neglected.
     """
-    heliocentric, _ = erfa.epv00(time.tdb.jd1, time.tdb.jd2)
-    position = get_sun(time).cartesian.xyz.to_value(u.km).T
-    return np.ascontiguousarray(position), -heliocentric["v"] * AU_KM / 86400.0
+    heliocentric, barycentric = erfa.epv00(*julian_dates(time, "tdb"))
+    distance_au = np.linalg.norm(heliocentric["p"], axis=-1)
+    beta = barycentric["v"] * (AU_KM / DAY_S / LIGHT_KM_S)
+    lorentz = np.sqrt(1.0 - np.sum(beta**2, axis=-1))
+    apparent = erfa.ab(-heliocentric["p"] / distance_au[:, None], beta, distance_au, lorentz)
+    return apparent * distance_au[:, None] * AU_KM, -heliocentric["v"] * (AU_KM / DAY_S)
 
 
 def station_itrs(latitude: np.ndarray, longitude: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Terrestrial position, km, (..., 3), of geodetic latitude and longitude, degrees, and height, m, on
-    the WGS84 ellipsoid.
-    """
+    """Terrestrial position, km, (..., 3), of geodetic coordinates (degrees, m) on the WGS84 ellipsoid."""
     return erfa.gd2gc(WGS84, np.radians(longitude), np.radians(latitude), height_m) / 1000.0
 
 
@@ -126,9 +135,7 @@ def _direction(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
 
 
 def horizontal_itrs(position: np.ndarray, altitude_deg: np.ndarray, azimuth_deg: np.ndarray) -> np.ndarray:
-    """Terrestrial unit vector (..., 3) of an altitude and an azimuth from north through east at terrestrial
-    ``position``, km.
-    """
+    """Terrestrial unit vector (..., 3) of altitude and azimuth (from north through east) at ``position``."""
     altitude, azimuth = np.radians(altitude_deg)[..., None], np.radians(azimuth_deg)[..., None]
     longitude, latitude, _ = erfa.gc2gd(WGS84, position * 1000.0)
     up, north = _direction(longitude, latitude), _direction(longitude, latitude + np.pi / 2)

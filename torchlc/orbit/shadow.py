@@ -1,4 +1,4 @@
-"""Where an object stands relative to the Earth's shadow (Montenbruck & Gill 2000, section 3.4): pure torch."""
+"""Where an object stands relative to the Earth's shadow (Montenbruck & Gill 2000, section 3.4), in torch."""
 
 from __future__ import annotations
 

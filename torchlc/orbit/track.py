@@ -130,7 +130,7 @@ def make_track(scene: Scene, recording: Recording) -> Track:
         warnings.simplefilter("ignore", AstropyWarning)
         warnings.simplefilter("ignore", ErfaWarning)
         if scene.orbit.tle is not None:
-            return _track_of_elements(scene, recording)
+            return _track_of_elements(scene, recording, scene.orbit.tle)
         if scene.orbit.altaz:
             return _track_of_altaz(scene, recording)
         return _track_of_vectors(scene, recording)
@@ -168,24 +168,23 @@ def airmass(elevation: Tensor) -> Tensor:
     return 1.0 / (torch.sin(torch.deg2rad(height)) + 0.50572 * (height + 6.07995) ** -1.6364)
 
 
-def _track_of_elements(scene: Scene, recording: Recording) -> Track:
-    elements = ElementSet(scene.orbit.tle, scene.source)
-    utc = recording.time.utc
-    elements.check(utc)
+def _track_of_elements(scene: Scene, recording: Recording, lines: tuple[str, str]) -> Track:
+    elements = ElementSet(lines, scene.source)
+    elements.check(recording.time)
     frame = earth.orientation(recording.time)
     exposure_s = 0.0 if recording.exptime is None else float(np.nanmax(recording.exptime, initial=0.0))
     observer_itrs = _stations(scene)[recording.station]
     return Track(
         torch.from_numpy(recording.seconds),
         observer=_earth_fixed(_turn(frame.gcrs_from_itrs, observer_itrs), frame),
-        object_=elements.motion(utc, recording.seconds, frame.gcrs_from_teme, exposure_s),
+        object_=elements.motion(recording.time, recording.seconds, frame.gcrs_from_teme, exposure_s),
         sun=_geocentric_sun(recording),
         known=frozenset({"position", "velocity", "time_offset", "along_track", "elevation"}),
         seconds_per_radian=torch.full(
             (len(recording.seconds),), 1.0 / elements.mean_motion, dtype=torch.float64
         ),
         zenith=torch.from_numpy(_turn(frame.gcrs_from_itrs, earth.vertical_itrs(observer_itrs))),
-        warnings=(*elements.age_warning(utc), *frame.warnings),
+        warnings=(*elements.age_warning(recording.time), *frame.warnings),
     )
 
 
@@ -327,7 +326,7 @@ def _rates(recording: Recording, vector: np.ndarray) -> tuple[np.ndarray, bool]:
     near = np.sum(unit[1:] * unit[:-1], axis=-1) > np.cos(np.radians(LONGEST_TURN_DEG))
     linked = (np.diff(curve) == 0) & (step > 0) & near
     slope = np.where(linked[:, None], np.diff(x, axis=0) / np.where(linked, step, 1.0)[:, None], 0.0)
-    # of two slopes the one over the shorter step weighs more: the derivative of the parabola through three points
+    # of two slopes the one over the shorter step weighs more, as in the parabola through three points
     weight = np.where(linked, 1.0 / np.where(linked, step, 1.0), 0.0)
     before, after = np.append(0.0, weight), np.append(weight, 0.0)
     total = before + after

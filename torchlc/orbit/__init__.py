@@ -1,5 +1,6 @@
 """Orbit, observer and Sun: what a scene and a recording say about where everything is."""
 
+from torchlc.orbit.grid import observation_grid
 from torchlc.orbit.shadow import ShadowCoordinate, shadow_coordinate
 from torchlc.orbit.track import State, Track, above_horizon, airmass, angle_between, elevation_deg, make_track
 
@@ -12,5 +13,6 @@ __all__ = [
     "angle_between",
     "elevation_deg",
     "make_track",
+    "observation_grid",
     "shadow_coordinate",
 ]

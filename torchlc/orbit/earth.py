@@ -34,16 +34,20 @@ def icrs_from_ecliptic() -> np.ndarray:
     return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
 
 
+def in_scale(time: Time, scale: str) -> Time:
+    """``time`` in another scale."""
+    return getattr(time, scale)
+
+
 def julian_dates(time: Time, scale: str) -> tuple[np.ndarray, np.ndarray]:
     """Two-part Julian dates (T,), (T,) of ``time`` in another scale."""
     converted: Any = getattr(time, scale)
     return converted.jd1, converted.jd2
 
 
-def after(time: Time, seconds: np.ndarray) -> Time:
-    """Instants ``seconds`` (N,) of elapsed time after the first of ``time``, in TAI."""
-    first: Any = time[0]
-    return first.tai + TimeDelta(seconds, format="sec")
+def after(instant: Time, seconds: np.ndarray) -> Time:
+    """Instants ``seconds`` (N,) of elapsed time after one instant, in TAI."""
+    return in_scale(instant, "tai") + TimeDelta(seconds, format="sec")
 
 
 @dataclass(frozen=True)

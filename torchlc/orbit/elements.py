@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -97,7 +98,8 @@ class ElementSet:
         place = seconds / step
         cell = np.floor(place)
         runs = _runs(cell.astype(np.int64), width)
-        coefficients = [self._coefficients(time, first, last, step) for first, last in runs]
+        origin: Any = time[0]
+        coefficients = [self._coefficients(origin, first, last, step) for first, last in runs]
         starts = np.array([first for first, _ in runs])
         stored = np.concatenate([[0], np.cumsum([last - first + 1 for first, last in runs])])
         run = np.searchsorted(starts, cell, side="right") - 1
@@ -111,12 +113,12 @@ class ElementSet:
             last=width,
         )
 
-    def _coefficients(self, time: Time, first: int, last: int, step: float) -> np.ndarray:
+    def _coefficients(self, origin: Time, first: int, last: int, step: float) -> np.ndarray:
         """Polynomial coefficients (C, 3, 6) of the cells ``first`` to ``last``. Where SGP4 fails beyond the
         rows they are NaN.
         """
         nodes = np.arange(first + STENCIL[0], last + STENCIL[-1] + 1)
-        position, codes = self.positions(after(time, nodes * step))
+        position, codes = self.positions(after(origin, nodes * step))
         position = np.where(codes[:, None] == 0, position, np.nan)
         stencils = np.lib.stride_tricks.sliding_window_view(position, STENCIL.size, axis=0)
         inverse = np.linalg.inv(np.vander(STENCIL.astype(float), increasing=True))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from astropy.utils import iers
 from astropy.utils.exceptions import AstropyWarning
 from erfa import ErfaWarning
 from torch import Tensor, nn
@@ -126,7 +127,7 @@ def make_track(scene: Scene, recording: Recording) -> Track:
     """Everything that SGP4 and astropy have to say about the rows; from bundled tables, never from the
     network.
     """
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), iers.conf.set_temp("auto_download", False):
         warnings.simplefilter("ignore", AstropyWarning)
         warnings.simplefilter("ignore", ErfaWarning)
         if scene.orbit.tle is not None:

@@ -31,18 +31,17 @@ class UnreadableTime(ValueError):
 
 def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, np.ndarray]:
     """Two-part Julian dates (T,), (T,) of ISO texts; an offset such as +08:00 is converted."""
-    offsets = None
     joined = "".join(texts)
     if (
         set(joined) - set("0123456789-:.T ")
         or joined.count("-") != 2 * len(texts)
         or min(map(len, texts)) < 16
     ):
-        texts, offsets = _without_offsets(texts, scale)
-    times = _parse_iso([text.replace(" ", "T") for text in texts], scale)
-    jd1, jd2 = times.jd1, times.jd2
-    if offsets is not None:
-        jd2 = jd2 - offsets / 1440.0
+        plain = _plain_utc(texts, scale)
+    else:
+        plain = [text.replace(" ", "T") for text in texts]
+    times = _parse_iso(plain, scale)
+    jd1, jd2 = np.asarray(times.jd1), np.asarray(times.jd2)
     _check_range(jd1 + jd2, scale, texts)
     return jd1, jd2
 
@@ -67,8 +66,9 @@ def instant(value: str | float, scale: str) -> Time:
     return Time(jd1[0], jd2[0], format="jd", scale=scale)
 
 
-def _without_offsets(texts: Sequence[str], scale: str) -> tuple[list[str], np.ndarray]:
-    plain, offsets = [], np.zeros(len(texts))
+def _plain_utc(texts: Sequence[str], scale: str) -> list[str]:
+    """The texts without zone; those with an offset moved to UTC."""
+    plain = []
     for index, text in enumerate(texts):
         match = ISO.fullmatch(text)
         if match is None:
@@ -76,13 +76,17 @@ def _without_offsets(texts: Sequence[str], scale: str) -> tuple[list[str], np.nd
         date, clock, zone, sign, hours, minutes = match.groups()
         if zone and scale != "utc":
             raise UnreadableTime(index, text.strip(), f"no UTC offset: the time scale is {scale}")
+        moved = f"{date}T{clock}"
         if sign:
-            minute = 60 * int(hours) + int(minutes or 0)
-            if minute > 14 * 60:
+            ahead = np.timedelta64(int(sign + "1") * (60 * int(hours) + int(minutes or 0)), "m")
+            try:
+                moved = str(np.datetime64(moved) - ahead)
+            except ValueError:
+                raise UnreadableTime(index, text.strip(), "an existing date and time of day") from None
+            if abs(ahead) > np.timedelta64(14, "h"):
                 raise UnreadableTime(index, text.strip(), "an offset of at most 14 h")
-            offsets[index] = minute if sign == "+" else -minute
-        plain.append(f"{date}T{clock}")
-    return plain, offsets
+        plain.append(moved)
+    return plain
 
 
 def _advice(text: str) -> str:
@@ -103,19 +107,14 @@ def _parse_iso(texts: list[str], scale: str) -> Time:
             warnings.filterwarnings("ignore", message=".*dubious year")
             return Time(np.array(texts, dtype="S"), format="isot", scale=scale)
     except (ValueError, ErfaWarning):
-        low, high = 0, len(texts)
-        if high == 1:
-            raise UnreadableTime(0, texts[0], "an existing date and time of day") from None
-        middle = high // 2
+        middle = len(texts) // 2
+    if middle == 0:
+        raise UnreadableTime(0, texts[0], "an existing date and time of day")
+    _parse_iso(texts[:middle], scale)
     try:
-        _parse_iso(texts[low:middle], scale)
-    except UnreadableTime:
-        raise
-    try:
-        _parse_iso(texts[middle:high], scale)
+        return _parse_iso(texts[middle:], scale)
     except UnreadableTime as error:
         raise UnreadableTime(error.index + middle, error.found, error.expected) from None
-    raise UnreadableTime(0, texts[0], "an existing date and time of day")
 
 
 def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import astropy.units as u
 import numpy as np
@@ -14,6 +14,7 @@ from astropy.time import Time
 from erfa import ErfaWarning
 
 from torchlc.errors import InputError
+from torchlc.recording.groups import compact
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +24,8 @@ class Recording:
     ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
     are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
     ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
-    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees, ``height``
-    in km above the ellipsoid.
+    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
+    ``height`` in km above the ellipsoid.
     """
 
     time: Time
@@ -82,12 +83,12 @@ class Recording:
         }
         curve, curve_ids = compact(self.curve[index], self.curve_ids)
         night, night_ids = compact(self.night[index], self.night_ids)
-        time = self.time[index]
+        time = cast(Time, self.time[index])
         return replace(
             self,
             **arrays,
             time=time,
-            seconds=seconds_since(time, time[0]),
+            seconds=seconds_since(time, cast(Time, time[:1])),
             curve=curve,
             curve_ids=curve_ids,
             night=night,
@@ -99,13 +100,7 @@ def seconds_since(time: Time, origin: Time) -> np.ndarray:
     """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
-        return (time - origin).to_value(u.s)
-
-
-def compact(codes: np.ndarray, ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Indices (T,) into ``ids`` renumbered so that every id left is in use."""
-    used, renumbered = np.unique(codes, return_inverse=True)
-    return renumbered.astype(np.int64), tuple(ids[code] for code in used)
+        return np.asarray((time - origin).to_value(u.s))
 
 
 def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:

@@ -14,8 +14,9 @@ from torchlc import brdf
 from torchlc.errors import InputError
 from torchlc.scene.numbers import Free, value_of, within
 from torchlc.scene.parts import Material, Mesh
-from torchlc.scene.problems import did_you_mean, shown
+from torchlc.scene.problems import shown
 from torchlc.scene.tle import PLACEHOLDER
+from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene.scene import Scene
@@ -71,7 +72,7 @@ class _Checks:
                 )
 
     def material(self, name: str, material: Material) -> Material:
-        """``material`` with the values of its preset and the defaults of its model filled in, all in bounds."""
+        """``material`` completed from its preset and its model's defaults, all in bounds."""
         place = f"materials.{name}"
         model, preset = self._preset(place, material)
         if model not in brdf.MODELS:

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
+FIXED, FREE = "#fixed", "#free"
+"""Tags of the two forms of a number; they never reach a person."""
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
@@ -90,11 +91,11 @@ class Free(Table):
 
 
 def _fixed_or_free(data: Any) -> str:
-    return "#free" if isinstance(data, dict | Free) else "#fixed"
+    return FREE if isinstance(data, dict | Free) else FIXED
 
 
 Number = Annotated[
-    Annotated[float, Tag("#fixed"), Field(strict=True, allow_inf_nan=False)] | Annotated[Free, Tag("#free")],
+    Annotated[float, Tag(FIXED), Field(strict=True, allow_inf_nan=False)] | Annotated[Free, Tag(FREE)],
     Discriminator(_fixed_or_free),
 ]
 
@@ -104,7 +105,7 @@ def value_of(number: float | Free) -> float:
 
 
 def within(number: float | Free, low: float, high: float, *, above: bool = False) -> float | Free:
-    """``number`` if it cannot leave [low, high] (``above``: its value is not low); open bounds are filled in."""
+    """``number`` if it cannot leave [low, high]; ``above``: its value may not be low. Fills in open bounds."""
     expected = (f"> {low:g}" if above else f">= {low:g}") if high == math.inf else f"{low:g} to {high:g}"
     value = value_of(number)
     if not low <= value <= high or (above and value == low):

@@ -115,29 +115,28 @@ def adam(
     likelihood: Likelihood, theta: Tensor, steps: int, progress: Progress | None = None, rate: float = 0.08
 ) -> tuple[Tensor, list[float]]:
     """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns the last points and the best
-    chi-square at each step. The rate falls to a tenth along a cosine."""
+    chi-square at each step. The rate falls to a tenth along a cosine. Kingma and Ba's update, written out: importing ``torch.optim``
+    costs seconds, for its compiler."""
     parameters = likelihood.model.parameter_set
-    z = parameters.to_unconstrained(theta).detach().clone().requires_grad_(True)
-    optimiser = torch.optim.Adam([z], lr=rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1), eta_min=0.1 * rate)
+    z = parameters.to_unconstrained(theta).detach().clone()
+    mean, square = torch.zeros_like(z), torch.zeros_like(z)
     history: list[float] = []
-    for step in range(steps):
-        optimiser.zero_grad()
-        natural = parameters.to_natural(z)
-        found = likelihood.residuals(natural)
-        loss = 0.5 * (likelihood._terms(found) ** 2).sum(-1)
+    for step in range(1, steps + 1):
+        leaf = z.requires_grad_(True)
+        natural = parameters.to_natural(leaf)
+        loss = 0.5 * (likelihood.normalised(likelihood.residuals(natural)) ** 2).sum(-1)
         loss = loss + 0.5 * (parameters.prior_residuals(natural) ** 2).sum(-1)
-        usable = torch.where(torch.isfinite(loss), loss, 0.0)
-        usable.sum().backward()
-        assert z.grad is not None
-        z.grad.nan_to_num_(0.0, 0.0, 0.0)
-        optimiser.step()
-        schedule.step()
+        (gradient,) = torch.autograd.grad(torch.where(torch.isfinite(loss), loss, 0.0).sum(), leaf)
+        gradient = torch.nan_to_num(gradient, 0.0, 0.0, 0.0)
+        mean = 0.9 * mean + 0.1 * gradient
+        square = 0.999 * square + 0.001 * gradient**2
+        speed = rate * (0.55 + 0.45 * math.cos(math.pi * step / steps))
+        slope = (mean / (1 - 0.9**step)) / (torch.sqrt(square / (1 - 0.999**step)) + 1e-12)
+        z = leaf.detach() - speed * slope
         history.append(2 * float(loss.detach().nan_to_num(torch.inf).min()))
         if progress is not None and step % 10 == 0:
-            progress("Adam", (step + 1) / steps)
-    with torch.no_grad():
-        return parameters.to_natural(z).detach(), history
+            progress("Adam", step / steps)
+    return parameters.to_natural(z), history
 
 
 def polish(
@@ -159,10 +158,9 @@ def polish(
 
         def residual(y: Tensor) -> Tensor:
             natural = parameters.from_flat(y)
-            return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)])
+            return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)], -1)
 
-        chunk = None if not model.geometry_free else max(1, 4_000_000 // max(1, model.assembly.pairs))
-        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations, chunk=chunk)
+        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations)
 
 
 def whitener(
@@ -187,10 +185,10 @@ def whitener(
 
         def correlated(found: Residuals) -> Tensor:
             pieces = [
-                torch.linalg.solve_triangular(factor, found.delta[rows, None], upper=False)[:, 0]
+                torch.linalg.solve_triangular(factor, found.delta[..., rows, None], upper=False)[..., 0]
                 for rows, factor in factors
             ]
-            return torch.cat(pieces)[order]
+            return torch.cat(pieces, -1)[..., order]
 
         return correlated
 

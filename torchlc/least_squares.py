@@ -32,19 +32,16 @@ def minimise(
     *,
     iterations: int = 60,
     tolerance: float = 1e-7,
-    chunk: int | None = None,
 ) -> Minimum:
-    """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (P,) to (R,).
+    """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to (B, R).
 
     Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where they lower the cost, so every
     start descends monotonically. A start has converged when a step gains less than ``tolerance`` of its cost (plus 1).
     """
-    batched = torch.vmap(residual, chunk_size=chunk)
-    jacobian = torch.vmap(torch.func.jacfwd(residual), chunk_size=chunk)
     y = torch.minimum(torch.maximum(start, low), high)
-    r = batched(y)
+    r = residual(y)
     cost = _finite(r.square().sum(-1))
-    jac = torch.nan_to_num(jacobian(y))
+    jac = differences(residual, y, low, high)
     damping = torch.full_like(cost, 1e-2)
     scale = torch.zeros_like(y)
     converged = torch.zeros_like(cost, dtype=torch.bool)
@@ -62,7 +59,7 @@ def minimise(
         move = -torch.linalg.solve(system, (gradient * moving)[..., None])[..., 0]
         move = torch.maximum(torch.minimum(torch.nan_to_num(move), cap), -cap)
         trial = torch.minimum(torch.maximum(y + move, low), high)
-        trial_r = batched(trial)
+        trial_r = residual(trial)
         trial_cost = _finite(trial_r.square().sum(-1))
         better = (trial_cost < cost) & ~converged
         gain = cost - trial_cost
@@ -74,10 +71,27 @@ def minimise(
         converged = converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
         damping = torch.where(better, (damping / 6).clamp(min=1e-9), damping * 5)
         if bool(better.any()):
-            jac = torch.nan_to_num(jacobian(y))
+            jac = differences(residual, y, low, high)
         if bool(converged.all()):
             break
     return Minimum(y, cost, jac, r, converged, step)
+
+
+def differences(residual: Callable[[Tensor], Tensor], y: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Jacobian (S, R, P) at y (S, P) by central differences, one-sided at a bound: one batched call, no tracing of the model.
+
+    The step is 1e-5 of the coordinate's scale, which leaves a relative error near 1e-9 for smooth residuals in float64.
+    """
+    starts, dimensions = y.shape
+    span = torch.where(torch.isfinite(high - low), high - low, torch.inf)
+    step = 1e-5 * torch.minimum(torch.ones_like(span), span) * torch.ones_like(y)
+    forward = torch.minimum(y + step, high)
+    backward = torch.maximum(y - step, low)
+    eye = torch.eye(dimensions, dtype=torch.bool, device=y.device)
+    points = torch.stack([torch.where(eye, one[:, None], y[:, None]) for one in (forward, backward)])
+    found = residual(points.reshape(-1, dimensions)).reshape(2, starts, dimensions, -1)
+    slope = (found[0] - found[1]) / (forward - backward)[..., None]
+    return torch.nan_to_num(slope).transpose(-1, -2)
 
 
 def _finite(cost: Tensor) -> Tensor:

@@ -32,10 +32,6 @@ class Residuals:
     scale: Tensor
     gain: Tensor | None
 
-    @property
-    def normalised(self) -> Tensor:
-        return self.delta / self.sigma
-
 
 class Likelihood:
     """Log-likelihood, prior and posterior of a :class:`LightCurve` for its recording; batched over theta (..., P).
@@ -108,7 +104,7 @@ class Likelihood:
         if self.fitted_errors:
             level = self.fitted_levels(found.delta)
             return ((found.delta / level[..., self.curve]) ** 2).sum(-1)
-        return (self._terms(found) ** 2).sum(-1)
+        return (self.normalised(found) ** 2).sum(-1)
 
     def fitted_levels(self, delta: Tensor) -> Tensor:
         """Noise level of each curve, (..., curves), from the residuals delta (..., T) of a model fitted to them."""
@@ -116,9 +112,9 @@ class Likelihood:
         level = torch.sqrt(self._by_curve(delta**2) / (self.count - share).clamp(min=1.0))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
-    def _terms(self, found: Residuals) -> Tensor:
+    def normalised(self, found: Residuals) -> Tensor:
         """Normalised residuals with a censored row's counted as the square root of its deviance."""
-        u = found.normalised
+        u = found.delta / found.sigma
         if not bool(self.limit.any()):
             return u
         below = -2 * torch.special.log_ndtr(torch.where(self.limit, -u, 0.0))

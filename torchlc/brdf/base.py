@@ -5,7 +5,6 @@ Shapes: T epochs, K = facets x quadrature nodes, ``...`` any batch; the last axi
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -49,6 +48,11 @@ class Incidence:
     def lit_and_seen(self) -> Tensor:
         """True where the facet faces both the Sun and the observer."""
         return (self.cos_i > 0) & (self.cos_r > 0)
+
+    def flattened(self) -> Incidence:
+        """Every pair as an epoch of its own, (1, N): K = 1."""
+        fields = torch.broadcast_tensors(self.cos_i, self.cos_r, self.cos_half, self.log_u, self.log_v)
+        return Incidence(*(field.reshape(1, -1) for field in fields))
 
 
 def incidence(normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) -> Incidence:
@@ -169,10 +173,12 @@ class Brdf(nn.Module):
             for name, number in {**self.defaults, **numbers}.items()
         }
         self.names = self.check(natural)
-        for name, value in self._raw(natural).items() if learnable else natural.items():
-            if learnable:
+        natural = {name: natural[name] for name in self.names}
+        if learnable:
+            for name, value in self.to_raw(natural).items():
                 self.register_parameter(f"raw_{name}", nn.Parameter(value))
-            else:
+        else:
+            for name, value in natural.items():
                 self.register_buffer(f"fixed_{name}", value)
 
     @classmethod
@@ -209,33 +215,38 @@ class Brdf(nn.Module):
                 )
         return tuple(order)
 
+    @classmethod
+    def to_raw(cls, natural: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Unconstrained numbers from natural values in declared order; a value on a bound moves inside."""
+        raw, left = {}, 1.0
+        for name, value in natural.items():
+            margin = max(1e-9, 2 * torch.finfo(value.dtype).eps)
+            in_stick = name in cls.simplex
+            share = (value / left if in_stick else _to_unit(cls.quantity(name), value)).clamp(
+                margin, 1 - margin
+            )
+            raw[name] = torch.logit(share)
+            left = left * (1 - share) if in_stick else left
+        return raw
+
+    @classmethod
+    def from_raw(cls, raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Natural values from unconstrained numbers in declared order, within the bounds for any input."""
+        natural, left = {}, 1.0
+        for name, number in raw.items():
+            share = torch.sigmoid(number)
+            in_stick = name in cls.simplex
+            natural[name] = left * share if in_stick else _from_unit(cls.quantity(name), share)
+            left = left * (1 - share) if in_stick else left
+        return natural
+
     def values(self) -> dict[str, Tensor]:
         """Natural values by quantity name; a shared value appears under each name as the same tensor."""
-        if not self.learnable:
-            natural = {name: getattr(self, f"fixed_{name}") for name in self.names}
+        if self.learnable:
+            natural = self.from_raw({name: getattr(self, f"raw_{name}") for name in self.names})
         else:
-            natural, left = {}, torch.ones(())
-            for name in self.names:
-                share = torch.sigmoid(getattr(self, f"raw_{name}"))
-                if name in self.simplex:
-                    natural[name] = left.to(share) * share
-                    left = left.to(share) * (1 - share)
-                else:
-                    natural[name] = _from_unit(self.quantity(name), share)
+            natural = {name: getattr(self, f"fixed_{name}") for name in self.names}
         return {long: value for name, value in natural.items() for long in self.shared.get(name, (name,))}
-
-    def _raw(self, natural: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        raw, left = {}, torch.ones(())
-        for name in self.names:
-            value = natural[name]
-            margin = max(1e-9, 2 * torch.finfo(value.dtype).eps)
-            if name in self.simplex:
-                share = (value / left.to(value)).clamp(margin, 1 - margin)
-                left = left.to(share) * (1 - share)
-            else:
-                share = _to_unit(self.quantity(name), value).clamp(margin, 1 - margin)
-            raw[name] = torch.logit(share)
-        return raw
 
     def __getattr__(self, name: str) -> Any:
         long = self.shared.get(name, (name,))[0]
@@ -280,8 +291,7 @@ class Brdf(nn.Module):
         angles = incidence(normal, u, to_sun, to_observer)
         lit = angles.lit_and_seen
         weight = torch.where(lit, 1 / torch.where(lit, angles.cos_i * angles.cos_r, 1.0), 0.0)
-        fields = (getattr(angles, field.name) for field in dataclasses.fields(angles))
-        row = Incidence(*(field.expand(weight.shape).reshape(1, -1) for field in fields))
+        row = angles.flattened()
         values = self.values()
         specular, diffuse = self.parts(self.tabulate(row, weight.reshape(1, -1)), values)
         batch = torch.broadcast_shapes(*(value.shape for value in values.values()))

@@ -2,7 +2,8 @@
 
 from torchlc.orbit.grid import observation_grid
 from torchlc.orbit.shadow import ShadowCoordinate, shadow_coordinate
-from torchlc.orbit.track import State, Track, above_horizon, airmass, angle_between, elevation_deg, make_track
+from torchlc.orbit.sources import make_track
+from torchlc.orbit.track import State, Track, above_horizon, airmass, angle_between, elevation_deg
 
 __all__ = [
     "ShadowCoordinate",

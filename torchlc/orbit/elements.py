@@ -17,9 +17,7 @@ from torchlc.orbit.motion import Piecewise
 CELLS_PER_REVOLUTION = 400
 """At the angular rate of perigee."""
 STENCIL = np.arange(-2, 4)
-"""Nodes, in cells, that fix the polynomial of a cell: degree 5, error below 1e-5 km (measured in the
-tests).
-"""
+"""Nodes, in cells, that fix the polynomial of a cell: degree 5, error below 1e-6 km (measured in tests)."""
 REACH_S = 3660.0
 """Offset in time that a row must bear: the bound of time_offset, and light time."""
 REACH_REVOLUTIONS = 10.0 / 360.0

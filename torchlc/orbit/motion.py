@@ -1,5 +1,4 @@
-"""How observer, object and Sun move near each row's time stamp: pure torch, offsets in, positions and
-velocities out.
+"""How observer, object and Sun move near each row's time stamp: pure torch, offsets in, places out.
 
 A motion is called with ``offset`` (..., T), seconds after the stamps of its T rows, and gives position and
 velocity (..., T, 3) in km and km/s. Buffers follow ``Module.to`` and stay out of ``state_dict``: they are
@@ -40,9 +39,7 @@ class Straight(Motion):
 
 
 class EarthFixed(Motion):
-    """A point that turns with the Earth about ``axis`` (T, 3) at ``rate`` rad/s; the axis stays put (1 mm
-    in an hour).
-    """
+    """A point that turns with the Earth about ``axis`` (T, 3) at ``rate`` rad/s; the axis stays put."""
 
     along: Tensor
     across: Tensor
@@ -62,9 +59,10 @@ class EarthFixed(Motion):
 
 
 class TwoBody(Motion):
-    """Kepler's motion from each row's ``position`` and ``velocity``, bound orbits only, by the change of
-    eccentric anomaly (Battin 1999, section 4.3). Neglects the Earth's flattening: 20 m after a minute, tens
-    of km after an hour in a low orbit.
+    """Kepler's motion from each row's ``position`` and ``velocity``, by the change of eccentric anomaly.
+
+    Bound orbits only (Battin 1999, section 4.3). Neglects the Earth's flattening: 20 m after a minute, tens of
+    km after an hour in a low orbit.
     """
 
     position: Tensor
@@ -109,9 +107,9 @@ def inverse_semi_major_axis(position: Tensor, velocity: Tensor) -> Tensor:
 class Piecewise(Motion):
     """Polynomials on cells of equal length, turned by each row's ``rotation`` (T, 3, 3).
 
-    ``coefficients`` (C, 3, K), lowest power first, of the fraction of a cell in [0, 1); row t starts
-    ``start[t]`` (in cells) after the beginning of cell ``cell[t]`` and may use the cells from ``cell +
-    first`` to ``cell + last``, which are consecutive.
+    ``coefficients`` (C, 3, K), lowest power first, of the fraction of a cell in [0, 1). Row t stands
+    ``start[t]`` of a cell after the beginning of cell ``cell[t]``, and its offsets lead at most ``first`` cells
+    back and ``last`` cells on.
     """
 
     coefficients: Tensor

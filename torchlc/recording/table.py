@@ -14,9 +14,11 @@ import numpy as np
 from astropy.table.meta import get_header_from_yaml
 
 from torchlc.errors import InputError
+from torchlc.files import readable_file
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
+BLOCK_BYTES = 1 << 20
 MAX_HEADER_LINES = 10_000
 CHUNK_ROWS = 50_000
 BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked"})
@@ -43,9 +45,11 @@ CellReader = Callable[[Header, str, list[str], int], np.ndarray]
 
 def read_header(path: Path) -> Header:
     """Check that ``path`` is a text table of a bearable length, and read what stands before its rows."""
-    _check_file(path)
+    lines = _count_lines(readable_file(path, FORMAT))
     with path.open(encoding="utf-8-sig") as stream:
         comments, first = _leading_lines(path, stream)
+    if lines - len(comments) - 1 > MAX_ROWS:
+        raise _too_long(path)
     if first is None:
         raise InputError(path, None, "no rows", FORMAT)
     if comments and comments[0].startswith("%ECSV"):
@@ -79,25 +83,24 @@ def row_place(index: int, column: str) -> str:
     return f"row {index + 1}, column {column}"
 
 
-def _check_file(path: Path) -> None:
-    if not path.exists():
-        raise InputError(path, None, "no such file")
-    if not path.is_file():
-        raise InputError(path, None, "not a file", FORMAT)
-    lines, start = 0, b""
-    try:
-        with path.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                start = start or block[:4]
-                lines += block.count(b"\n")
-                if lines > MAX_ROWS + MAX_HEADER_LINES:
-                    raise _too_long(path)
-    except OSError as error:
-        raise InputError(path, None, f"cannot be read: {error.strerror}") from None
+def _count_lines(path: Path) -> int:
+    """Lines that are not blank, without decoding them; stops where there are too many."""
+    lines, start, last = 0, b"", b""
+    with path.open("rb") as stream:
+        while block := stream.read(BLOCK_BYTES):
+            start = start or block[:4]
+            newlines = block.count(b"\n")
+            if newlines == 0 and len(block) == BLOCK_BYTES:
+                raise InputError(path, f"line {lines + 1}", f"longer than {MAX_LINE} characters", FORMAT)
+            lines += newlines - block.count(b"\n\n") - block.count(b"\n\r\n")
+            if lines > MAX_ROWS + MAX_HEADER_LINES:
+                raise _too_long(path)
+            last = block[-1:]
     if not start:
         raise InputError(path, None, "the file is empty", FORMAT)
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
+    return lines + (last != b"\n")
 
 
 def _too_long(path: Path) -> InputError:

@@ -105,7 +105,7 @@ def value_of(number: float | Free) -> float:
 
 
 def within(number: float | Free, low: float, high: float, *, above: bool = False) -> float | Free:
-    """``number`` if it cannot leave [low, high]; ``above``: its value may not be low. Fills in open bounds."""
+    """``number`` if it cannot leave [low, high], open bounds filled in; ``above``: its value is not low."""
     expected = (f"> {low:g}" if above else f">= {low:g}") if high == math.inf else f"{low:g} to {high:g}"
     value = value_of(number)
     if not low <= value <= high or (above and value == low):

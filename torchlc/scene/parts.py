@@ -285,7 +285,11 @@ class Model(Table):
     @model_validator(mode="before")
     @classmethod
     def _split_parameters(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not isinstance(data.get("parameters"), dict):
+        if not isinstance(data, dict):
+            return data
+        if "band_sun_magnitude" in data:
+            raise problem("unknown key", "it in [model.parameters]", "band_sun_magnitude")
+        if not isinstance(data.get("parameters"), dict):
             return data
         parameters = dict(data["parameters"])
         if "band_sun_magnitude" in parameters:

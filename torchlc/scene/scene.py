@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationError
 
 from torchlc.errors import InputError
+from torchlc.files import readable_file
 from torchlc.scene.checks import checked
 from torchlc.scene.numbers import Free, Name, Table
 from torchlc.scene.parts import Attitude, Component, Material, Model, Orbit, Station
@@ -123,15 +124,8 @@ def load_scene(
 
 
 def _text(path: Path) -> str:
-    if not path.exists():
-        raise InputError(path, None, "no such file")
-    if not path.is_file():
-        raise InputError(path, None, "not a file", "a scene in TOML")
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(MAX_TOML_BYTES + 1)
-    except OSError as error:
-        raise InputError(path, None, f"cannot be read: {error.strerror}") from None
+    with readable_file(path, "a scene in TOML").open("rb") as stream:
+        content = stream.read(MAX_TOML_BYTES + 1)
     if len(content) > MAX_TOML_BYTES:
         raise InputError(path, None, "more than 1 MiB", "a scene of at most 1 MiB")
     try:

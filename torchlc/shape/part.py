@@ -17,8 +17,8 @@ from torch import Tensor
 class Facets:
     """Facets of one part at rest, body frame.
 
-    vertices (F, V, 3) counter-clockwise from outside, padded by repeating the last; normal (F, 3); u (F, 3), the
-    in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3).
+    vertices (F, V, 3) counter-clockwise from outside, padded by repeating the last; normal (F, 3); u (F, 3),
+    the in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3).
     """
 
     vertices: Tensor

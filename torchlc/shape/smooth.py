@@ -1,9 +1,9 @@
 """Smooth shapes, cut into facets: cylinder, cone, dish, sphere.
 
-The normals of neighbouring facets are at most 2 pi/N apart, N at least 2 pi sqrt(n) of the lobe exponent n, so that
-a lobe, about 1/sqrt(n) rad wide, always covers several. Each facet has the area of the true surface it stands for
-and the true normal at its middle: areas are exact, and a smooth phase curve is a midpoint rule, off by less than
-(2 pi/N)^2/12 of its maximum: 8e-4 (0.9 mmag) at N = 64, 8e-6 at N = 628.
+The normals of neighbouring facets are at most 2 pi/N apart, N at least 2 pi sqrt(n) of the lobe exponent n,
+so that a lobe, about 1/sqrt(n) rad wide, always covers several. Each facet has the area of the true surface
+it stands for and the true normal at its middle: areas are exact, and a smooth phase curve is a midpoint rule,
+off by less than (2 pi/N)^2/12 of its maximum: 8e-4 (0.9 mmag) at N = 64, 8e-6 at N = 628.
 """
 
 from __future__ import annotations

@@ -1,0 +1,218 @@
+"""From scene and recording to a Track: elements, vectors in the recording, or altitude and azimuth."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from astropy.utils import iers
+from astropy.utils.exceptions import AstropyWarning
+from erfa import ErfaWarning
+from torch import Tensor
+
+from torchlc.errors import InputError
+from torchlc.orbit import earth
+from torchlc.orbit.elements import ElementSet
+from torchlc.orbit.motion import EarthFixed, Motion, Straight, TwoBody, inverse_semi_major_axis
+from torchlc.orbit.track import Track
+
+if TYPE_CHECKING:
+    from torchlc.recording import Recording
+    from torchlc.scene import Scene
+
+LONGEST_TURN_DEG = 5.0
+"""Between neighbouring rows of a curve whose difference may serve as a rate; it is then 0.1 % short."""
+GROUND_KM = (-1.0, 50.0)
+"""Ellipsoidal heights at which an observer turns with the Earth."""
+LOWEST_KM = 6350.0
+"""From the Earth's centre; the poles are at 6357 km."""
+
+
+def make_track(scene: Scene, recording: Recording) -> Track:
+    """All that SGP4 and astropy have to say about the rows, from bundled tables, never from the network."""
+    with warnings.catch_warnings(), iers.conf.set_temp("auto_download", False):
+        warnings.simplefilter("ignore", AstropyWarning)
+        warnings.simplefilter("ignore", ErfaWarning)
+        if scene.orbit.tle is not None:
+            return _track_of_elements(scene, recording, scene.orbit.tle)
+        if scene.orbit.altaz:
+            return _track_of_altaz(scene, recording)
+        return _track_of_vectors(scene, recording)
+
+
+def _track_of_elements(scene: Scene, recording: Recording, lines: tuple[str, str]) -> Track:
+    elements = ElementSet(lines, scene.source)
+    elements.check(recording.time)
+    frame = earth.orientation(recording.time)
+    exposure_s = 0.0 if recording.exptime is None else float(np.nanmax(recording.exptime, initial=0.0))
+    observer_itrs = _stations(scene)[recording.station]
+    return Track(
+        torch.from_numpy(recording.seconds),
+        observer=_earth_fixed(_turn(frame.gcrs_from_itrs, observer_itrs), frame),
+        object_=elements.motion(recording.time, recording.seconds, frame.gcrs_from_teme, exposure_s),
+        sun=_geocentric_sun(recording),
+        known=frozenset({"position", "velocity", "time_offset", "along_track", "elevation"}),
+        seconds_per_radian=torch.full(
+            (len(recording.seconds),), 1.0 / elements.mean_motion, dtype=torch.float64
+        ),
+        zenith=torch.from_numpy(_turn(frame.gcrs_from_itrs, earth.vertical_itrs(observer_itrs))),
+        warnings=(*elements.age_warning(recording.time), *frame.warnings),
+    )
+
+
+def _track_of_altaz(scene: Scene, recording: Recording) -> Track:
+    """Rows placed from the station. Nothing tells how the object moves on: it stands still under offsets."""
+    if recording.alt is None or recording.az is None or recording.height is None:
+        raise InputError(
+            recording.source, "columns", "no alt, az and height", "all three, for a scene with altaz = true"
+        )
+    frame = earth.orientation(recording.time)
+    observer_itrs = _stations(scene)[recording.station]
+    low = np.flatnonzero(recording.height <= earth.height_km(observer_itrs))
+    if low.size:
+        found = f"{recording.height[low[0]]:g} km at {recording.time.isot[low[0]]}, below the station"
+        raise InputError(recording.source, "column height", found, "km above the ellipsoid")
+    direction = earth.horizontal_itrs(observer_itrs, recording.alt, recording.az)
+    distance = earth.range_to_height(observer_itrs, direction, recording.height)
+    position = torch.from_numpy(_turn(frame.gcrs_from_itrs, observer_itrs + distance[:, None] * direction))
+    return Track(
+        torch.from_numpy(recording.seconds),
+        observer=_earth_fixed(_turn(frame.gcrs_from_itrs, observer_itrs), frame),
+        object_=Straight(position, torch.zeros_like(position)),
+        sun=_geocentric_sun(recording),
+        known=frozenset({"position", "elevation"}),
+        zenith=torch.from_numpy(_turn(frame.gcrs_from_itrs, earth.vertical_itrs(observer_itrs))),
+        warnings=frame.warnings,
+    )
+
+
+def _track_of_vectors(scene: Scene, recording: Recording) -> Track:
+    if recording.sun is None or recording.obs is None:
+        raise InputError(
+            recording.source,
+            "columns",
+            "no sun_x ... obs_z",
+            "vectors, for a scene with vectors",
+            "Or give a TLE in [orbit].",
+        )
+    turn = earth.icrs_from_ecliptic() if scene.orbit.vectors == "ecliptic" else np.eye(3)
+    sun, observer = recording.sun @ turn.T, recording.obs @ turn.T
+    if recording.position is None:
+        return _heliocentric_track(recording, sun, observer)
+    if (np.linalg.norm(recording.position, axis=-1) < LOWEST_KM).any():
+        raise InputError(recording.source, "columns r_x, r_y, r_z", "a place inside the Earth", "km")
+    velocity = None if recording.velocity is None else recording.velocity @ turn.T
+    return _geocentric_track(recording, sun, observer, recording.position @ turn.T, velocity)
+
+
+def _heliocentric_track(recording: Recording, sun: np.ndarray, observer: np.ndarray) -> Track:
+    """No geocentre: each row has the object at the origin, moving against a Sun that stands still."""
+    towards_sun, _ = _rates(recording, sun)
+    towards_observer, _ = _rates(recording, observer)
+    fixed, stamps = torch.zeros(sun.shape, dtype=torch.float64), torch.from_numpy(recording.seconds)
+    return Track(
+        stamps,
+        observer=Straight(torch.from_numpy(observer), torch.from_numpy(towards_observer - towards_sun)),
+        object_=Straight(fixed, torch.from_numpy(-towards_sun)),
+        sun=Straight(torch.from_numpy(sun), fixed),
+        known=frozenset({"time_offset"}),
+    )
+
+
+def _geocentric_track(
+    recording: Recording,
+    sun: np.ndarray,
+    observer: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+) -> Track:
+    """Two-body motion from each row; where only positions are known, from the rate between rows."""
+    rate, everywhere = _rates(recording, position) if velocity is None else (velocity, True)
+    place, moving = torch.from_numpy(position), torch.from_numpy(rate)
+    bound = everywhere and bool((inverse_semi_major_axis(place, moving) > 0).all())
+    object_ = TwoBody(place, moving) if bound else Straight(place, moving)
+    frame = earth.orientation(recording.time)
+    observer_motion, zenith = _observer(recording, position + observer, frame)
+    _, sun_rate = earth.sun_of_earth(recording.time)
+    known = {
+        "position": True,
+        "velocity": velocity is not None,
+        "time_offset": everywhere,
+        "along_track": velocity is not None and bound,
+        "elevation": zenith is not None,
+    }
+    return Track(
+        torch.from_numpy(recording.seconds),
+        observer=observer_motion,
+        object_=object_,
+        sun=Straight(torch.from_numpy(position + sun), torch.from_numpy(sun_rate)),
+        known=frozenset(name for name, true in known.items() if true),
+        seconds_per_radian=1 / object_.mean_motion if isinstance(object_, TwoBody) else None,
+        zenith=zenith,
+        warnings=frame.warnings,
+    )
+
+
+def _observer(
+    recording: Recording, position: np.ndarray, frame: earth.Orientation
+) -> tuple[Motion, Tensor | None]:
+    """Motion and zenith (T, 3) of an observer of whom the geocentric ``position`` (T, 3) is known."""
+    itrs = _turn(np.swapaxes(frame.gcrs_from_itrs, -1, -2), position)
+    height = earth.height_km(itrs)
+    if ((height > GROUND_KM[0]) & (height < GROUND_KM[1])).all():
+        zenith = _turn(frame.gcrs_from_itrs, earth.vertical_itrs(itrs))
+        return _earth_fixed(position, frame), torch.from_numpy(zenith)
+    rate, _ = _rates(recording, position)
+    return Straight(torch.from_numpy(position), torch.from_numpy(rate)), None
+
+
+def _stations(scene: Scene) -> np.ndarray:
+    """Terrestrial positions (S, 3), km."""
+    if not scene.stations:
+        raise InputError(scene.source, "stations", "none", "the place of the observer")
+    places = np.array(
+        [[station.latitude, station.longitude, station.height] for station in scene.stations], dtype=float
+    )
+    return earth.station_itrs(*places.T)
+
+
+def _earth_fixed(position: np.ndarray, frame: earth.Orientation) -> EarthFixed:
+    return EarthFixed(torch.from_numpy(position), torch.from_numpy(frame.axis), earth.ROTATION_RATE)
+
+
+def _geocentric_sun(recording: Recording) -> Straight:
+    position, velocity = earth.sun_of_earth(recording.time)
+    return Straight(torch.from_numpy(position), torch.from_numpy(velocity))
+
+
+def _turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """rotation (T, 3, 3) times vector (T, 3)."""
+    return np.einsum("tij,tj->ti", rotation, vector)
+
+
+def _rates(recording: Recording, vector: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Time derivative (T, 3) of ``vector`` from neighbouring rows of the same curve; had every row one?
+
+    Second order where both neighbours are near (less than LONGEST_TURN_DEG apart in direction), else first;
+    zero without any.
+    """
+    order = np.lexsort((recording.seconds, recording.curve))
+    x, t, curve = vector[order], recording.seconds[order], recording.curve[order]
+    step = np.diff(t)
+    unit = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    near = np.sum(unit[1:] * unit[:-1], axis=-1) > np.cos(np.radians(LONGEST_TURN_DEG))
+    linked = (np.diff(curve) == 0) & (step > 0) & near
+    slope = np.where(linked[:, None], np.diff(x, axis=0) / np.where(linked, step, 1.0)[:, None], 0.0)
+    # of two slopes the one over the shorter step weighs more, as in the parabola through three points
+    weight = np.where(linked, 1.0 / np.where(linked, step, 1.0), 0.0)
+    before, after = np.append(0.0, weight), np.append(weight, 0.0)
+    total = before + after
+    slopes = np.pad(slope, ((1, 1), (0, 0)))
+    rate = (before[:, None] * slopes[:-1] + after[:, None] * slopes[1:]) / np.where(total > 0, total, 1.0)[
+        :, None
+    ]
+    result = np.empty_like(rate)
+    result[order] = rate
+    return result, bool((total > 0).all())

@@ -1,0 +1,40 @@
+"""How much of each facet is both sunlit and seen, with every part in the way of every other.
+
+Letters: N rows (each a direction to the Sun and one to the observer), F facets, V corners of a facet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torchlc.shape import Facets, Shape
+from torchlc.visibility.polygons import polygon_fractions
+from torchlc.visibility.rowwise import rowwise
+
+__all__ = ["visible_fractions"]
+
+
+def visible_fractions(
+    shape: Shape,
+    facets: Sequence[Facets],
+    poses: Sequence[Tensor | None],
+    to_sun: Tensor,
+    to_observer: Tensor,
+) -> list[Tensor]:
+    """Fraction (N, F) of each part's facet areas that is lit and seen at once; 1 where nothing is in the way.
+
+    facets: one a part, at rest; poses: rotation (N, 3, 3) of each part about its pivot, or None; to_sun,
+    to_observer (N, 3): unit vectors, all in the body frame. Whether a facet faces the two is not included;
+    where it does not, 1.
+    """
+    rows = len(to_sun)
+    each: list[Tensor] = []
+    for part, own, pose in zip(shape.parts, facets, poses, strict=True):
+        still = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
+        fixed = (own.vertices, own.normal, own.u, part.hull_corners(own))
+        each += [still.expand(rows, 3, 3), *(tensor.expand(rows, *tensor.shape) for tensor in fixed)]
+    return list(rowwise(partial(polygon_fractions, shape.parts), to_sun, to_observer, *each))

@@ -1,0 +1,77 @@
+"""The outline of a convex part on the plane of a facet, as seen along a direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.shape import Hull
+
+
+@dataclass(frozen=True)
+class Joints:
+    """A hull's index arrays as tensors on the device of the computation; see `Hull`."""
+
+    loops: Tensor
+    edges: Tensor
+    sides: Tensor
+
+    @classmethod
+    def of(cls, hull: Hull, device: torch.device) -> Joints:
+        return cls(*(torch.as_tensor(array, device=device) for array in (hull.loops, hull.edges, hull.sides)))
+
+
+def facing(corners: Tensor, joints: Joints, direction: Tensor) -> Tensor:
+    """Which faces (N, L) of the hull with corners (N, H, 3) face ``direction`` (N, 3)."""
+    loop = corners[:, joints.loops]
+    loop = loop - loop[:, :, :1]
+    vector_area = torch.linalg.cross(loop, loop.roll(-1, dims=2), dim=-1).sum(dim=2)
+    return (vector_area * direction[:, None, :]).sum(dim=-1) > 0
+
+
+def outline(flat: Tensor, height: Tensor, faces: Tensor, joints: Joints) -> tuple[Tensor, Tensor, Tensor]:
+    """Start, end (I, M, 2) and presence (I, M) of the directed edges that bound each of I outlines.
+
+    flat (I, H, 2): the corners moved along the direction into the plane; height (I, H): how far they are
+    above it; faces (I, L): the faces turned to the direction. What is below the plane is cut away. On the
+    outline are the edges between a face turned to the direction and one turned away, and where the plane cuts
+    a face turned to it; each runs as it does about that face, which is counter-clockwise.
+    """
+    i, j = joints.edges.T
+    left, right = faces[:, joints.sides[:, 0]], faces[:, joints.sides[:, 1]]
+    up_i, up_j = height[:, i] > 0, height[:, j] > 0
+    cut = _crossing(flat[:, i], flat[:, j], height[:, i], height[:, j])
+    first = torch.where(up_i[..., None], flat[:, i], cut)
+    second = torch.where(up_j[..., None], flat[:, j], cut)
+    start = torch.where(left[..., None], first, second)
+    end = torch.where(left[..., None], second, first)
+    present = (left != right) & (up_i | up_j)
+
+    after = joints.loops.roll(-1, dims=1)
+    h0, h1 = height[:, joints.loops], height[:, after]
+    point = _crossing(flat[:, joints.loops], flat[:, after], h0, h1)
+    leaves, enters = (h0 > 0) & (h1 <= 0), (h0 <= 0) & (h1 > 0)
+    cut_start = (point * leaves[..., None]).sum(dim=2)
+    cut_end = (point * enters[..., None]).sum(dim=2)
+    cut_present = faces & leaves.any(dim=-1)
+
+    start, end = torch.cat([start, cut_start], dim=1), torch.cat([end, cut_end], dim=1)
+    present = torch.cat([present, cut_present], dim=1) & ((end - start).detach() != 0).any(dim=-1)
+    return _packed(start, end, present)
+
+
+def _crossing(a: Tensor, b: Tensor, height_a: Tensor, height_b: Tensor) -> Tensor:
+    """Where the line from a to b (..., 2) passes height 0; a where it does not."""
+    passes = (height_a > 0) != (height_b > 0)
+    share = torch.where(passes, height_a, 0.0) / torch.where(passes, height_a - height_b, 1.0)
+    return a + share[..., None] * (b - a)
+
+
+def _packed(start: Tensor, end: Tensor, present: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The present edges moved to the front, and no more columns than the fullest outline needs."""
+    most = int(present.sum(dim=1).max()) if len(present) else 0
+    order = present.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :most]
+    index = order[..., None].expand(-1, -1, 2)
+    return start.gather(1, index), end.gather(1, index), present.gather(1, order)

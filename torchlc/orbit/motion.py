@@ -61,8 +61,8 @@ class EarthFixed(Motion):
 class TwoBody(Motion):
     """Kepler's motion from each row's ``position`` and ``velocity``, by the change of eccentric anomaly.
 
-    Bound orbits only (Battin 1999, section 4.3). Neglects the Earth's flattening: 20 m after a minute, tens of
-    km after an hour in a low orbit.
+    Bound orbits only (Battin 1999, section 4.3). Neglects the Earth's flattening: 20 m after a minute,
+    tens of km after an hour in a low orbit.
     """
 
     position: Tensor
@@ -108,8 +108,8 @@ class Piecewise(Motion):
     """Polynomials on cells of equal length, turned by each row's ``rotation`` (T, 3, 3).
 
     ``coefficients`` (C, 3, K), lowest power first, of the fraction of a cell in [0, 1). Row t stands
-    ``start[t]`` of a cell after the beginning of cell ``cell[t]``, and its offsets lead at most ``first`` cells
-    back and ``last`` cells on.
+    ``start[t]`` of a cell after the beginning of cell ``cell[t]``; its offsets lead no further than to the
+    cells ``cell[t] + first`` and ``cell[t] + last``.
     """
 
     coefficients: Tensor

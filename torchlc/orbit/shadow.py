@@ -16,11 +16,9 @@ FLATTENING = 1 / 298.257
 
 @dataclass(frozen=True)
 class ShadowCoordinate:
-    """Angles (...,), rad, seen from the object: ``sun_radius`` a, ``earth_radius`` b, ``separation`` c of
-    Sun and Earth's centre.
+    """Angles (...,), rad, seen from the object: radii a of the Sun and b of the Earth, separation c.
 
-    ``t`` = (c - b)/a: umbra below -1, penumbra to 1, full sunlight above (straight-limb reading, 1 % at
-    GEO).
+    ``t`` = (c - b)/a: umbra below -1, penumbra up to 1, full sunlight above.
     """
 
     sun_radius: Tensor
@@ -35,10 +33,9 @@ class ShadowCoordinate:
 def shadow_coordinate(
     position: Tensor, sun: Tensor, air_km: Tensor | float = 0.0, flattening: float = FLATTENING
 ) -> ShadowCoordinate:
-    """From the object's geocentric ``position`` (..., 3) and its vector to the ``sun`` (..., 3), km, and
-    ``air_km`` (...,) of opaque air.
+    """For an object at geocentric ``position``, with ``sun`` its vector to the Sun, (..., 3), km.
 
-    The flattened Earth becomes a sphere by stretching z, in position and Sun direction alike; the axis is
+    ``air_km`` (...,) of opaque air are added to the Earth's radius. The flattened Earth becomes a sphere by stretching z, in position and Sun direction alike; the axis is
     taken as that of GCRS (it has moved by 0.1 deg since 2000: 20 m at the limb).
     """
     stretch = position.new_tensor([1.0, 1.0, 1.0 / (1.0 - flattening)])

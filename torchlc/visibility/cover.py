@@ -29,16 +29,15 @@ def covered_area(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> Te
     corner_start, corner_end = facet, facet.roll(-1, dims=1)
     a = torch.cat([start.flatten(1, 2), corner_start], dim=1)
     b = torch.cat([end.flatten(1, 2), corner_end], dim=1)
-    with torch.no_grad():
-        along = b - a
-        once, first = _stretches(facet.detach(), start.detach(), end.detach(), valid)
-        area = 0.5 * (_cross(a, along) * once).sum(dim=1)
-    moved = _cross(a - a.detach(), along) * (once - first) + _cross(b - b.detach(), along) * first
-    return area + moved.sum(dim=1)
+    here, there = a.detach(), b.detach()
+    along = there - here
+    once, first = _stretches(facet.detach(), start.detach(), end.detach(), valid)
+    moved = _cross(a - here, along) * (once - first) + _cross(b - there, along) * first
+    return (0.5 * _cross(here, along) * once + moved).sum(dim=1)
 
 
 def _stretches(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Length and first moment (P, K M + V), in the edge's own parameter from 0 to 1, of what bounds the covered area."""
+    """Length and first moment (P, K M + V), each edge from 0 to 1, of what bounds the covered area."""
     pairs, polygons, edges = valid.shape
     size = facet.abs().amax(dim=(1, 2))
     inflation = (
@@ -74,7 +73,7 @@ def _stretches(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tupl
 
 
 def _inside(a: Tensor, along: Tensor, outward: Tensor, offset: Tensor, group: int) -> tuple[Tensor, Tensor]:
-    """Interval (P, E, G) of a + s along, (P, E, 2), inside each of G convex polygons of ``group`` half-planes."""
+    """Interval (P, E, G) of s for which a + s along (P, E, 2) is in each of G polygons of ``group`` edges."""
     room = offset[:, None, :] - a @ outward.mT
     speed = along @ outward.mT
     still = speed == 0

@@ -20,7 +20,7 @@ TENSORS_PER_PART = 5
 
 @dataclass(frozen=True)
 class Posed:
-    """One part in N rows: pose (N, 3, 3); vertices (N, F, V, 3), normal, u (N, F, 3) at rest; corners (N, H, 3) posed."""
+    """N rows of a part: pose (N, 3, 3); vertices (N, F, V, 3), normal, u (N, F, 3) at rest; corners (N, H, 3)."""
 
     part: Part
     hull: Hull
@@ -60,14 +60,14 @@ class Planes:
         return cls(row, origin, normal, axes, (vertices - origin[:, None]) @ axes.mT, slope)
 
     def project(self, item: Tensor, side: int, corners: Tensor) -> tuple[Tensor, Tensor]:
-        """Corners (I, H, 3) moved along a direction into planes ``item`` (I,): (I, H, 2), and their height (I, H)."""
+        """Corners (I, H, 3) moved along a direction into planes ``item`` (I,): (I, H, 2), heights (I, H)."""
         offset = corners - self.origin[item][:, None]
         height = (offset @ self.normal[item][..., None])[..., 0]
         return offset @ self.axes[item].mT - height[..., None] * self.slope[item, side][:, None], height
 
 
 def polygon_fractions(parts: Sequence[Part], *tensors: Tensor) -> tuple[Tensor, ...]:
-    """Fractions (N, F) of each part from to_sun, to_observer (N, 3) and, per part, the tensors of `Posed` (corners at rest)."""
+    """Fractions (N, F) of each part; tensors: to_sun, to_observer (N, 3), then five a part as in `Posed`."""
     rows = max(1, PAIRS_AT_ONCE // max(len(part.faces) for part in parts))
     chunks = zip(*(tensor.split(rows) for tensor in tensors), strict=True)
     pieces = [_rows_fractions(parts, *chunk) for chunk in chunks]
@@ -108,7 +108,7 @@ def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) 
 
 @torch.no_grad()
 def _in_reach(target: Posed, others: Sequence[Posed], directions: Tensor) -> Tensor:
-    """Which others (N, F, 2 others) may stand between a facet that is lit and seen and the Sun (even) or observer (odd).
+    """Which others (N, F, 2 others) may hide the Sun (even) or observer (odd) from a facet turned to both.
 
     The bounding sphere of a facet, moved along the direction, has to meet that of the other.
     """
@@ -134,7 +134,7 @@ def _in_reach(target: Posed, others: Sequence[Posed], directions: Tensor) -> Ten
 def _outlines(
     planes: Planes, reach: Tensor, others: Sequence[Posed], directions: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Edges (P, K, M, 2), (P, K, M, 2), (P, K, M) of the outlines that touch each facet, K the most that touch one."""
+    """Start, end (P, K, M, 2), presence (P, K, M) of the edges of the K outlines that may touch a facet."""
     low, high = planes.facet.detach().amin(dim=1), planes.facet.detach().amax(dim=1)
     touching = TOUCHING * (high - low).amax(dim=-1)
     rank = torch.zeros_like(planes.row)

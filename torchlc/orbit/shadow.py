@@ -35,8 +35,9 @@ def shadow_coordinate(
 ) -> ShadowCoordinate:
     """For an object at geocentric ``position``, with ``sun`` its vector to the Sun, (..., 3), km.
 
-    ``air_km`` (...,) of opaque air are added to the Earth's radius. The flattened Earth becomes a sphere by stretching z, in position and Sun direction alike; the axis is
-    taken as that of GCRS (it has moved by 0.1 deg since 2000: 20 m at the limb).
+    ``air_km`` (...,) of opaque air are added to the Earth's radius. The flattened Earth
+    becomes a sphere by stretching z, in position and Sun direction alike; the axis is taken as that of GCRS
+    (it has moved by 0.1 deg since 2000: 20 m at the limb).
     """
     stretch = position.new_tensor([1.0, 1.0, 1.0 / (1.0 - flattening)])
     position, towards_sun = position * stretch, sun * stretch

@@ -19,6 +19,7 @@ from torchlc.orbit.elements import ElementSet
 
 FILES = Path(sgp4.__file__).parent
 FAILS_BY_DESIGN = {"28872", "33333", "33334"}  # decayed, or elements that are no orbit
+GIVEN_TWICE = {"20413"}  # with different elements
 SATELLITE_5 = (
     "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753",
     "2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667",
@@ -52,7 +53,7 @@ def epoch_of(line: str) -> Time:
     return Time(new_year.jd1, new_year.jd2 + day - 1, format="jd", scale="utc")
 
 
-@pytest.mark.parametrize("number", sorted(set(element_sets()) - FAILS_BY_DESIGN))
+@pytest.mark.parametrize("number", sorted(set(element_sets()) - FAILS_BY_DESIGN - GIVEN_TWICE))
 def test_positions_are_the_published_ones(number):
     """To 1e-5 km: the file has 8 decimals, the epoch 8 decimals of a day, which is 6 mm in a low orbit."""
     lines = element_sets()[number]

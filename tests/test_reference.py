@@ -366,7 +366,7 @@ CASES = sorted(p.parent.name for p in PRACTICE.glob("*/answer.json"))
 
 @pytest.mark.parametrize("case", CASES or ["none"])
 def test_practice_recordings_are_reproduced(case: str) -> None:
-    """Recordings of another generator, true materials and effects: chi2/rows = 1 within 3 standard deviations."""
+    """Recordings of another generator, at true materials and effects: chi2 is that of the noise."""
     folder = PRACTICE / case
     if not folder.is_dir():
         pytest.skip("../shared/practice is not here")

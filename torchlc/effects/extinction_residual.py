@@ -1,0 +1,38 @@
+"""The extinction that was taken out of the magnitudes was not the true one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+
+LEAST_SPREAD = 1e-3
+
+
+class ExtinctionResidual(Effect):
+    """Adds mag_per_airmass (X - 1), with the airmass X of Kasten & Young (1989): 0.08 mag over a MEO pass from X = 1.1 to 2.7.
+
+    Neglects the colour of the object (second-order extinction) and changes of the sky during the night.
+    """
+
+    name = "extinction_residual"
+    stage = "detector"
+    order = 2
+    quantities = (
+        Quantity(
+            "mag_per_airmass", "mag/airmass", -1.0, 1.0, "true less assumed extinction coefficient",
+            off=0.0, typical=0.05, prior="normal", mean=0.0, sigma=0.05,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        if context.airmass is None:
+            return "the airmass is unknown"
+        if float(context.airmass.max() - context.airmass.min()) < LEAST_SPREAD:
+            return "the airmass does not change"
+        return None
+
+    def detector(self, brightness, p, context):
+        fainter = p["mag_per_airmass"] * (context.airmass.to(brightness.flux) - 1)
+        return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * fainter))

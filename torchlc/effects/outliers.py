@@ -1,0 +1,31 @@
+"""A share of the rows is bad."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+
+
+class Outliers(Effect):
+    """A fraction of the rows has errors ``width`` times as large, (1 - p) N(0, s) + p N(0, width s) for every row.
+
+    Neglects that bad rows come in runs and mostly err to one side.
+    """
+
+    name = "outliers"
+    stage = "noise"
+    quantities = (
+        Quantity(
+            "fraction", "", 0.0, 0.5, "share of the rows that are bad",
+            off=0.0, typical=0.03, prior="halfnormal", sigma=0.05,
+        ),
+        Quantity("width", "", 2.0, 100.0, "their error over the quoted one", typical=8.0, prior="loguniform"),
+    )  # fmt: skip
+
+    def noise(self, noise, p, context):
+        tiny = torch.finfo(p["fraction"].dtype).tiny  # keeps the slope of the mixture finite at a fraction of 0
+        return replace(noise, outliers=p["fraction"] + tiny, width=p["width"])

@@ -1,0 +1,41 @@
+"""The wings are tilted out of the axis about which they follow the Sun."""
+
+from __future__ import annotations
+
+import torch
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+from torchlc.rotations import rotation_about
+from torchlc.shape.part import like
+
+
+class PanelCant(Effect):
+    """Tilt of every tracking part's front p about p x axis, towards the axis where positive: 0.15 mag for 1 deg at a GEO peak.
+
+    One angle for all wings, each with its own axis: wings on the same axis lean the same way. Neglects bending along a wing.
+    """
+
+    name = "panel_cant"
+    stage = "pointing"
+    quantities = (
+        Quantity(
+            "deg", "deg", -10.0, 10.0, "tilt of the tracking parts' front towards their axis",
+            off=0.0, typical=1.0, prior="normal", mean=0.0, sigma=2.0,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        return None if any(part.tracks_axis is not None for part in context.parts) else "no part tracks the Sun"
+
+    def pointing(self, poses, p, context):
+        angle = torch.deg2rad(p["deg"])
+        turned = []
+        for pose, part in zip(poses, context.parts, strict=True):
+            if pose is not None and part.tracks_axis is not None:
+                axis, front = like(part.tracks_axis, pose), pose @ like(part.front, pose)
+                hinge = torch.linalg.cross(front, axis.expand(front.shape))
+                hinge = hinge / torch.linalg.vector_norm(hinge, dim=-1, keepdim=True)
+                pose = rotation_about(hinge, angle) @ pose
+            turned.append(pose)
+        return tuple(turned)

@@ -1,0 +1,38 @@
+"""The parts that track the Sun stand at a constant angle to where they should."""
+
+from __future__ import annotations
+
+import torch
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+from torchlc.rotations import rotation_about
+from torchlc.shape.part import like
+
+
+class PanelOffset(Effect):
+    """Right-handed turn of all tracking parts about their axis: 0.34 mag for 1 deg on the flank of a GEO glint.
+
+    One angle for all wings; neglects a drive that lags or moves in steps (1 deg of stepping: 0.17 mag).
+    """
+
+    name = "panel_offset"
+    stage = "pointing"
+    quantities = (
+        Quantity(
+            "deg", "deg", -15.0, 15.0, "turn of the tracking parts about their axis, right-handed",
+            off=0.0, typical=1.0, prior="normal", mean=0.0, sigma=3.0,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        return None if any(part.tracks_axis is not None for part in context.parts) else "no part tracks the Sun"
+
+    def pointing(self, poses, p, context):
+        angle = torch.deg2rad(p["deg"])
+        return tuple(
+            pose
+            if pose is None or part.tracks_axis is None
+            else rotation_about(like(part.tracks_axis, angle).expand(*angle.shape, 3), angle) @ pose
+            for pose, part in zip(poses, context.parts, strict=True)
+        )

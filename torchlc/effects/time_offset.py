@@ -1,0 +1,32 @@
+"""The clock of the recording is wrong by a constant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+
+
+class TimeOffset(Effect):
+    """Object, Sun and station are all taken at stamp + s: 0.044 mag for 60 s near a GEO glint, dt/P of a turn for spinners.
+
+    Neglects a drift of the clock within the recording.
+    """
+
+    name = "time_offset"
+    stage = "clock"
+    quantities = (
+        Quantity(
+            "s", "s", -3600.0, 3600.0, "true time less stamped time",
+            off=0.0, typical=10.0, prior="normal", mean=0.0, sigma=10.0,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        if not context.track.supports("time_offset"):
+            return "the recording gives no motion between its stamps"
+        return None
+
+    def clock(self, nodes, p, context):
+        return replace(nodes, offset=nodes.offset + p["s"])

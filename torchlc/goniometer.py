@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,10 +19,13 @@ from torch import Tensor
 
 from torchlc.brdf import MODELS, Brdf, incidence
 from torchlc.errors import InputError
+from torchlc.least_squares import minimise
 
 COLUMNS = ("incidence", "azimuth", "exit", "brdf")
 ROBUST_DEX = 0.1
 """Residuals beyond this count linearly: a factor of 1.26, twice what careful goniometers disagree by."""
+RAW_EDGE = 20.0
+"""Largest unconstrained number: 2e-9 of the range from a bound."""
 FAINTEST = 1e-12
 """Floor of a model's f_r, 1/sr, below any instrument's: a lobe may vanish where a table does not."""
 
@@ -56,15 +59,19 @@ class ReflectanceTable:
         )
 
     def without_peak(self, width_deg: float) -> ReflectanceTable:
-        """The table without the rows within ``width_deg`` of the mirror direction, where the instrument shows."""
+        """The table without rows within ``width_deg`` of the mirror direction, where the instrument shows."""
         keep = self.mirror_angle_deg > width_deg
-        columns = (self.incidence_deg, self.azimuth_deg, self.exit_deg, self.brdf)
-        cut = int((~keep).sum())
-        return ReflectanceTable(*(column[keep] for column in columns), {**self.dropped, "mirror peak": cut})
+        return ReflectanceTable(
+            self.incidence_deg[keep],
+            self.azimuth_deg[keep],
+            self.exit_deg[keep],
+            self.brdf[keep],
+            {**self.dropped, "mirror peak": int((~keep).sum())},
+        )
 
 
 def read_table(path: str | Path) -> ReflectanceTable:
-    """A CSV file with the columns incidence, azimuth, exit and brdf; rows at or beyond grazing, or dark, are dropped."""
+    """A CSV file with columns incidence, azimuth, exit, brdf; drops rows that are dark or at 90 degrees."""
     path = Path(path)
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -75,14 +82,15 @@ def read_table(path: str | Path) -> ReflectanceTable:
             rows = [_numbers(path, reader.line_num, row) for row in reader]
     except OSError as error:
         raise InputError(path, None, f"cannot be read: {error.strerror}") from error
-    columns = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
-    grazing = (np.abs(columns[0]) >= 90) | (np.abs(columns[2]) >= 90)
-    dark = ~grazing & ~(columns[3] > 0)
+    angle_i, azimuth, angle_r, brdf = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
+    grazing = (np.abs(angle_i) >= 90) | (np.abs(angle_r) >= 90)
+    dark = ~grazing & (brdf <= 0)
     usable = ~grazing & ~dark
     if usable.sum() < 2:
         raise InputError(path, None, f"{int(usable.sum())} usable rows", "at least 2 with brdf > 0")
     dropped = {"grazing": int(grazing.sum()), "not positive": int(dark.sum())}
-    return ReflectanceTable(*columns[:, usable], {reason: n for reason, n in dropped.items() if n})
+    dropped = {reason: count for reason, count in dropped.items() if count}
+    return ReflectanceTable(angle_i[usable], azimuth[usable], angle_r[usable], brdf[usable], dropped)
 
 
 @dataclass(frozen=True)
@@ -105,16 +113,16 @@ class ReflectanceFit:
 
     def brdf(self) -> Brdf:
         """The fitted model with its values fixed."""
-        return MODELS[self.model](learnable=False, **self.values)
+        values: dict[str, Any] = dict(self.values)
+        return MODELS[self.model](learnable=False, **values)
 
 
 def fit_table(
     table: ReflectanceTable, model: str = "ashikhmin-shirley", *, starts: int = 24, seed: int = 0
 ) -> ReflectanceFit:
-    """Fit ``model`` to log10 of the table: Adam from many starts, then Levenberg-Marquardt from the best few.
+    """Fit ``model`` to log10 of the table by Levenberg-Marquardt from many starts at once.
 
-    The loss is pseudo-Huber with the scale ``ROBUST_DEX``. A lobe of Ashikhmin and Shirley is taken as
-    isotropic.
+    The loss is pseudo-Huber with the scale ``ROBUST_DEX``. A lobe of Ashikhmin and Shirley is isotropic here.
     """
     if model not in MODELS:
         raise InputError(None, "model", model, f"one of {', '.join(MODELS)}")
@@ -124,38 +132,37 @@ def fit_table(
     tabulated = _tabulate(kind, table)
     target = torch.log10(torch.as_tensor(table.brdf))
 
-    def natural(raw: Tensor) -> Tensor:
-        return torch.stack(list(kind.from_raw(dict(zip(names, raw, strict=True))).values()))
+    def natural(raw: Tensor) -> dict[str, Tensor]:
+        return kind.from_raw(dict(zip(names, raw.unbind(-1), strict=True)))
 
     def residual(raw: Tensor) -> Tensor:
-        """log10 of model over measurement, (..., N), from raw values (P, ...)."""
-        specular, diffuse = kind.parts(tabulated, dict(zip(names, natural(raw), strict=True)))
+        """log10 of model over measurement, (..., N), from raw values (..., P)."""
+        specular, diffuse = kind.parts(tabulated, natural(raw))
         return torch.log10((specular + diffuse).clamp(min=FAINTEST)) - target
 
     generator = torch.Generator().manual_seed(seed)
-    raw = 2 * torch.randn(len(names), starts, generator=generator, dtype=torch.float64)
-    raw.requires_grad_()
-    adam = torch.optim.Adam([raw], lr=0.1)
-    for _ in range(300):
-        adam.zero_grad()
-        _robust(residual(raw)).sum().backward()
-        adam.step()
-    raw = raw.detach()
-    leaders = _robust(residual(raw)).sum(-1).argsort()[:4]
-    polished = [_levenberg_marquardt(residual, raw[:, leader]) for leader in leaders]
-    best, settled = min(polished, key=lambda found: float(_robust(residual(found[0])).sum()))
+    start = 2 * torch.randn(starts, len(names), generator=generator, dtype=torch.float64)
+    edge = torch.full((len(names),), RAW_EDGE, dtype=torch.float64)
+    found = minimise(lambda raw: _robust(residual(raw)), start, -edge, edge, iterations=200)
+    best = int(found.cost.argmin())
+    raw, slope = found.y[best], found.jacobian[best]
+    left, values = residual(raw), natural(raw)
 
-    left, values = residual(best), natural(best)
-    sd = _errors(residual, natural, best)
+    variance = found.cost[best] / max(len(left) - len(names), 1) * _correlation_length(left)
+    covariance = variance * torch.linalg.pinv(slope.T @ slope, hermitian=True)
+    turn = torch.func.jacrev(lambda raw: torch.stack(list(natural(raw).values())))(raw)
+    sd = (turn @ covariance @ turn.T).diagonal().clamp(min=0).sqrt()
+    settled = bool(found.converged[best])
+    at_bound = [name for name, number in zip(names, raw, strict=True) if abs(float(number)) > RAW_EDGE / 2]
     return ReflectanceFit(
         model=model,
-        values=dict(zip(names, values.tolist(), strict=True)),
+        values={name: float(value) for name, value in values.items()},
         sd=dict(zip(names, sd.tolist(), strict=True)),
         rms_dex=float(left.square().mean().sqrt()),
         median_dex=float(left.abs().median()),
         rows=len(left),
-        converged=settled,
-        reason="steps below 1e-9" if settled else "still moving after 200 steps of Levenberg-Marquardt",
+        converged=settled and not at_bound,
+        reason=f"{', '.join(at_bound)} at a bound" if at_bound else "settled" if settled else "still moving",
     )
 
 
@@ -168,43 +175,8 @@ def _tabulate(kind: type[Brdf], table: ReflectanceTable) -> dict[str, Tensor]:
 
 
 def _robust(residual: Tensor) -> Tensor:
-    return torch.sqrt(1 + (residual / ROBUST_DEX) ** 2) - 1
-
-
-def _weighted(residual: Callable[[Tensor], Tensor], raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Residual (N,), the pseudo-Huber weight of each (N,), and the Jacobian (N, P)."""
-    left = residual(raw)
-    return left, 1 / torch.sqrt(1 + (left / ROBUST_DEX) ** 2), torch.func.jacfwd(residual)(raw)
-
-
-def _levenberg_marquardt(residual: Callable[[Tensor], Tensor], raw: Tensor) -> tuple[Tensor, bool]:
-    """The minimum of the robust loss near ``raw`` (P,), and whether the steps died out."""
-    damping, cost = 1e-3, _robust(residual(raw)).sum()
-    for _ in range(200):
-        left, weight, slope = _weighted(residual, raw)
-        curvature, pull = slope.T @ (weight[:, None] * slope), slope.T @ (weight * left)
-        scale = torch.diag(curvature.diagonal().clamp(min=1e-12))
-        step = -torch.linalg.solve(curvature + damping * scale, pull)
-        step = step * (2 / step.abs().max()).clamp(max=1)
-        trial = _robust(residual(raw + step)).sum()
-        if trial <= cost:
-            raw, damping, gain, cost = raw + step, max(damping / 5, 1e-9), cost - trial, trial
-            if float(step.abs().max()) < 1e-9 or float(gain) < 1e-12 * float(cost):
-                return raw, True
-        elif damping > 1e12:
-            return raw, True
-        else:
-            damping *= 4
-    return raw, False
-
-
-def _errors(residual: Callable[[Tensor], Tensor], natural: Callable[[Tensor], Tensor], raw: Tensor) -> Tensor:
-    """Standard deviation of the natural values (P,)."""
-    left, weight, slope = _weighted(residual, raw)
-    variance = (weight * left**2).sum() / max(len(left) - len(raw), 1) * _correlation_length(left)
-    covariance = variance * torch.linalg.pinv(slope.T @ (weight[:, None] * slope), hermitian=True)
-    turn = torch.func.jacfwd(natural)(raw)
-    return (turn @ covariance @ turn.T).diagonal().clamp(min=0).sqrt()
+    """Residual whose square is the pseudo-Huber loss: r when small, sqrt(2 |r| ROBUST_DEX) when large."""
+    return residual * torch.sqrt(2 / (1 + torch.sqrt(1 + (residual / ROBUST_DEX) ** 2)))
 
 
 def _correlation_length(left: Tensor) -> float:

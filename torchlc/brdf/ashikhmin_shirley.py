@@ -49,14 +49,15 @@ class AshikhminShirley(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Eqs. 3 and 6 summed over K; one exponential a pair where n_u is n_v, or ``n`` is given."""
-        n_u, n_v = _exponents(values)
-        if n_u is n_v:
-            shape = lobe(per_pair(n_u) * table["log_half"])
-            norm = n_u + 1
-        else:
-            shape = lobe(per_pair(n_u) * table["log_u"] + per_pair(n_v) * table["log_v"])
-            norm = torch.sqrt((n_u + 1) * (n_v + 1))
+        """Eqs. 3 and 6 summed over K."""
+        return AshikhminShirley.parts_of_lobe(table, values, *cosine_power(table, *exponents(values)))
+
+    @staticmethod
+    def parts_of_lobe(
+        table: Mapping[str, Tensor], values: Mapping[str, Tensor], shape: Tensor, norm: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """`parts` with another lobe: its ``shape`` (..., K, T) is 1 at h = n, and 2 pi / ``norm`` (...) is the integral of
+        the shape over the hemisphere."""
         r_spec, r_diff = per_epoch(values["r_spec"]), per_epoch(values["r_diff"])
         specular = r_spec * (table["normal"] * shape).sum(-2) + (table["grazing"] * shape).sum(-2)
         return per_epoch(norm) * specular, r_diff * (1 - r_spec) * table["diffuse"]
@@ -64,20 +65,28 @@ class AshikhminShirley(Brdf):
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:
         """1 / n of the narrower axis: cos^n is a Gaussian of variance 1/n in its core."""
-        return 1 / torch.maximum(*_exponents(values))
+        return 1 / torch.maximum(*exponents(values))
 
     @staticmethod
     def broadened(values: Mapping[str, Tensor], variance: Tensor) -> dict[str, Tensor]:
         """1/n grows by the variance."""
-        wider = {
-            name: values[name] / (1 + values[name] * variance)
-            for name in ("n", "n_u", "n_v")
-            if name in values
-        }
-        return {**values, **wider}
+        n_u, n_v = exponents(values)
+        wider = n_u / (1 + n_u * variance)
+        if "n" in values:
+            return {**values, "n": wider}
+        return {**values, "n_u": wider, "n_v": wider if n_u is n_v else n_v / (1 + n_v * variance)}
 
 
-def _exponents(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+def exponents(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """n_u and n_v (...); one and the same tensor for an isotropic lobe."""
     if "n" in values:
         return values["n"], values["n"]
     return values["n_u"], values["n_v"]
+
+
+def cosine_power(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor) -> tuple[Tensor, Tensor]:
+    """The lobe of eq. 4, (..., K, T), and its norm (...); one exponential a pair where n_u is n_v."""
+    if n_u is n_v:
+        return lobe(per_pair(n_u) * table["log_half"]), n_u + 1
+    shape = lobe(per_pair(n_u) * table["log_u"] + per_pair(n_v) * table["log_v"])
+    return shape, torch.sqrt((n_u + 1) * (n_v + 1))

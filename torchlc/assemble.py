@@ -136,7 +136,8 @@ def assemble(
         shape = Shape(scene, _finest_lobes(scene))
     else:
         track, attitude, shape = base.track, base.attitude, base.shape
-    context = base.context if base is not None else _context(scene, recording, track, shape)
+    models = {name: MODELS[material.model] for name, material in scene.materials.items()}
+    context = base.context if base is not None else _context(scene, recording, track, shape, models)
     row_index = {
         "curve": (context.curve, recording.curve_ids),
         "station": (context.station, recording.station_ids),
@@ -144,7 +145,6 @@ def assemble(
     }
     wanted = scene.model.effects if effects is None else list(effects)
     chosen = _effects(wanted, scene, context)
-    models = {name: MODELS[material.model] for name, material in scene.materials.items()}
     models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters = _parameters(scene, chosen, models, row_index, pinned or {})
@@ -173,7 +173,9 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
     return finest
 
 
-def _context(scene: Scene, recording: Recording, track: Track, shape: Shape) -> Context:
+def _context(
+    scene: Scene, recording: Recording, track: Track, shape: Shape, models: Mapping[str, type[Brdf]]
+) -> Context:
     seconds = torch.as_tensor(recording.seconds, dtype=torch.float64)
     gaps = np.diff(np.unique(recording.seconds))
     exptime = None if recording.exptime is None else torch.as_tensor(recording.exptime, dtype=torch.float64)
@@ -191,6 +193,7 @@ def _context(scene: Scene, recording: Recording, track: Track, shape: Shape) -> 
         track=track,
         shape=shape,
         materials=list(scene.materials),
+        models=dict(models),
         mode=scene.attitude.mode,
         light_time_corrected=recording.light_time_corrected,
         kind=recording.kind,
@@ -208,7 +211,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         if name not in known:
             raise InputError(scene.source, "model.effects", f"{entry!r} is no effect", f"one of {', '.join(known)}")
         cls = known[name]
-        targets = [target.rstrip("]")] if target else _set_targets(cls, scene) or cls.targets(context)
+        targets = [target.rstrip("]")] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
             reason = effect.missing(context)

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from torchlc.assemble import Assembly, assemble
 from torchlc.brdf.base import Incidence, incidence
-from torchlc.effects.base import Brightness, Effect, Light, Nodes, Noise, Patch, Request, Sky, Surface, View
+from torchlc.effects.base import Brightness, Effect, Light, Nodes, Noise, Patch, Reflect, Request, Scatter, Sky, Surface, View
 from torchlc.parameters import ParameterSet
 from torchlc.recording import Recording
 from torchlc.scene import Scene
@@ -30,10 +31,10 @@ VALUES_PER_CHUNK = 8_000_000
 
 @dataclass(frozen=True)
 class Tables:
-    """What the material stage needs: a surface per component and material, and further light (T,) by component."""
+    """What the material stage needs: a surface per component and material, and effects that scatter further light."""
 
     surfaces: tuple[Surface, ...]
-    extra: Mapping[str, Tensor]
+    scatter: tuple[tuple[Effect, Scatter], ...]
     sky: Sky
 
 
@@ -236,10 +237,7 @@ class LightCurve(nn.Module):
         a = self.assembly
         phase = torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2
         phase_angle = 2 * torch.acos(phase[phase.shape[0] // 2].clamp(max=1 - 1e-15))
-        extra: dict[str, Tensor] = {}
-        for effect in a.stage("scatter"):
-            for component, flux in effect.scatter(view, values, a.own(effect, values), a.context).items():
-                extra[component] = extra[component] + flux if component in extra else flux
+        scatter = tuple((effect, effect.scatter(view, a.context)) for effect in a.stage("scatter"))
         groups: dict[tuple[str, str], list[Patch]] = {}
         for patch in view.patches:
             groups.setdefault((patch.component if detail else "", patch.material), []).append(patch)
@@ -251,7 +249,7 @@ class LightCurve(nn.Module):
                 if table is not None:
                     model = patches[0].model
                     surfaces.append(Surface(component, material, model, table, phase_angle, sunlit))
-        return Tables(tuple(surfaces), extra, Sky(view.state, view.nodes, compact))
+        return Tables(tuple(surfaces), scatter, Sky(view.state, view.nodes, compact))
 
     # ------------------------------------------------------------------ materials and detector
 
@@ -263,16 +261,20 @@ class LightCurve(nn.Module):
             factor = effect.shade(tables.sky, a.own(effect, values), a.context)
             sunlight = factor if sunlight is None else sunlight * factor
         by_component: dict[str, Tensor] = {}
-        for surface in tables.surfaces:
-            specular, diffuse = self.reflect(surface, values)
-            light = specular + diffuse
-            if sunlight is not None and surface.sunlit:
-                light = light * sunlight
-            old = by_component.get(surface.component)
-            by_component[surface.component] = light if old is None else old + light
-        for component, light in tables.extra.items():
+
+        def add(component: str, light: Tensor, sunlit: bool) -> None:
+            light = light * sunlight if sunlit and sunlight is not None else light
             old = by_component.get(component)
             by_component[component] = light if old is None else old + light
+
+        for surface in tables.surfaces:
+            add(surface.component, self.reflect(surface, values), surface.sunlit)
+        def reflector(surface: Surface, variance: Tensor) -> Tensor:
+            return self.reflect(surface, {name: value[..., None] for name, value in values.items()}, variance)
+
+        for effect, scatter in tables.scatter:
+            for component, light in scatter(reflector, a.own(effect, values)).items():
+                add(component, light, True)
         if not by_component:
             any_value = next(iter(values.values()), a.sun_magnitude)
             by_component = {"": torch.zeros(*any_value.shape, a.T, dtype=a.dtype, device=a.device)}
@@ -287,18 +289,20 @@ class LightCurve(nn.Module):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
 
-    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Specular and diffuse flux (..., T) of one surface, through the effects of its material."""
+    def reflect(self, surface: Surface, values: Mapping[str, Tensor], widened: Tensor | None = None) -> Tensor:
+        """Lobe and diffuse flux (..., T) of one surface together, through the effects of its material; ``widened`` is a
+        variance, rad^2, added to its lobe."""
         a = self.assembly
         own = a.material_values(surface.material, surface.model, values)
+        if widened is not None:
+            own = surface.model.broadened(own, widened)
 
-        def reflect(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-            return surface.model.parts(surface.table, material)
-
+        reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
                 reflect = effect.material(reflect, surface, own, a.own(effect, values))
-        return reflect(own)
+        specular, diffuse = reflect(own)
+        return specular + diffuse
 
     def noise(self, theta: Tensor) -> Noise:
         """What the noise effects add to the quoted errors at natural values theta (..., P)."""

@@ -56,8 +56,10 @@ class AshikhminShirley(Brdf):
     def parts_of_lobe(
         table: Mapping[str, Tensor], values: Mapping[str, Tensor], shape: Tensor, norm: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """`parts` with another lobe: its ``shape`` (..., K, T) is 1 at h = n, and 2 pi / ``norm`` (...) is the integral of
-        the shape over the hemisphere."""
+        """`parts` with another lobe.
+
+        Its ``shape`` (..., K, T) is 1 at h = n and integrates to 2 pi / ``norm`` (...) over the hemisphere.
+        """
         r_spec, r_diff = per_epoch(values["r_spec"]), per_epoch(values["r_diff"])
         specular = r_spec * (table["normal"] * shape).sum(-2) + (table["grazing"] * shape).sum(-2)
         return per_epoch(norm) * specular, r_diff * (1 - r_spec) * table["diffuse"]

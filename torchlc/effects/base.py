@@ -11,9 +11,9 @@ stage          what passes through
 ``attitude``   rotation (Q, T, 3, 3), body to inertial
 ``pointing``   poses of the parts that track the Sun
 ``light``      :class:`Light` sources
-``shade``      share of the Sun that the object sees, by row
 ``surface``    :class:`Patch` surfaces: area, visible fraction
-``scatter``    further light that needs the whole geometry, added per component
+``shade``      share of the Sun that the object sees, by row
+``scatter``    further sunlight that needs the whole geometry, added per component
 ``material``   lobe and diffuse light of a patch as functions of its material
 ``detector``   :class:`Brightness`: total flux and component shares
 ``noise``      :class:`Noise`: variance, correlation and tails of the residuals
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 Parameters = Mapping[str, Tensor]
 STAGES = (
-    "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "scatter",
-    "shade", "material", "detector", "noise",
+    "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "shade",
+    "scatter", "material", "detector", "noise",
 )  # fmt: skip
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
@@ -170,6 +170,7 @@ class Context:
     track: Track
     shape: Shape
     materials: Sequence[str]
+    models: Mapping[str, type[Brdf]]
     mode: str
     light_time_corrected: bool
     kind: str
@@ -180,12 +181,18 @@ class Context:
 
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]
+Reflector = Callable[[Surface, Tensor], Tensor]
+"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on it; the variance (P,),
+rad^2, widens the lobe."""
+Scatter = Callable[[Reflector, Parameters], Mapping[str, Tensor]]
+"""Further sunlight (..., T) by component, from what materials and an effect's parameters are at present."""
 
 
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities`` and override the method
     of their stage; ``per`` gives each material or component its own set of parameters; ``known`` switches it on by default; ``nodes`` is by
-    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds."""
+    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds; ``unable`` says why what is
+    not among its targets cannot be one."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -196,6 +203,7 @@ class Effect:
     needs_shares: ClassVar[bool] = False
     nodes: ClassVar[int] = 1
     brdf: ClassVar[type[Brdf] | None] = None
+    unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:
         self.target = target
@@ -208,7 +216,8 @@ class Effect:
 
     def missing(self, context: Context) -> str | None:
         """Why these data cannot carry the effect, in words; None if they can."""
-        return None
+        able = self.targets(context)
+        return None if self.target in able or (self.target is None and able) else self.unable
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:
@@ -244,11 +253,9 @@ class Effect:
     def surface(self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context) -> tuple[Patch, ...]:
         return patches
 
-    def scatter(
-        self, view: View, values: Mapping[str, Tensor], p: Parameters, context: Context
-    ) -> Mapping[str, Tensor]:
-        """Further flux (T,) by component name."""
-        return {}
+    def scatter(self, view: View, context: Context) -> Scatter:
+        """All that geometry alone says of it is worked out here; the function that is returned adds materials and parameters."""
+        return lambda reflect, p: {}
 
     def material(self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters) -> Reflect:
         return reflect

@@ -1,0 +1,92 @@
+"""Polished surfaces scatter more light far from the glint than a cosine power does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents
+from torchlc.brdf.base import per_pair
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+
+NODES = 48
+
+
+class LobeTail(Effect):
+    """The lobe is 1 / (1 + (a^-2 - 1) sin^2)^g (generalised Trowbridge-Reitz; g = 2: GGX), as wide at half
+    height as the cosine power and with the same integral over the hemisphere, so that a heavier tail lowers
+    the peak.
+
+    At g = 2, -0.6 mag on the glint and 0.9 mag or more beyond 3 half widths. Anisotropic lobes take the
+    width of each azimuth and the geometric mean of the two norms, as Ashikhmin and Shirley's own does: off
+    by a relative 1/n.
+    """
+
+    name = "lobe_tail"
+    stage = "material"
+    order = 0
+    per = "material"
+    unable = "the material is not of Ashikhmin and Shirley's model"
+    quantities = (
+        Quantity(
+            "g", "", 1.0, 10.0, "steepness of the tail: 2 is GGX, infinity a cosine power",
+            off=math.inf, typical=2.0,
+        ),
+    )  # fmt: skip
+
+    @classmethod
+    def targets(cls, context):
+        return [name for name in context.materials if context.models[name] is AshikhminShirley]
+
+    def material(self, reflect, surface, values, p):
+        return lambda material: AshikhminShirley.parts_of_lobe(
+            surface.table, material, *_lobe(surface.table, *exponents(material), p["g"][..., 0])
+        )
+
+
+def _lobe(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+    """Shape (..., K, T) and norm (...) of the tailed lobe; the cosine power where g is infinite."""
+    power, power_norm = cosine_power(table, n_u, n_v)
+    off = torch.isinf(g)
+    g = torch.where(off, 2.0, g)
+    sin2 = -torch.expm1(2 * table["log_half"])
+    if n_u is n_v:
+        n, norm = per_pair(n_u), _norm(n_u, g)
+    else:
+        log_half = torch.where(table["log_half"] < 0, table["log_half"], -1.0)
+        share = torch.where(table["log_half"] < 0, table["log_u"] / log_half, 0.5)
+        n = per_pair(n_u) * share + per_pair(n_v) * (1 - share)
+        norm = torch.sqrt(_norm(n_u, g) * _norm(n_v, g))
+    shape = torch.exp(-per_pair(g) * torch.log1p(_steepness(n, per_pair(g)) * sin2))
+    return torch.where(per_pair(off), power, shape), torch.where(off, power_norm, norm)
+
+
+def _steepness(n: Tensor, g: Tensor) -> Tensor:
+    """a^-2 - 1 such that (1 + (a^-2 - 1) sin^2)^-g halves where cos^n does, at cos^2 = 4^(-1/n)."""
+    return torch.expm1(math.log(2) / g) / -torch.expm1(-2 * math.log(2) / n.clamp(min=1e-3))
+
+
+def _norm(n: Tensor, g: Tensor) -> Tensor:
+    """One over the integral of (1 + k (1 - c^2))^-g for c from 0 to 1, (...), k the steepness.
+
+    Split into c, which has an antiderivative, and 1 - c, small where the lobe is narrow, by Gauss-Legendre
+    in log(1 + 2 k (1 - c)).
+    """
+    k = _steepness(n, g)
+    log_k = torch.log1p(k)
+    u = (g - 1) * log_k
+    near = u.abs() < 1e-6
+    ratio = torch.where(near, 1 - 0.5 * u, -torch.expm1(-u) / torch.where(near, 1.0, u))
+    closed = 0.5 * log_k / k * ratio
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    place, weight = (torch.as_tensor(array).to(n) for array in (0.5 * (x + 1), 0.5 * w))
+    k, g, span = k[..., None], g[..., None], torch.log1p(2 * k)[..., None]
+    grown = torch.expm1(span * place)  # 2 k (1 - c)
+    below = grown / (2 * k)
+    integrand = below * torch.exp(-g * torch.log1p(grown * (1 - 0.5 * below))) * (1 + grown) / (2 * k)
+    return 1 / (closed + (weight * integrand).sum(-1) * span[..., 0])

@@ -1,0 +1,273 @@
+"""Evidence and held-out prediction of a refit under white noise, jitter, red noise or outliers, in closed form.
+
+About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - y, V) a priori and C the noise. With one factorisation of C the
+log evidence log N(r; M (mu - y), C + M V M') and the predictive density of every held-out block given the rest follow. Blocks are longer
+than three correlation times, with a gap of one, so that a process has forgotten and physics has not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnose.refit import Refit
+from torchlc.likelihood import matern32
+
+LONGEST_TAU_MIN = 120.0
+JITTER_SCALE = 0.05
+LOG_2PI = math.log(2 * math.pi)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """``kind`` white, jitter, red_noise or outliers, with its parameters (mag, minutes, fraction, width)."""
+
+    kind: str
+    jitter: float = 0.0
+    red: float = 0.0
+    tau_min: float = 0.0
+    fraction: float = 0.0
+    width: float = 1.0
+
+    @property
+    def penalty(self) -> float:
+        """Log prior width spent on its parameters, taken off the maximised evidence."""
+        return {"white": 0.0, "jitter": 2.5, "red_noise": 5.0, "outliers": 5.0}[self.kind]
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a refit fares under its best noise model: log evidence, and the held-out log density by block."""
+
+    noise: NoiseModel
+    log_evidence: float
+    heldout: Tensor
+    by_kind: dict[str, tuple[float, float]]
+
+    @property
+    def heldout_total(self) -> float:
+        return float(self.heldout.sum())
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Rows of each held-out block, and the rows that must be forgotten with it (the block and its gaps)."""
+
+    rows: Sequence[Tensor]
+    removed: Sequence[Tensor]
+
+
+def make_blocks(seconds: Tensor, group: Tensor, count: int = 8) -> Blocks:
+    """Whole groups (curves or nights) if there are at least four, dealt into at most ``count`` blocks; else runs of rows of equal
+    number, with a gap of 5 % of the rows on either side."""
+    ids = torch.unique(group)
+    if len(ids) >= 4:
+        folds = min(count, len(ids))
+        rows = [torch.nonzero(torch.isin(group, ids[fold::folds]))[:, 0] for fold in range(folds)]
+        return Blocks(rows, rows)
+    order = torch.argsort(seconds)
+    total = len(order)
+    folds = min(count, max(2, total // 4))
+    edges = [round(total * k / folds) for k in range(folds + 1)]
+    gap = max(1, round(0.025 * total))
+    rows = [order[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+    removed = [order[max(0, a - gap) : min(total, b + gap)] for a, b in zip(edges, edges[1:], strict=False)]
+    return Blocks(rows, removed)
+
+
+class Scorer:
+    """Scores refits of one recording: its blocks, and the groups (curves) within which noise is correlated."""
+
+    def __init__(self, seconds: Tensor, curve: Tensor, blocks: Blocks, fitted_errors: bool) -> None:
+        self.seconds, self.blocks, self.fitted_errors = seconds, blocks, fitted_errors
+        self.groups = [torch.nonzero(curve == one)[:, 0] for one in torch.unique(curve)]
+        span_min = float(max((seconds[g].max() - seconds[g].min()) for g in self.groups)) / 60
+        steps = torch.cat([torch.diff(torch.sort(seconds[g]).values) for g in self.groups])
+        cadence_min = float(steps.median()) / 60 if len(steps) else 1.0
+        longest = min(LONGEST_TAU_MIN, span_min / 4)
+        shortest = max(2 * cadence_min, 1e-3)
+        self.taus = [] if longest <= shortest else torch.logspace(
+            math.log10(shortest), math.log10(longest), 5, dtype=torch.float64
+        ).tolist()  # fmt: skip
+        self._kernels: dict[tuple[int, float], Tensor] = {}
+
+    # ------------------------------------------------------------------ noise models
+
+    def score(self, refit: Refit, kinds: Sequence[str] = ("white", "jitter", "red_noise", "outliers")) -> Score:
+        """Evidence under each noise model at its best parameters, and the held-out density under the best of them."""
+        found: dict[str, tuple[NoiseModel, float]] = {}
+        for kind in kinds:
+            if kind == "jitter" and self.fitted_errors:
+                continue
+            noise = self._fitted(refit, kind)
+            if noise is not None:
+                found[kind] = (noise, self.log_evidence(refit, noise) - noise.penalty)
+        best = max(found.values(), key=lambda item: item[1])
+        by_kind = {kind: (value, float(self.heldout(refit, noise).sum())) for kind, (noise, value) in found.items()}
+        return Score(best[0], best[1], self.heldout(refit, best[0]), by_kind)
+
+    def _fitted(self, refit: Refit, kind: str) -> NoiseModel | None:
+        if kind == "white":
+            return NoiseModel("white")
+        sigma = float((refit.sigma / refit.scale).median())
+        if kind == "jitter":
+            excess = refit.delta**2 - refit.sigma**2
+            guess = math.sqrt(max(float((excess / refit.scale**2).mean()), (0.1 * sigma) ** 2))
+            trials = [NoiseModel("jitter", jitter=guess * f) for f in (0.3, 0.55, 0.8, 1.0, 1.25, 1.8)]
+            return self._best(refit, trials)
+        if kind == "red_noise":
+            if not self.taus:
+                return None
+            spread = max(float((refit.delta / refit.scale).std()), 0.3 * sigma)
+            rough = [
+                NoiseModel("red_noise", red=spread * f, tau_min=tau) for tau in self.taus for f in (0.25, 0.7, 1.3)
+            ]
+            first = self._best(refit, rough)
+            around = [
+                NoiseModel("red_noise", red=first.red * f, tau_min=first.tau_min) for f in (0.6, 0.8, 1.0, 1.25, 1.6)
+            ]
+            return self._best(refit, around)
+        u = refit.delta / refit.sigma
+        trials = [NoiseModel("outliers", fraction=f, width=w) for f in (0.01, 0.03, 0.1, 0.2) for w in (3.0, 6.0, 15.0)]
+        values = [self._mixture(u, noise).sum() for noise in trials]
+        return trials[int(torch.stack(values).argmax())]
+
+    def _best(self, refit: Refit, trials: Sequence[NoiseModel]) -> NoiseModel:
+        return max(trials, key=lambda noise: self.log_evidence(refit, noise))
+
+    def _mixture(self, u: Tensor, noise: NoiseModel) -> Tensor:
+        core = math.log1p(-noise.fraction) - 0.5 * u * u
+        tail = math.log(noise.fraction) - 0.5 * (u / noise.width) ** 2 - math.log(noise.width)
+        return torch.logaddexp(core, tail)
+
+    # ------------------------------------------------------------------ linear-Gaussian algebra
+
+    def _weights(self, refit: Refit, noise: NoiseModel) -> Tensor:
+        """Effective standard deviation of each row; outliers as the width their posterior membership implies."""
+        if noise.kind == "jitter":
+            return torch.sqrt(refit.sigma**2 + (noise.jitter * refit.scale) ** 2)
+        if noise.kind == "outliers":
+            u = refit.delta / refit.sigma
+            core = math.log1p(-noise.fraction) - 0.5 * u * u
+            tail = math.log(noise.fraction) - 0.5 * (u / noise.width) ** 2 - math.log(noise.width)
+            member = torch.sigmoid(tail - core)
+            return refit.sigma / torch.sqrt(1 - member + member / noise.width**2)
+        return refit.sigma
+
+    def _whitened(self, refit: Refit, noise: NoiseModel, rows: Tensor | None = None) -> tuple[Tensor, Tensor, float]:
+        """Rows (delta, slopes) divided by the root of C, and log det C / 2, of all rows or some."""
+        sigma = self._weights(refit, noise)
+        columns = torch.cat([refit.delta[:, None], refit.slopes], 1)
+        if noise.kind != "red_noise":
+            pick = slice(None) if rows is None else rows
+            white = columns[pick] / sigma[pick, None]
+            return white[:, 0], white[:, 1:], float(torch.log(sigma[pick]).sum())
+        pieces, log_det = [], 0.0
+        inside = torch.ones(len(refit.delta), dtype=torch.bool) if rows is None else torch.zeros(
+            len(refit.delta), dtype=torch.bool
+        ).index_fill(0, rows, True)  # fmt: skip
+        for number, group in enumerate(self.groups):
+            mask = inside[group]
+            if not bool(mask.any()):
+                continue
+            kept = group[mask]
+            kernel = self._kernel(number, noise.tau_min)[mask][:, mask]
+            red = noise.red * refit.scale[kept]
+            covariance = kernel * red[:, None] * red[None] + torch.diag(sigma[kept] ** 2)
+            factor = torch.linalg.cholesky(covariance)
+            pieces.append(torch.linalg.solve_triangular(factor, columns[kept], upper=False))
+            log_det += float(torch.log(torch.diagonal(factor)).sum())
+        white = torch.cat(pieces)
+        return white[:, 0], white[:, 1:], log_det
+
+    def whitened(self, refit: Refit, noise: NoiseModel) -> Refit:
+        """The refit with rows of unit variance under a noise model, in place of its own; rows keep their order."""
+        r, m, _ = self._whitened(refit, noise)
+        if noise.kind == "red_noise":
+            order = torch.argsort(torch.cat(self.groups))
+            r, m = r[order], m[order]
+        one = torch.ones_like(r)
+        return replace(refit, delta=r, slopes=m, sigma=one, scale=one)
+
+    def heldout_rms(self, refit: Refit) -> float:
+        """Root mean square, mag, of the residuals of each block predicted from the rest."""
+        keep = torch.nonzero(~refit.held)[:, 0]
+        everything = torch.arange(len(refit.delta))
+        precision = torch.diag(refit.prior_precision[keep])
+        shift = (refit.prior_mean - refit.y)[keep]
+        total = 0.0
+        for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
+            rest = everything[~torch.isin(everything, removed)]
+            m = refit.slopes[rest][:, keep] / refit.sigma[rest, None]
+            r = refit.delta[rest] / refit.sigma[rest]
+            x = torch.linalg.solve(precision + m.T @ m, m.T @ r + precision @ shift)
+            left = (refit.delta[rows] - refit.slopes[rows][:, keep] @ x) / refit.scale[rows]
+            total += float((left * left).sum())
+        return math.sqrt(total / len(refit.delta))
+
+    def _kernel(self, number: int, tau_min: float) -> Tensor:
+        key = (number, tau_min)
+        if key not in self._kernels:
+            times = self.seconds[self.groups[number]] / 60
+            gap = (times[:, None] - times[None]).abs()
+            self._kernels[key] = matern32(gap, torch.tensor(tau_min, dtype=gap.dtype))
+        return self._kernels[key]
+
+    def log_evidence(self, refit: Refit, noise: NoiseModel) -> float:
+        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's own density."""
+        r, m, log_det = self._whitened(refit, noise)
+        gaussian = _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
+        if noise.kind != "outliers":
+            return gaussian
+        u = refit.delta / refit.sigma
+        mixture = float((self._mixture(u, noise) - torch.log(refit.sigma)).sum()) - 0.5 * len(u) * LOG_2PI
+        return mixture + (_log_marginal(r, m, refit) + 0.5 * float((r * r).sum()))
+
+    def heldout(self, refit: Refit, noise: NoiseModel) -> Tensor:
+        """Log predictive density of each block given the rest (less the gap): parameters from the rest, the process forgotten."""
+        scores = []
+        keep = torch.nonzero(~refit.held)[:, 0]
+        everything = torch.arange(len(refit.delta))
+        shift = (refit.prior_mean - refit.y)[keep]
+        precision = torch.diag(refit.prior_precision[keep])
+        for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
+            rest = everything[~torch.isin(everything, removed)]
+            r, m, _ = self._whitened(refit, noise, rest)
+            m = m[:, keep]
+            system = precision + m.T @ m
+            factor = torch.linalg.cholesky(system)
+            x = torch.cholesky_solve((m.T @ r + precision @ shift)[:, None], factor)[:, 0]
+            rb, mb, log_det = self._whitened(refit, noise, rows)
+            mb = mb[:, keep]
+            left = rb - mb @ x
+            spread = torch.linalg.solve_triangular(factor, mb.T, upper=False)
+            small = torch.eye(len(keep), dtype=m.dtype) + spread @ spread.T
+            inner = torch.linalg.cholesky(small)
+            projected = torch.linalg.solve_triangular(inner, spread @ left[:, None], upper=False)[:, 0]
+            quadratic = left @ left - projected @ projected
+            half = torch.log(torch.diagonal(inner)).sum() if len(keep) else 0.0
+            if noise.kind == "outliers":
+                u = (refit.delta[rows] - refit.slopes[rows][:, keep] @ x) / refit.sigma[rows]
+                density = (self._mixture(u, noise) - torch.log(refit.sigma[rows])).sum() - 0.5 * len(rows) * LOG_2PI
+                scores.append(density - half + 0.5 * projected @ projected)
+            else:
+                scores.append(-0.5 * quadratic - half - log_det - 0.5 * len(rows) * LOG_2PI)
+        return torch.stack([torch.as_tensor(score, dtype=refit.delta.dtype) for score in scores])
+
+
+def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
+    """log of the integral over x of exp(-|r - m x|^2 / 2) N(x; mu - y, V), held coordinates left out."""
+    keep = torch.nonzero(~refit.held)[:, 0]
+    m = m[:, keep]
+    shift = (refit.prior_mean - refit.y)[keep]
+    precision = refit.prior_precision[keep]
+    system = torch.diag(precision) + m.T @ m
+    factor = torch.linalg.cholesky(system)
+    b = m.T @ r + precision * shift
+    root = torch.linalg.solve_triangular(factor, b[:, None], upper=False)[:, 0]
+    quadratic = r @ r + (precision * shift * shift).sum() - root @ root
+    return float(-0.5 * quadratic - torch.log(torch.diagonal(factor)).sum() + 0.5 * torch.log(precision).sum())

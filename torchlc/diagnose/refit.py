@@ -1,0 +1,214 @@
+"""Fits of one hypothesis (a list of effects) and what they leave, in the linear form that evidence and held-out scores need."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.assemble import Assembly, assemble
+from torchlc.effects import registry
+from torchlc.fit import polish
+from torchlc.least_squares import differences
+from torchlc.likelihood import Likelihood
+from torchlc.model import LightCurve
+from torchlc.parameters import ParameterSet, Prior
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A list of effects beyond the scene's own, each ``name`` or ``name[target]``."""
+
+    added: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(entry.partition("[")[0] for entry in self.added)
+
+    def with_effect(self, entry: str) -> Hypothesis:
+        return Hypothesis((*self.added, entry))
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model, slopes (T, P) =
+    d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y as a Gaussian (mean, precision).
+
+    ``held`` marks coordinates at a bound, whose columns of slopes are zero.
+    """
+
+    hypothesis: Hypothesis
+    likelihood: Likelihood
+    theta: Tensor
+    y: Tensor
+    delta: Tensor
+    slopes: Tensor
+    sigma: Tensor
+    scale: Tensor
+    prior_mean: Tensor
+    prior_precision: Tensor
+    held: Tensor
+    chi2: float
+    objective: float
+
+    @property
+    def model(self) -> LightCurve:
+        return self.likelihood.model
+
+    @property
+    def names(self) -> list[str]:
+        return self.model.names
+
+    def covariance(self) -> Tensor:
+        """Posterior covariance (P, P) of y in the linear form; held coordinates have none."""
+        white = self.slopes / self.sigma[:, None]
+        keep = torch.nonzero(~self.held)[:, 0]
+        precision = white.T @ white + torch.diag(self.prior_precision)
+        found = torch.zeros_like(precision)
+        if len(keep):
+            found[keep[:, None], keep[None]] = torch.linalg.inv(precision[keep][:, keep])
+        return found
+
+
+class Workbench:
+    """Builds models of hypotheses on one scene and recording, sharing track, attitude and shape."""
+
+    def __init__(self, base: Assembly, seed: int = 0) -> None:
+        self.base = base
+        self.seed = seed
+        self._likelihoods: dict[tuple[str, ...], Likelihood] = {}
+
+    def likelihood(self, hypothesis: Hypothesis) -> Likelihood:
+        if hypothesis.added not in self._likelihoods:
+            self._likelihoods[hypothesis.added] = Likelihood(self._model(hypothesis))
+        return self._likelihoods[hypothesis.added]
+
+    def _model(self, hypothesis: Hypothesis) -> LightCurve:
+        if not hypothesis.added:
+            return LightCurve(self.base.scene, self.base.recording, assembly=self.base)
+        own = [effect.name + (f"[{effect.target}]" if effect.target else "") for effect in self.base.effects]
+        assembly = assemble(
+            self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base
+        )
+        return LightCurve(self.base.scene, self.base.recording, assembly=assembly)
+
+    def start(self, hypothesis: Hypothesis, theta: Tensor, names: Sequence[str]) -> Tensor:
+        """Values of a smaller model's theta (S, P') carried over to a hypothesis; its further parameters at their starts."""
+        parameters = self.likelihood(hypothesis).model.parameter_set
+        found = parameters.start().expand(len(theta), -1).clone()
+        for column, name in enumerate(parameters.names):
+            if name in names:
+                found[:, column] = theta[:, list(names).index(name)]
+        return found
+
+
+def refit(likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10) -> Refit:
+    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3) are brought to the end."""
+    parameters = likelihood.model.parameter_set
+    if not parameters.names:
+        return linearised(likelihood, hypothesis, parameters.start())
+    level_at = starts[0] if likelihood.fitted_errors else None
+    with torch.no_grad():
+        found = polish(likelihood, starts, None, iterations=first, level_at=level_at)
+        best = torch.argsort(found.cost)[: max(3, len(starts) // 4)]
+        theta = parameters.from_flat(found.y[best])
+        for _ in range(3 if likelihood.fitted_errors else 1):
+            if likelihood.fitted_errors:
+                level_at = theta[0]
+            found = polish(likelihood, theta, None, iterations=iterations, level_at=level_at)
+            theta = parameters.from_flat(found.y[torch.argsort(found.cost)])
+    return linearised(likelihood, hypothesis, theta[0])
+
+
+def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) -> Refit:
+    """Residuals, slopes and priors at natural theta (P,)."""
+    parameters = likelihood.model.parameter_set
+    low, high = parameters.flat_bounds()
+    with torch.no_grad():
+        y = parameters.to_flat(theta)
+        found = likelihood.residuals(theta)
+        sigma = found.sigma.expand(found.delta.shape)
+        if likelihood.fitted_errors:
+            sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
+        span = torch.where(torch.isfinite(high - low), high - low, torch.inf)
+        near = 1e-5 * torch.where(torch.isfinite(span), span, 0.0)
+        held = (y <= low + near) | (y >= high - near)
+        if parameters.names:
+            slopes = -differences(
+                lambda point: likelihood.residuals(parameters.from_flat(point)).delta, y[None], low, high
+            )[0]
+        else:
+            slopes = found.delta.new_zeros(len(found.delta), 0)
+        mean, precision = gaussian_prior(parameters)
+        u = found.delta / sigma
+        pull = parameters.prior_residuals(theta)
+        objective = float((u * u).sum() + (pull * pull).sum())
+    slopes = torch.where(held, 0.0, slopes)
+    return Refit(
+        hypothesis, likelihood, theta, y, found.delta, slopes, sigma, found.scale.expand(found.delta.shape),
+        mean, precision, held, float((u * u).sum()), objective,
+    )  # fmt: skip
+
+
+def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
+    """Mean and precision (P,) of y: a flat prior of width w counts as a Gaussian of variance w^2 / 12 about its middle."""
+    low, high = parameters.flat_bounds()
+    mean, precision = torch.zeros_like(low), torch.zeros_like(low)
+    for index, entry in enumerate(parameters.free):
+        prior: Prior = entry.prior
+        if prior.kind in ("uniform", "loguniform"):
+            width = high[index] - low[index]
+            mean[index], precision[index] = 0.5 * (low[index] + high[index]), 12.0 / width**2
+        elif prior.kind == "lognormal":
+            mean[index], precision[index] = math.log(prior.centre), prior.sigma**-2
+        elif index in parameters._second:
+            room = prior.high - prior.low
+            mean[index], precision[index] = (prior.centre - prior.low) / room, (room / prior.sigma) ** 2
+        else:
+            mean[index], precision[index] = prior.centre, prior.sigma**-2
+    return mean, precision
+
+
+def effect_starts(
+    likelihood: Likelihood, effect: str, count: int, generator: torch.Generator, span_s: float
+) -> Tensor:
+    """Values (count, k) for the parameters of one effect to start from: both signs and sizes 0.3 to 3 of the typical, directions and
+    other wide quantities from their priors. k = 0 for an effect without parameters."""
+    name = effect.partition("[")[0]
+    quantities = {q.name: q for q in registry()[name].quantities}
+    parameters = likelihood.model.parameter_set
+    columns = []
+    for entry in parameters.free:
+        owner, _, short = entry.name.partition(".")
+        short = short.partition("[")[0]
+        if owner != name or (effect.find("[") >= 0 and not entry.name.endswith(effect[effect.index("[") :])):
+            continue
+        quantity = quantities[short]
+        u = torch.rand(count, generator=generator, dtype=torch.float64)
+        draw = entry.prior.quantile(0.02 + 0.96 * u)
+        if quantity.off is not None and quantity.typical is not None and math.isfinite(quantity.off):
+            size = abs(quantity.typical - quantity.off)
+            factors = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
+            ladder = quantity.off + size * factors[torch.arange(count) % len(factors)]
+            inside = (ladder > entry.prior.low) & (ladder < entry.prior.high)
+            draw = torch.where(inside, ladder, draw)
+        columns.append(draw)
+    return torch.stack(columns, -1) if columns else torch.zeros(count, 0, dtype=torch.float64)
+
+
+def effect_columns(parameters: ParameterSet, effect: str) -> list[int]:
+    """Indices in theta of the parameters of one effect entry."""
+    name, _, target = effect.partition("[")
+    target = f"[{target}" if target else ""
+    return [
+        index
+        for index, one in enumerate(parameters.names)
+        if one.partition(".")[0] == name and (not target or one.endswith(target))
+    ]
+
+
+def values_of(refit_: Refit) -> Mapping[str, float]:
+    return {name: float(value) for name, value in zip(refit_.names, refit_.theta, strict=True)}

@@ -1,0 +1,185 @@
+"""What a diagnosis found, and its form as diagnosis.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnose.evidence import Scorer
+from torchlc.diagnose.gate import Gate
+from torchlc.diagnose.refit import Refit, effect_columns
+from torchlc.diagnose.search import Found, Probe
+from torchlc.diagnose.where import Where, as_json
+
+SCHEMA = "torchlc-diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """``verdict`` with what it rests on: ``gate`` of the baseline and ``final_gate`` of the final model, every first-round refit in
+    ``first`` (best first), the ``named`` effects with their ``families``, and ``where`` they act."""
+
+    verdict: str
+    gate: Gate
+    final_gate: Gate
+    baseline: Found
+    final: Found
+    named: Sequence[str]
+    families: Sequence[Sequence[str]]
+    first: Sequence[Found]
+    probes: Mapping[str, Probe]
+    where: Where | None
+    coordinates: Mapping[str, Tensor]
+    scorer: Scorer
+    quick: bool
+    seed: int
+    seconds: float
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.verdict}, named={list(self.named)}, global_p={self.gate.global_p:.2g})"
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of diagnosis.json, without NaN."""
+        recording = self.baseline.refit.model.recording
+        time = recording.time.isot
+        stations = [recording.station_ids[i] for i in recording.station] if recording.station_ids else [""] * len(time)
+        return _clean(
+            {
+                "schema": SCHEMA,
+                "verdict": self.verdict,
+                "global_p": self.gate.global_p,
+                "named": list(self.named),
+                "families": [list(family) for family in self.families],
+                "candidates": self.candidates(),
+                "where": None if self.where is None else as_json(self.where, list(time), stations),
+                "improvement": self.improvement(),
+                "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
+                "remaining": self.remaining(),
+                "next_observation": "",
+                "seconds": self.seconds,
+            }
+        )
+
+    def candidates(self) -> list[dict[str, Any]]:
+        """Every effect tried, best first: refitted ones by evidence, noise models among them, the rest by score."""
+        rows = []
+        base = self.baseline
+        for found in self.first:
+            (entry,) = found.hypothesis.added
+            rows.append(
+                {
+                    "effect": entry.partition("[")[0],
+                    "target": entry.partition("[")[2].rstrip("]") or None,
+                    "score": self.probes[entry].score,
+                    "p": self.gate.marginal.get(f"signature {entry}"),
+                    "delta_log_evidence": found.log_evidence - base.log_evidence,
+                    "heldout_delta_log_likelihood": found.score.heldout_total - base.score.heldout_total,
+                    "parameters": effect_parameters(found.refit, entry),
+                    "chi2_after": found.refit.chi2,
+                }
+            )
+        white, heldout_white = base.score.by_kind["white"]
+        for kind, (value, heldout) in base.score.by_kind.items():
+            if kind != "white":
+                rows.append(
+                    {
+                        "effect": kind, "target": None, "score": None, "p": None,
+                        "delta_log_evidence": value - white, "heldout_delta_log_likelihood": heldout - heldout_white,
+                        "parameters": {}, "chi2_after": base.refit.chi2,
+                    }
+                )  # fmt: skip
+        rows.sort(key=lambda row: -row["delta_log_evidence"])
+        tried = {found.hypothesis.added[0] for found in self.first}
+        for entry in sorted(self.probes, key=lambda one: -self.probes[one].score):
+            if entry not in tried:
+                rows.append(
+                    {
+                        "effect": entry.partition("[")[0], "target": entry.partition("[")[2].rstrip("]") or None,
+                        "score": self.probes[entry].score, "p": self.gate.marginal.get(f"signature {entry}"),
+                        "delta_log_evidence": None, "heldout_delta_log_likelihood": None, "parameters": {},
+                        "chi2_after": None,
+                    }
+                )  # fmt: skip
+        return rows
+
+    def improvement(self) -> dict[str, Any]:
+        before, after = self.baseline.refit, self.final.refit
+        return {
+            "chi2_before": before.chi2,
+            "chi2_after": after.chi2,
+            "dof": after.likelihood.degrees_of_freedom,
+            "rms_before": _rms(before.delta / before.scale),
+            "rms_after": _rms(after.delta / after.scale),
+            "heldout_rms_before": self.scorer.heldout_rms(before),
+            "heldout_rms_after": self.scorer.heldout_rms(after),
+        }
+
+    def remaining(self) -> dict[str, Any]:
+        p = self.final_gate.global_p
+        chi2, dof = self.final.refit.chi2, self.final.refit.likelihood.degrees_of_freedom
+        if p >= 0.01:
+            note = f"nothing that the data show: chi2 {chi2:.0f} for {dof} degrees of freedom"
+        else:
+            worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
+            note = f"structure is left: chi2 {chi2:.0f} for {dof} degrees of freedom, strongest in the statistic '{worst}'"
+            kind = self.final.score.noise.kind
+            if kind != "white":
+                note += f"; described by {kind}"
+        return {"global_p": p, "note": note}
+
+
+def materials(refit: Refit) -> dict[str, dict[str, float]]:
+    """Median, sd and 90 % interval of every free material parameter, from the linear posterior in flat coordinates."""
+    parameters = refit.model.parameter_set
+    owners = set(refit.model.scene.materials)
+    names = [i for i, name in enumerate(parameters.names) if name.rpartition(".")[0] in owners]
+    if not names:
+        return {}
+    generator = torch.Generator().manual_seed(0)
+    low, high = parameters.flat_bounds()
+    values, vectors = torch.linalg.eigh(refit.covariance())
+    noise = torch.randn(4000, len(parameters), generator=generator, dtype=refit.y.dtype)
+    draws = refit.y + noise @ (vectors * torch.sqrt(values.clamp(min=0))).T
+    draws = torch.minimum(torch.maximum(draws, low), high)
+    theta = parameters.from_flat(draws)
+    found = {}
+    for i in names:
+        column = theta[:, i]
+        q05, q50, q95 = torch.quantile(column, torch.tensor([0.05, 0.5, 0.95], dtype=column.dtype)).tolist()
+        found[parameters.names[i]] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
+    return found
+
+
+def effect_parameters(refit: Refit, entry: str) -> dict[str, dict[str, Any]]:
+    """Median, sd and unit of the parameters of one effect entry."""
+    parameters = refit.model.parameter_set
+    columns = effect_columns(parameters, entry)
+    covariance = refit.covariance()
+    found = {}
+    for column in columns:
+        free = parameters.free[column]
+        sd = float(torch.sqrt(covariance[column, column].clamp(min=0)))
+        if free.prior.logarithmic:
+            sd *= float(refit.theta[column])
+        short = free.name.partition(".")[2]
+        found[short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
+    return found
+
+
+def _rms(value: Tensor) -> float:
+    return float(torch.sqrt((value * value).mean()))
+
+
+def _clean(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _clean(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_clean(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

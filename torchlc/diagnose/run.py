@@ -1,0 +1,152 @@
+"""Diagnosis from scene and recording to verdict: is anything missing, what is it, where, and what does it change."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import torch
+
+from torchlc.assemble import assemble
+from torchlc.diagnose.coordinates import coordinates
+from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
+from torchlc.diagnose.families import families
+from torchlc.diagnose.gate import Battery, Gate, gate
+from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
+from torchlc.diagnose.result import Diagnosis
+from torchlc.diagnose.search import Found, Probe, candidate_entries, nameable, probe, search
+from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
+from torchlc.effects import registry
+from torchlc.errors import InputError
+from torchlc.fit import find_modes
+from torchlc.recording import Recording
+from torchlc.scene import Scene
+
+ADEQUATE_P = 0.01
+NOISE_EVIDENCE = 5.0
+NOISE_HELDOUT = 3.0
+LEFT_AFTER = 0.5
+QUICK_REFITS = 3
+BASELINE_STARTS = 32
+
+
+def diagnose(
+    scene: Scene,
+    recording: Recording,
+    *,
+    quick: bool = False,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Diagnosis:
+    """What the scene's model leaves out of a recording.
+
+    ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS refits in the first round.
+    Raises InputError for an unknown effect name.
+    """
+    began = time.monotonic()
+    for name in effects or ():
+        if name not in registry():
+            raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
+    base = assemble(scene, recording)
+    bench = Workbench(base, seed)
+    null = Hypothesis()
+    likelihood = bench.likelihood(null)
+    modes, _, _ = find_modes(likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
+    baseline = [linearised(likelihood, null, mode.theta) for mode in modes[:3]]
+    if progress is not None:
+        progress("baseline", 0.05)
+    context = base.context
+    group = context.curve if len(recording.curve_ids) >= 4 else context.night
+    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors)
+    found_coordinates = coordinates(likelihood.model, baseline[0].theta)
+    entries = candidate_entries(bench, effects)
+    probes = {}
+    for number, entry in enumerate(entries):
+        probes[entry] = probe(bench, baseline[0], entry, seed + number)
+        if progress is not None:
+            progress("signatures", 0.05 + 0.1 * (number + 1) / len(entries))
+    gates = [_gate(refit, scorer, found_coordinates, probes, seed) for refit in baseline]
+    first_gate = max(gates, key=lambda one: one.global_p)
+    start = Found(baseline[0], scorer.score(baseline[0]))
+    common = {
+        "scorer": scorer, "gate": first_gate, "probes": probes, "baseline": start, "coordinates": found_coordinates,
+        "quick": quick, "seed": seed,
+    }  # fmt: skip
+    if first_gate.global_p >= ADEQUATE_P:
+        return Diagnosis(
+            verdict="adequate", final=start, named=(), families=(), first=(), where=None, final_gate=first_gate,
+            seconds=time.monotonic() - began, **common,
+        )  # fmt: skip
+
+    def is_clean(found: Found) -> bool:
+        return _gate(found.refit, scorer, found_coordinates, {}, seed).global_p >= ADEQUATE_P
+
+    final, first, others = search(
+        bench, scorer, baseline, probes, is_clean, seed=seed, most_refits=QUICK_REFITS if quick else None, progress=progress
+    )
+    after = _gate(final.refit, scorer, found_coordinates, {}, seed)
+    verdict, named = _verdict(start, final, scorer, found_coordinates, seed)
+    groups = families(final, [start, *first, *others], named) if verdict == "missing_physics" else [[n] for n in named]
+    where: Where | None
+    if verdict == "missing_physics":
+        where = locate(start.refit, final.refit, found_coordinates)
+    else:
+        where = _windows(start.refit, first_gate, found_coordinates)
+    return Diagnosis(
+        verdict=verdict, final=final, named=tuple(named), families=tuple(tuple(one) for one in groups),
+        first=tuple(first), where=where, final_gate=after, seconds=time.monotonic() - began, **common,
+    )  # fmt: skip
+
+
+def _gate(
+    refit: Refit, scorer: Scorer, found: dict[str, torch.Tensor], probes: dict[str, Probe], seed: int,
+    noise: NoiseModel | None = None,
+) -> Gate:  # fmt: skip
+    """The gate at the quoted errors, or after whitening by a noise model (then without chi-square, which the noise was fitted to)."""
+    likelihood = refit.likelihood
+    signatures = {entry: one.signatures for entry, one in probes.items() if len(one.signatures)}
+    battery = Battery(
+        scorer.seconds, likelihood.curve, found, signatures, with_chi2=not likelihood.fitted_errors and noise is None
+    )
+    return gate(refit, battery, seed, noise=noise, scorer=scorer)
+
+
+def _verdict(
+    start: Found, final: Found, scorer: Scorer, found: dict[str, torch.Tensor], seed: int
+) -> tuple[str, list[str]]:
+    likelihood = start.refit.likelihood
+    if final.hypothesis.added and nameable(final):
+        named = list(dict.fromkeys(final.hypothesis.names))
+        if likelihood.fitted_errors:
+            return "missing_physics", named
+        before = start.refit.chi2 - likelihood.degrees_of_freedom
+        left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
+        if left <= LEFT_AFTER * before:
+            return "missing_physics", named
+        return "unexplained", []
+    white, heldout_white = start.score.by_kind["white"]
+    kinds = {
+        kind: (value - white, heldout - heldout_white)
+        for kind, (value, heldout) in start.score.by_kind.items()
+        if kind != "white"
+    }
+    if kinds:
+        best = max(kinds, key=lambda kind: kinds[kind][0])
+        if kinds[best][0] > NOISE_EVIDENCE and kinds[best][1] > NOISE_HELDOUT:
+            whitened = _gate(start.refit, scorer, found, {}, seed, noise=start.score.noise)
+            if whitened.global_p >= 1e-3:
+                return "noise_model", [best]
+    return "unexplained", []
+
+
+def _windows(refit: Refit, found: Gate, coordinates_: dict[str, torch.Tensor]) -> Where:
+    """The windows of the scan, for a mismatch without a name."""
+    rows = torch.zeros(len(refit.delta), dtype=torch.bool)
+    order = torch.argsort(refit.model.assembly.context.seconds)
+    place = torch.empty_like(order)
+    place[order] = torch.arange(len(order))
+    for a, b, _ in found.windows:
+        rows[order[int(place[a]) : int(place[b]) + 1]] = True
+    strength = refit.delta / refit.sigma
+    return Where(rows, intervals(rows, strength, refit), [], *best_coordinate(strength, coordinates_, rows))

@@ -1,0 +1,222 @@
+"""The search over missing effects: probes of every candidate, refits, a beam over sets of up to three."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnose.evidence import Score, Scorer
+from torchlc.diagnose.gate import residual_projection
+from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, refit
+from torchlc.effects import registry
+
+GRID = 24
+GRID_PER_DIMENSION = 24
+STARTS = 12
+EVIDENCE_GAIN = 5.0
+HELDOUT_GAIN = 3.0
+EXCESS_SHARE = 0.1
+BEAM = 3
+MOST_EFFECTS = 3
+LEAST_SCORE = 9.0
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures (G, T) off everything the
+    refit can absorb, and the score (g'r)^2 / g'g of each (G,)."""
+
+    entry: str
+    psi: Tensor
+    signatures: Tensor
+    scores: Tensor
+
+    @property
+    def score(self) -> float:
+        return float(self.scores.max()) if len(self.scores) else 0.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """A hypothesis, refitted and scored."""
+
+    refit: Refit
+    score: Score
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        return self.refit.hypothesis
+
+    @property
+    def log_evidence(self) -> float:
+        return self.score.log_evidence
+
+
+def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
+    """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or ``name[target]``."""
+    present = {effect.name for effect in bench.base.effects}
+    entries = []
+    for name, cls in registry().items():
+        if cls.stage == "noise" or name in present or (only is not None and name not in only):
+            continue
+        for target in cls.targets(bench.base.context):
+            if cls(target).missing(bench.base.context) is None:
+                entries.append(f"{name}[{target}]" if target else name)
+    return entries
+
+
+def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
+    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters."""
+    hypothesis = at.hypothesis.with_effect(entry)
+    likelihood = bench.likelihood(hypothesis)
+    parameters = likelihood.model.parameter_set
+    columns = effect_columns(parameters, entry)
+    count = 1 if not columns else GRID if len(columns) <= 2 else GRID_PER_DIMENSION * len(columns)
+    generator = torch.Generator().manual_seed(seed)
+    psi = effect_starts(likelihood, entry, count, generator, 0.0)
+    theta = bench.start(hypothesis, at.theta[None].expand(count, -1), at.names)
+    theta[:, columns] = psi
+    with torch.no_grad():
+        change = (at.delta - likelihood.residuals(theta).delta) / at.sigma
+    change = torch.nan_to_num(change)
+    basis, peaked = residual_projection(at)
+    padded = torch.cat([change, change.new_zeros(count, len(peaked))], 1)
+    projected = padded - (padded @ basis) @ basis.T
+    norm = torch.linalg.vector_norm(projected, dim=1)
+    raw = torch.linalg.vector_norm(change, dim=1)
+    usable = (norm > 1e-3) & (norm > 1e-7 * raw)
+    unit = projected[usable] / norm[usable, None]
+    u = torch.cat([at.delta / at.sigma, at.model.parameter_set.prior_residuals(at.theta)])
+    u[len(at.delta) :] = -u[len(at.delta) :]
+    scores = (unit @ u) ** 2
+    return Probe(entry, psi[usable], unit[:, : len(at.delta)], scores)
+
+
+def extended(
+    bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int, *, starts: int = STARTS
+) -> Found:
+    """Refit of one hypothesis with ``entry`` added: from its minima ``at``, from other materials, and from the best probed values."""
+    hypothesis = at[0].hypothesis.with_effect(entry)
+    likelihood = bench.likelihood(hypothesis)
+    parameters = likelihood.model.parameter_set
+    columns = effect_columns(parameters, entry)
+    generator = torch.Generator().manual_seed(seed)
+    minima = torch.stack([one.theta for one in at])
+    draws = at[0].model.parameter_set.sample_prior(max(starts // 3, 2), generator)
+    if at[0].hypothesis.added:
+        for added in at[0].hypothesis.added:
+            kept = effect_columns(at[0].model.parameter_set, added)
+            draws[:, kept] = at[0].theta[kept]
+    pool = torch.cat([minima.repeat(-(-(starts - len(draws)) // len(minima)), 1)[: starts - len(draws)], draws])
+    theta = bench.start(hypothesis, pool, at[0].names)
+    if columns and len(found.psi):
+        ranked = found.psi[torch.argsort(found.scores, descending=True)]
+        best = ranked[: max(starts // 2, 1)]
+        spread = effect_starts(likelihood, entry, starts, generator, 0.0)
+        spread[: len(best)] = best
+        theta[:, columns] = spread
+    elif columns:
+        theta[:, columns] = effect_starts(likelihood, entry, starts, generator, 0.0)
+    fitted = refit(likelihood, hypothesis, theta)
+    return Found(fitted, scorer.score(fitted))
+
+
+def nameable(found: Found) -> bool:
+    """The parameters of every added effect are inside their bounds."""
+    parameters = found.refit.model.parameter_set
+    for entry in found.hypothesis.added:
+        quantities = {q.name: q for q in registry()[entry.partition("[")[0]].quantities}
+        for column in effect_columns(parameters, entry):
+            short = parameters.names[column].partition(".")[2].partition("[")[0]
+            quantity = quantities[short]
+            if quantity.off is not None and bool(found.refit.held[column]):
+                return False
+            if short == "weight" and float(found.refit.theta[column]) > 0.6:
+                return False
+    return True
+
+
+def better(new: Found, old: Found, excess: float | None, gain: float = HELDOUT_GAIN) -> bool:
+    """Whether ``new`` earns its place over ``old``: evidence, held-out density and a share of the chi-square excess."""
+    if new.log_evidence - old.log_evidence < EVIDENCE_GAIN:
+        return False
+    if new.score.heldout_total - old.score.heldout_total < gain:
+        return False
+    return not (excess is not None and old.refit.chi2 - new.refit.chi2 < EXCESS_SHARE * excess)
+
+
+def search(
+    bench: Workbench,
+    scorer: Scorer,
+    baseline: Sequence[Refit],
+    probes: dict[str, Probe],
+    is_clean: Callable[[Found], bool],
+    *,
+    seed: int = 0,
+    most_refits: int | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[Found, list[Found], list[Found]]:
+    """The best set of effects, all first-round refits (best first), and every other refit that was made."""
+    null = Found(baseline[0], scorer.score(baseline[0]))
+    dof = baseline[0].likelihood.degrees_of_freedom
+    excess = None if baseline[0].likelihood.fitted_errors else max(null.refit.chi2 - dof, 1.0)
+    entries = sorted(probes, key=lambda entry: -probes[entry].score)
+    if most_refits is not None:
+        entries = entries[:most_refits]
+    first: list[Found] = []
+    for number, entry in enumerate(entries):
+        first.append(extended(bench, scorer, baseline, entry, probes[entry], seed + number))
+        if progress is not None:
+            progress("refits", 0.1 + 0.5 * (number + 1) / len(entries))
+    first.sort(key=lambda found: -found.log_evidence)
+    others: list[Found] = []
+    good = [found for found in first if nameable(found) and better(found, null, excess)]
+    if not good:
+        return null, first, others
+    best = good[0]
+    beam = good[:BEAM]
+    while len(best.hypothesis.added) < MOST_EFFECTS and not is_clean(best):
+        grown: list[Found] = []
+        for place, stem in enumerate(beam):
+            for number, entry in enumerate(entries):
+                names = (*stem.hypothesis.names, entry.partition("[")[0])
+                if len(set(names)) < len(names) or any(
+                    set(one.hypothesis.added) == {*stem.hypothesis.added, entry} for one in grown
+                ):
+                    continue
+                again = probe(bench, stem.refit, entry, seed + number)
+                if again.score < LEAST_SCORE:
+                    continue
+                grown.append(extended(bench, scorer, [stem.refit], entry, again, seed + number, starts=8))
+            if progress is not None:
+                progress("sets of effects", 0.6 + 0.3 * (place + 1) / len(beam))
+        others += grown
+        grown = [found for found in grown if nameable(found)]
+        grown.sort(key=lambda found: -found.log_evidence)
+        known = {frozenset(found.hypothesis.added): found for found in [null, *first, *others]}
+        accepted = [found for found in grown if _all_needed(found, known, best, excess)]
+        if not accepted:
+            break
+        best = accepted[0]
+        beam = accepted[:BEAM]
+    return best, first, others
+
+
+def _all_needed(
+    found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None
+) -> bool:
+    """A set is named only if it beats the best smaller set and each member improves held-out prediction given the others."""
+    if not better(found, best, excess, gain=0.0):
+        return False
+    members = frozenset(found.hypothesis.added)
+    for entry in members:
+        without = known.get(members - {entry})
+        if without is not None and (
+            found.score.heldout_total <= without.score.heldout_total
+            or found.log_evidence - without.log_evidence < EVIDENCE_GAIN
+        ):
+            return False
+    return True

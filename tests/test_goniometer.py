@@ -105,7 +105,7 @@ def test_two_mirror_exponents_make_one_half_vector_lobe() -> None:
     ],
 )
 def test_measured_starlink_samples(file: str, model: str, rms_dex: float) -> None:
-    """Over three decades of brightness the models err by 0.2 to 0.4 dex off the mirror peak, Lambert by 0.8."""
+    """Over three decades of brightness the models err by 0.2 to 0.4 dex off the peak, Lambert by 0.8."""
     table = read_table(LABORATORY / file).without_peak(2.5)
     assert table.dropped["mirror peak"] == 20
     fit = fit_table(table, model, starts=12)

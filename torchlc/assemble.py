@@ -137,7 +137,7 @@ def assemble(
     else:
         track, attitude, shape = base.track, base.attitude, base.shape
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}
-    context = base.context if base is not None else _context(scene, recording, track, shape, models)
+    context = base.context if base is not None else _context(scene, recording, track, attitude, shape, models)
     row_index = {
         "curve": (context.curve, recording.curve_ids),
         "station": (context.station, recording.station_ids),
@@ -174,7 +174,12 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
 
 
 def _context(
-    scene: Scene, recording: Recording, track: Track, shape: Shape, models: Mapping[str, type[Brdf]]
+    scene: Scene,
+    recording: Recording,
+    track: Track,
+    attitude: Attitude,
+    shape: Shape,
+    models: Mapping[str, type[Brdf]],
 ) -> Context:
     seconds = torch.as_tensor(recording.seconds, dtype=torch.float64)
     gaps = np.diff(np.unique(recording.seconds))
@@ -191,20 +196,23 @@ def _context(
         curve_ids=recording.curve_ids,
         night_ids=recording.night_ids,
         track=track,
+        attitude=attitude,
         shape=shape,
+        lobes=_finest_lobes(scene),
         materials=list(scene.materials),
         models=dict(models),
         mode=scene.attitude.mode,
         light_time_corrected=recording.light_time_corrected,
         kind=recording.kind,
+        errors=recording.error is not None,
     )
 
 
 def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
     known = registry()
     if wanted is None:
-        classes = [cls for cls in known.values() if cls.known]
-        return tuple(effect for cls in classes if (effect := cls()).missing(context) is None)
+        standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
+        return tuple(effect.prepared(context) for effect in standard if effect.missing(context) is None)
     found: list[Effect] = []
     for entry in wanted:
         name, _, target = entry.partition("[")
@@ -217,7 +225,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             reason = effect.missing(context)
             if reason is not None:
                 raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
-            found.append(effect)
+            found.append(effect.prepared(context))
     order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 

@@ -36,6 +36,7 @@ from torchlc.brdf.base import Brdf
 from torchlc.parameters import Quantity
 
 if TYPE_CHECKING:
+    from torchlc.attitude import Attitude
     from torchlc.orbit import State, Track
     from torchlc.shape import Facets, Part, Shape
 
@@ -156,7 +157,10 @@ class Noise:
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index."""
+    """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index.
+
+    ``lobes`` holds the largest exponent of each material's lobe that has to be resolved; ``errors`` is false if they are fitted.
+    """
 
     seconds: Tensor
     exptime: Tensor | None
@@ -168,12 +172,15 @@ class Context:
     curve_ids: Sequence[str]
     night_ids: Sequence[str]
     track: Track
+    attitude: Attitude
     shape: Shape
+    lobes: Mapping[str, float]
     materials: Sequence[str]
     models: Mapping[str, type[Brdf]]
     mode: str
     light_time_corrected: bool
     kind: str
+    errors: bool
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -196,12 +203,12 @@ class Effect:
 
     name: ClassVar[str]
     stage: ClassVar[str]
-    quantities: ClassVar[tuple[Quantity, ...]] = ()
+    quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
     known: ClassVar[bool] = False
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
-    nodes: ClassVar[int] = 1
+    nodes: int = 1
     brdf: ClassVar[type[Brdf] | None] = None
     unable: ClassVar[str] = "the scene has nothing of this name"
 
@@ -218,6 +225,14 @@ class Effect:
         """Why these data cannot carry the effect, in words; None if they can."""
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
+
+    def standard(self, context: Context) -> bool:
+        """Whether a scene without a list of effects has it, if these data can carry it."""
+        return self.known
+
+    def prepared(self, context: Context) -> Effect:
+        """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many ``nodes`` they need."""
+        return self
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:

@@ -39,7 +39,7 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
     ):
         plain = _plain_utc(texts, scale)
     else:
-        plain = [text.replace(" ", "T") for text in texts]
+        plain = [text.strip().replace(" ", "T") for text in texts]
     times = _parse_iso(plain, scale)
     jd1, jd2 = np.asarray(times.jd1), np.asarray(times.jd2)
     _check_range(jd1 + jd2, scale, texts)

@@ -120,7 +120,7 @@ def _lines(path: Path, stream: TextIO) -> Iterator[str]:
             yield line
     except UnicodeDecodeError as error:
         raise InputError(
-            path, f"after line {number}", f"not UTF-8 text: {error.reason}", "UTF-8 text"
+            path, f"after line {number}" if number else None, f"not UTF-8 text: {error.reason}", "UTF-8 text"
         ) from None
 
 

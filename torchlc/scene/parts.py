@@ -23,7 +23,6 @@ from torchlc.scene.numbers import (
 from torchlc.scene.tle import checked_lines
 from torchlc.timestamps import ISO, UnreadableTime, instant
 
-FACES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 MAX_PLATE_SKEW = 1e-3
 """Largest |cos| of the angle between a plate's u and v that counts as a right angle."""
 
@@ -52,7 +51,7 @@ class Orbit(Table):
 
     tle: Annotated[tuple[str, str], AfterValidator(checked_lines)] | None = None
     vectors: Literal["icrs", "ecliptic"] | None = None
-    altaz: bool = False
+    altaz: Annotated[bool, Field(strict=True)] = False
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Orbit:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 
-from tests.rays import fraction_lit_and_seen, triangles_of
-from tests.test_shape import component, shape_of, sizes
+from tests.rays import blocked, fraction_lit_and_seen, triangles_of
+from tests.test_shape import EROS, component, shape_of, sizes
 from torchlc.shape import tracking_pose
 from torchlc.visibility import visible_fractions
 
@@ -238,3 +240,112 @@ def test_a_plate_shades_a_sphere():
     assert (outline * seen[0]).sum().item() == pytest.approx(math.pi / 2, rel=2e-3)
     below = (facets.normal[:, 2] > 0.1) & (facets.centroid[:, 0] > 0.1)
     assert seen[0, below].max() < 1e-8
+
+
+def saved(mesh, tmp_path):
+    mesh.export(tmp_path / "mesh.ply")
+    return component("mesh", "mesh", file="mesh.ply")
+
+
+def by_direction(facets, seen):
+    """Visible area of the facets that face each of +X -X +Y -Y +Z -Z, (N, 6)."""
+    axes = torch.cat([torch.eye(3, dtype=F64), -torch.eye(3, dtype=F64)])[[0, 3, 1, 4, 2, 5]]
+    return (seen * facets.area) @ (facets.normal @ axes.T > 0.99).to(F64)
+
+
+def test_a_mesh_of_two_boxes_sees_itself_as_two_box_parts_do(tmp_path):
+    """A face of the mesh is 32 x 32 pairs of triangles, lit or not: an edge of a shadow is 1/64 off at most."""
+    first = component("first", "box", size=[1.0, 2.0, 1.5], centre=[-1, 0, 0])
+    second = component("second", "box", size=[1.0, 1.0, 3.0], centre=[0.8, 0.3, 0.2])
+    meshes = []
+    for box in (first, second):
+        mesh = trimesh.creation.box(extents=box.size)
+        for _ in range(5):
+            mesh = mesh.subdivide()
+        mesh.apply_translation(box.centre)
+        meshes.append(mesh)
+    whole = saved(trimesh.util.concatenate(meshes), tmp_path)
+    sun, observer = directions(60, seed=20)
+    boxes = shape_of(first, second)
+    exact = fractions([first, second], sun, observer)
+    expected = sum(
+        by_direction(part.facets(sizes(first, second)), seen)
+        for part, seen in zip(boxes.parts, exact, strict=True)
+    )
+    shape = shape_of(whole, directory=tmp_path)
+    facets = shape.parts[0].facets({})
+    (traced,) = visible_fractions(shape, [facets], [None], sun, observer)
+    assert (exact[0] < 0.9).sum() > 10
+    found = by_direction(facets, traced)
+    assert (found - expected).abs().max() < 4.5 / 64
+
+
+def test_turned_parts_among_rays_equal_polygons(tmp_path):
+    """A box-wing whose wings turn, its body a box or a mesh: 256 rays from each facet against polygons."""
+    parts = box_wing()
+    sun, observer = directions(60, seed=21)
+    poses = turned_wings(60, seed=22)
+    exact = fractions(parts, sun, observer, poses=poses)
+    body = saved(trimesh.creation.box(extents=parts[0].size), tmp_path)
+    shape = shape_of(body, *parts[1:], directory=tmp_path)
+    facets = [part.facets(sizes(*parts[1:])) for part in shape.parts]
+    traced = visible_fractions(shape, facets, poses, sun, observer)
+    assert (exact[1] < 0.99).any()
+    for polygons, rays in zip(exact[1:], traced[1:], strict=True):
+        assert (polygons - rays).abs().max() < 0.04  # 4 sigma of 0.7 x 256^(-3/4)
+    whole = by_direction(facets[0], traced[0])
+    box = shape_of(parts[0]).parts[0].facets(sizes(*parts))
+    assert ((whole - by_direction(box, exact[0])) / box.area).abs().max() < 0.04
+
+
+def test_a_dish_shades_itself_as_brute_force_says():
+    dish = component("d", "dish", radius=1.0, depth=0.6)
+    shape = shape_of(dish)
+    facets = shape.parts[0].facets(sizes(dish))
+    sun, observer = unit([[1.0, 0.3, 0.8]]), unit([[-0.4, 0.9, 1.0]])
+    (traced,) = visible_fractions(shape, [facets], [None], sun, observer)
+    half = len(facets.area) // 2
+    bowl = np.concatenate([triangles_of(corners) for corners in facets.vertices[:half].numpy()])
+    middles = facets.vertices.mean(dim=1).numpy() + 1e-4 * facets.normal.numpy()
+    up = ((facets.normal @ sun[0] > 0) & (facets.normal @ observer[0] > 0)).numpy()
+    free = ~(blocked(middles, sun[0].numpy(), bowl) | blocked(middles, observer[0].numpy(), bowl))
+    assert 0.1 < free[up].mean() < 0.9
+    area = facets.area.numpy()
+    assert area[up] @ (traced[0].numpy() - free)[up] == pytest.approx(0.0, abs=0.01 * area[up].sum())
+    clear = (traced[0].numpy() > 0.9) | (traced[0].numpy() < 0.1)
+    assert ((traced[0].numpy() > 0.5) == free)[clear & up].all()
+
+
+def test_rays_under_transforms(tmp_path):
+    rock = saved(
+        trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box([3, 0.5, 0.5])]), tmp_path
+    )
+    shape = shape_of(rock, directory=tmp_path)
+    facets = [shape.parts[0].facets({})]
+    sun, observer = directions(12, seed=23)
+
+    def seen(rows):
+        return visible_fractions(shape, facets, [None], rows, observer)[0]
+
+    batch = torch.stack([sun, sun.flip(0), -sun])
+    together = torch.func.vmap(seen)(batch)
+    assert torch.equal(together, torch.stack([seen(rows) for rows in batch]))
+    assert (together < 1).any()
+    for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+        assert not jacobian(lambda angle: seen(sun * angle).sum())(torch.ones((), dtype=F64)).any()
+
+
+def test_eros_fast_enough_and_not_convex():
+    """A rate far below the usual 1000 rows/s would mean that rays are no longer traced in bulk."""
+    directory = EROS
+    if not directory.exists():
+        pytest.skip("the Eros data are not here")
+    shape = shape_of(component("eros", "mesh", file="eros.obj", scale=20480.0), directory=directory)
+    facets = [shape.parts[0].facets({})]
+    sun = directions(200, seed=24)[0]
+    start = time.perf_counter()
+    (seen,) = visible_fractions(shape, facets, [None], sun, sun)
+    seconds = time.perf_counter() - start
+    assert seconds < 4.0
+    lit = (facets[0].normal @ sun.T > 0).T
+    assert 0.01 < 1 - seen[lit].mean() < 0.2

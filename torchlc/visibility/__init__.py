@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchlc.shape import Facets, Shape
 from torchlc.visibility.polygons import polygon_fractions
+from torchlc.visibility.rays import ray_fractions
 from torchlc.visibility.rowwise import rowwise
 
 __all__ = ["visible_fractions"]
@@ -30,11 +31,21 @@ def visible_fractions(
     facets: one a part, at rest; poses: rotation (N, 3, 3) of each part about its pivot, or None; to_sun,
     to_observer (N, 3): unit vectors, all in the body frame. Whether a facet faces the two is not included;
     where it does not, 1.
+
+    Convex parts among themselves: exact, with exact gradients. With a dish or a mesh among them: `rays`, no
+    gradient.
     """
     rows = len(to_sun)
+    convex = all(part.hull is not None for part in shape.parts)
+    if convex and len(shape.parts) == 1:
+        return [to_sun.new_ones(rows, len(shape.parts[0].faces))]
     each: list[Tensor] = []
     for part, own, pose in zip(shape.parts, facets, poses, strict=True):
-        still = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
-        fixed = (own.vertices, own.normal, own.u, part.hull_corners(own))
-        each += [still.expand(rows, 3, 3), *(tensor.expand(rows, *tensor.shape) for tensor in fixed)]
-    return list(rowwise(partial(polygon_fractions, shape.parts), to_sun, to_observer, *each))
+        turn = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
+        fixed = [own.vertices, own.normal] + ([own.u, part.hull_corners(own)] if convex else [])
+        each += [turn.expand(rows, 3, 3), *(tensor.expand(rows, *tensor.shape) for tensor in fixed)]
+    if convex:
+        return list(rowwise(partial(polygon_fractions, shape.parts), to_sun, to_observer, *each))
+    still = tuple(pose is None for pose in poses)
+    constants = [tensor.detach() for tensor in (to_sun, to_observer, *each)]
+    return list(rowwise(partial(ray_fractions, shape.parts, still), *constants))

@@ -20,7 +20,8 @@ TENSORS_PER_PART = 5
 
 @dataclass(frozen=True)
 class Posed:
-    """N rows of a part: pose (N, 3, 3); vertices (N, F, V, 3), normal, u (N, F, 3) at rest; corners (N, H, 3)."""
+    """N rows of a part: pose (N, 3, 3); at rest vertices (N, F, V, 3), normal, u (N, F, 3); posed corners
+    (N, H, 3) of its hull."""
 
     part: Part
     hull: Hull

@@ -67,9 +67,13 @@ class _Rowwise(torch.autograd.Function):
     @staticmethod
     def vmap(info: Any, in_dims: tuple[Any, ...], function: Rows, *inputs: Tensor) -> Any:
         size = info.batch_size
-        stacked = [
-            row.expand(size, *row.shape) if dim is None else row.movedim(dim, 0)
-            for row, dim in zip(inputs, in_dims[1:], strict=True)
-        ]
-        outputs = rowwise(function, *(row.flatten(0, 1) for row in stacked))
+
+        def more_rows(row: Tensor, dim: int | None) -> Tensor:
+            if dim is not None:
+                return row.movedim(dim, 0).flatten(0, 1)
+            if row.stride(0) == 0:  # the same in every row: stays one copy
+                return row[:1].expand(size * len(row), *row.shape[1:])
+            return row.expand(size, *row.shape).flatten(0, 1)
+
+        outputs = rowwise(function, *map(more_rows, inputs, in_dims[1:]))
         return tuple(out.unflatten(0, (size, -1)) for out in outputs), (0,) * len(outputs)

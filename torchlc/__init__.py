@@ -1,1 +1,69 @@
-"""torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites and debris."""
+"""torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites and debris.
+
+The verbs are :func:`load`, :func:`simulate`, :func:`fit` and :func:`diagnose`; :class:`LightCurve` is the model, a torch module.
+Everything is imported on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import types
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchlc.api import diagnose, fit, load, simulate
+    from torchlc.errors import InputError, TorchlcError
+    from torchlc.likelihood import Likelihood
+    from torchlc.model import LightCurve
+    from torchlc.recording import Recording
+    from torchlc.results import FitResult, SimulatedCurve
+    from torchlc.scene import Scene
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
+    "LightCurve": "model", "Likelihood": "likelihood", "Scene": "scene", "Recording": "recording",
+    "FitResult": "results", "SimulatedCurve": "results", "InputError": "errors", "TorchlcError": "errors",
+}  # fmt: skip
+"""Public name: the module it comes from."""
+
+__all__ = [
+    "FitResult",
+    "InputError",
+    "Likelihood",
+    "LightCurve",
+    "Recording",
+    "Scene",
+    "SimulatedCurve",
+    "TorchlcError",
+    "__version__",
+    "diagnose",
+    "fit",
+    "load",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(types.ModuleType):
+    """Keeps ``torchlc.fit`` and ``torchlc.diagnose`` the verbs: importing the modules of those names would put them in their place."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (_HOME.get(name) == "api" and isinstance(value, types.ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

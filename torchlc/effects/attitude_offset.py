@@ -12,13 +12,15 @@ SERIES_BELOW = 1e-4
 
 
 def rotation_of(vector: torch.Tensor) -> torch.Tensor:
-    """Rotation (..., 3, 3) of a rotation vector (..., 3), rad: exp([w]x) = I + a [w]x + b [w]x^2, smooth at zero."""
+    """Rotation (..., 3, 3) of a rotation vector w (..., 3), rad, smooth at 0: I + a [w]x + b [w]x^2."""
     square = (vector * vector).sum(-1)
     small = square < SERIES_BELOW
     angle = torch.sqrt(torch.where(small, 1.0, square))
-    a = torch.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), torch.sin(angle) / angle)
     half = torch.sin(angle / 2) / (angle / 2)
-    b = torch.where(small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), 0.5 * half * half)
+    series_a = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+    series_b = 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56))
+    a = torch.where(small, series_a, torch.sin(angle) / angle)
+    b = torch.where(small, series_b, 0.5 * half * half)
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
@@ -28,12 +30,13 @@ def rotation_of(vector: torch.Tensor) -> torch.Tensor:
 
 def _angle(name: str, turn: str) -> Quantity:
     return Quantity(
-        name, "deg", -15.0, 15.0, f"turn about body {turn}", off=0.0, typical=0.5, prior="normal", mean=0.0, sigma=1.0
-    )
+        name, "deg", -15.0, 15.0, f"turn about body {turn}",
+        off=0.0, typical=0.5, prior="normal", mean=0.0, sigma=1.0,
+    )  # fmt: skip
 
 
 class AttitudeOffset(Effect):
-    """R = R0 Rot(w) with a constant rotation vector w in body axes: at GEO 0.34 mag for 1 deg about the orbit normal.
+    """R = R0 Rot(w) with a constant rotation vector w in body axes: up to 0.34 mag for 1 deg at GEO.
 
     Tracking parts are solved after the turn. Neglects a drift of the offset.
     """

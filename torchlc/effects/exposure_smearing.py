@@ -2,38 +2,104 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import torch
+from torch.nn.functional import normalize
 
-from torchlc.effects.base import Effect, Nodes
+from torchlc.effects.base import Context, Effect, Nodes
 from torchlc.parameters import Quantity
+from torchlc.shape import tracking_pose
+from torchlc.shape.part import like
 
-NODES = 15
+BROADEST_RAD = 0.3
+"""Width that a diffuse facet's rise and set is taken to have: that of a lobe with n = 11."""
+MOST_NODES = 801
+MOST_PAIRS = 2e7
+"""Facets, rows and instants together, beyond which fewer instants are taken: 160 MB for each angle of the tables."""
 
 
 class ExposureSmearing(Effect):
-    """Mean light over the exposure by 15 Gauss-Legendre instants; with a shutter open for s seconds where no exptime is recorded.
+    """Mean light over the exposure; with a shutter open for s seconds about the stamp where no exptime is recorded.
 
-    Resolves glints that last longer than a tenth of the exposure; a shorter one is counted to a few per cent of its light.
+    As many Gauss-Legendre instants as the sharpest lobe asks of the row that turns most: 1 while the half
+    vector moves by less than a twentieth of the lobe's width 1/sqrt(n), 2 or 3 up to one width, then one for
+    each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Neglects turns that only other
+    effects bring (wobble), and what falls between the instants where n is fitted beyond 1e4, or where the caps
+    on instants and memory are met.
     """
 
     name = "exposure_smearing"
     stage = "clock"
     known = True
-    nodes = NODES
+    quantities = (
+        Quantity("s", "s", 0.0, 3600.0, "exposure time, at most the cadence", off=0.0, typical=10.0),
+    )  # fmt: skip
+
+    def standard(self, context):
+        return context.exptime is not None
 
     def missing(self, context):
-        if context.exptime is None:
-            return "the recording has no exptime column"
-        if not bool((context.exptime > 0).any()):
-            return "every exposure is of zero length"
         if not context.track.supports("time_offset"):
             return "the recording gives no motion within an exposure"
-        return None
+        if context.exptime is None:
+            return None if context.cadence > 0 else "there is neither an exptime column nor a cadence"
+        return None if bool((context.exptime > 0).any()) else "every exposure is of zero length"
+
+    def prepared(self, context):
+        exposure = context.exptime
+        if exposure is None:
+            exposure = torch.full_like(context.seconds, context.cadence)
+            s = type(self).quantities[0]
+            self.quantities = (replace(s, high=context.cadence, typical=0.5 * context.cadence),)
+        else:
+            self.quantities = ()
+        facets = sum(len(part.faces) for part in context.parts)
+        most = min(MOST_NODES, max(3, int(MOST_PAIRS / (facets * len(exposure)))))
+        self.nodes = min(instants_for(widths_swept(context, exposure)), most)
+        return self
 
     def clock(self, nodes, p, context):
-        x, w = np.polynomial.legendre.leggauss(NODES)
-        place = torch.as_tensor(0.5 * x).to(nodes.offset)
-        weight = torch.as_tensor(0.5 * w).to(nodes.offset)
-        offset = nodes.offset + place[:, None] * context.exptime.to(nodes.offset)
-        return Nodes(offset, weight[:, None] * nodes.weight)
+        exposure = p["s"] if context.exptime is None else context.exptime.to(nodes.offset)
+        rule = np.polynomial.legendre.leggauss(self.nodes)
+        x, w = (torch.as_tensor(0.5 * half).to(nodes.offset) for half in rule)
+        offset = nodes.offset + x[:, None, None] * exposure
+        weight = (w[:, None, None] * nodes.weight).expand(-1, *nodes.weight.shape)
+        return Nodes(offset.flatten(0, 1), weight.flatten(0, 1))
+
+
+def instants_for(widths: float) -> int:
+    """Gauss-Legendre instants while a Gaussian lobe over a floor of 1/1250 moves by so many widths, for an
+    error of at most 1e-3 mag wherever it passes.
+    """
+    for instants, enough in ((1, 0.05), (2, 0.4), (3, 1.0)):
+        if widths <= enough:
+            return instants
+    return math.ceil(widths) + 2 if widths < MOST_NODES else MOST_NODES
+
+
+def widths_swept(context: Context, exposure: torch.Tensor) -> float:
+    """The largest path of the half vector over a part during any exposure (T,), in widths of the part's sharpest lobe.
+
+    From its rate at five places of each exposure, at the scene's own values.
+    """
+    step = 1e-3 * exposure
+    place = torch.linspace(-0.5, 0.5, 5, dtype=exposure.dtype)[:, None] * exposure
+    offset = torch.cat([place - step / 2, place + step / 2])
+    state = context.track.at(offset, offset, 0.0)
+    rotation = context.attitude.rotation(state, {})
+    to_sun = torch.einsum("...ij,...i->...j", rotation, normalize(state.sun, dim=-1))
+    to_observer = torch.einsum("...ij,...i->...j", rotation, normalize(state.observer, dim=-1))
+    most = 0.0
+    for part in context.parts:
+        half = to_sun + to_observer
+        if part.tracks_axis is not None:
+            pose = tracking_pose(like(part.tracks_axis, to_sun), like(part.front, to_sun), to_sun)
+            half = torch.einsum("...ij,...i->...j", pose, half)
+        half = normalize(half, dim=-1)
+        swept = 1e3 * torch.linalg.vector_norm(half[5:] - half[:5], dim=-1).amax()
+        sharpest = max(context.lobes[material] for material in part.materials)
+        most = max(most, float(swept) / min(BROADEST_RAD, 1 / math.sqrt(sharpest)))
+    return most

@@ -11,9 +11,9 @@ LEAST_SPREAD = 1e-3
 
 
 class ExtinctionResidual(Effect):
-    """Adds mag_per_airmass (X - 1), with the airmass X of Kasten & Young (1989): 0.08 mag over a MEO pass from X = 1.1 to 2.7.
+    """Adds mag_per_airmass (X - 1): 0.08 mag for 0.05 over a MEO pass from X = 1.1 to 2.7.
 
-    Neglects the colour of the object (second-order extinction) and changes of the sky during the night.
+    X is the airmass of Kasten & Young (1989). Neglects the colour of the object (second-order extinction) and changes of the sky during the night.
     """
 
     name = "extinction_residual"
@@ -34,5 +34,6 @@ class ExtinctionResidual(Effect):
         return None
 
     def detector(self, brightness, p, context):
+        assert context.airmass is not None  # see `missing`
         fainter = p["mag_per_airmass"] * (context.airmass.to(brightness.flux) - 1)
         return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * fainter))

@@ -11,7 +11,7 @@ from torchlc.parameters import Quantity
 
 
 class Outliers(Effect):
-    """A fraction of the rows has errors ``width`` times as large, (1 - p) N(0, s) + p N(0, width s) for every row.
+    """A fraction p of the rows errs ``width`` times as much: (1 - p) N(0, s) + p N(0, width s) for every row.
 
     Neglects that bad rows come in runs and mostly err to one side.
     """
@@ -27,5 +27,5 @@ class Outliers(Effect):
     )  # fmt: skip
 
     def noise(self, noise, p, context):
-        tiny = torch.finfo(p["fraction"].dtype).tiny  # keeps the slope of the mixture finite at a fraction of 0
-        return replace(noise, outliers=p["fraction"] + tiny, width=p["width"])
+        above_zero = torch.finfo(p["fraction"].dtype).tiny  # where the slope of the mixture's log is finite
+        return replace(noise, outliers=p["fraction"] + above_zero, width=p["width"])

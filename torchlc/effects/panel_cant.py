@@ -11,9 +11,10 @@ from torchlc.shape.part import like
 
 
 class PanelCant(Effect):
-    """Tilt of every tracking part's front p about p x axis, towards the axis where positive: 0.15 mag for 1 deg at a GEO peak.
+    """Tilt of every tracking part's front p about p x axis: 0.15 mag for 1 deg at a GEO peak.
 
-    One angle for all wings, each with its own axis: wings on the same axis lean the same way. Neglects bending along a wing.
+    Towards the axis where positive, so that wings on both sides of the body with one axis lean the same way.
+    Neglects bending along a wing.
     """
 
     name = "panel_cant"
@@ -26,7 +27,8 @@ class PanelCant(Effect):
     )  # fmt: skip
 
     def missing(self, context):
-        return None if any(part.tracks_axis is not None for part in context.parts) else "no part tracks the Sun"
+        tracking = any(part.tracks_axis is not None for part in context.parts)
+        return None if tracking else "no part tracks the Sun"
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])

@@ -11,7 +11,7 @@ from torchlc.shape.part import like
 
 
 class PanelOffset(Effect):
-    """Right-handed turn of all tracking parts about their axis: 0.34 mag for 1 deg on the flank of a GEO glint.
+    """Right-handed turn of all tracking parts about their axis: 0.34 mag for 1 deg beside a GEO glint.
 
     One angle for all wings; neglects a drive that lags or moves in steps (1 deg of stepping: 0.17 mag).
     """
@@ -26,7 +26,8 @@ class PanelOffset(Effect):
     )  # fmt: skip
 
     def missing(self, context):
-        return None if any(part.tracks_axis is not None for part in context.parts) else "no part tracks the Sun"
+        tracking = any(part.tracks_axis is not None for part in context.parts)
+        return None if tracking else "no part tracks the Sun"
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])

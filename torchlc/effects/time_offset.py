@@ -9,9 +9,9 @@ from torchlc.parameters import Quantity
 
 
 class TimeOffset(Effect):
-    """Object, Sun and station are all taken at stamp + s: 0.044 mag for 60 s near a GEO glint, dt/P of a turn for spinners.
+    """Object, Sun and station are all taken at stamp + s: 0.044 mag for 60 s near a GEO glint.
 
-    Neglects a drift of the clock within the recording.
+    A spinner is out by s/P of a turn. Neglects a drift of the clock within the recording.
     """
 
     name = "time_offset"

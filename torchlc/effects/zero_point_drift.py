@@ -11,7 +11,7 @@ from torchlc.parameters import Quantity
 
 
 def hours_from_mean(seconds: torch.Tensor, *groups: torch.Tensor) -> torch.Tensor:
-    """Hours (T,) since the mean time of the rows that share the same index (T,) in every one of ``groups``."""
+    """Hours (T,) since the mean time of the rows with the same index (T,) in every one of ``groups``."""
     _, group = torch.unique(torch.stack(groups), dim=1, return_inverse=True)
     zero = seconds.new_zeros(int(group.max()) + 1)
     mean = zero.index_add(0, group, seconds) / zero.index_add(0, group, torch.ones_like(seconds))
@@ -19,9 +19,9 @@ def hours_from_mean(seconds: torch.Tensor, *groups: torch.Tensor) -> torch.Tenso
 
 
 class ZeroPointDrift(Effect):
-    """Adds mag_per_hour (t - mean time), the mean over the rows of one curve and night: 0.01 to 0.1 mag a night.
+    """Adds mag_per_hour (t - mean time): 0.01 to 0.1 mag a night.
 
-    Neglects anything but a straight line: clouds, and a step where the camera was restarted.
+    The mean is over the rows of one curve in one night. Neglects anything but a straight line: clouds, and a step where the camera was restarted.
     """
 
     name = "zero_point_drift"

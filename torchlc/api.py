@@ -1,0 +1,326 @@
+"""The verbs: load, simulate, fit, diagnose. Each takes paths or objects, checks everything before it works, and returns one object."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import torch
+
+from torchlc import __version__
+from torchlc.assemble import Assembly, assemble
+from torchlc.effects import names as effect_names
+from torchlc.effects.earth_shadow import sunlit_fraction
+from torchlc.errors import InputError
+from torchlc.fit import Fit, fit_map
+from torchlc.insight import bare_view
+from torchlc.likelihood import Likelihood, matern32
+from torchlc.model import LightCurve
+from torchlc.orbit import above_horizon, observation_grid
+from torchlc.output import OutputDirectory, resources
+from torchlc.recording import Recording, load_recording
+from torchlc.results import FitResult, SimulatedCurve
+from torchlc.sample import sample
+from torchlc.scene import Scene, load_scene
+from torchlc.spelling import did_you_mean
+
+if TYPE_CHECKING:
+    from torchlc.diagnose.run import DiagnosisResult
+
+Progress = Callable[[str, float], None]
+DOUBTFUL_P = 1e-3
+"""Below this probability of chi-square, quoted errors get a jitter added to them."""
+DEFAULT_AIR_KM = 20.0
+"""Opaque air over the Earth for the column eclipse_fraction of a model without earth_shadow."""
+MIN_ROWS = 2
+
+
+@overload
+def load(scene: str | Path, recording: None = None, *, use: str | None = None, trust: bool = False) -> Scene: ...
+@overload
+def load(
+    scene: str | Path | Scene, recording: str | Path, *, use: str | None = None, trust: bool = False
+) -> tuple[Scene, Recording]: ...
+def load(
+    scene: str | Path | Scene, recording: str | Path | None = None, *, use: str | None = None, trust: bool = False
+) -> Scene | tuple[Scene, Recording]:
+    """Read a scene, or a scene and a recording, and check them.
+
+    ``use`` picks "mag" or "flux" of a recording that has both. ``trust`` lets the scene name files outside its own folder.
+    """
+    read = _scene(scene, trust)
+    return read if recording is None else (read, load_recording(recording, read, use=use))
+
+
+def simulate(
+    scene: str | Path | Scene,
+    recording: str | Path | Recording | None = None,
+    *,
+    start: str | float | None = None,
+    hours: float | None = None,
+    cadence: float | None = None,
+    noise: float | None = None,
+    seed: int = 0,
+    trust: bool = False,
+) -> SimulatedCurve:
+    """The light curve of a scene at a recording's rows, or for ``hours`` from ``start`` (ISO UTC or JD) every ``cadence`` seconds.
+
+    Free numbers have their scene's values. ``noise`` (mag) makes a recording of it: normal errors, quoted, and on top what noise
+    effects of the scene say (jitter, red_noise, outliers), unquoted.
+    """
+    scene = _scene(scene, trust)
+    if recording is None:
+        if start is None or hours is None or cadence is None:
+            raise InputError(None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other")
+        rows = observation_grid(scene, start, hours, cadence)
+    elif start is not None or hours is not None or cadence is not None:
+        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
+    else:
+        rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
+    if noise is not None and not (math.isfinite(noise) and noise > 0):
+        raise InputError(None, "--noise", f"{noise:g} mag", "a number > 0")
+    model = LightCurve(scene, rows)
+    theta = model.parameter_set.start()
+    with torch.no_grad():
+        brightness = model.brightness(theta, shares=True)
+        mag = model.magnitude(brightness, theta).numpy()
+    assert brightness.shares is not None  # asked for
+    flux, shares = brightness.flux.numpy(), brightness.shares.numpy()
+    columns: dict[str, np.ndarray | None] = {"mag": mag, "flux": flux}
+    if noise is not None:
+        delta = _noise(model, theta, noise, seed)
+        flux = flux * 10 ** (-0.4 * delta)
+        columns = {"mag": mag + delta, "mag_err": np.full(len(mag), noise), "flux": flux}
+        columns["flux_err"] = np.where(flux > 0, flux * noise * 0.4 * math.log(10), np.nan)
+    columns |= _geometry(model, theta)
+    dark = shares.sum(0) == 0
+    return SimulatedCurve(
+        name=scene.name,
+        recording=rows,
+        columns=columns,
+        shares={name: np.where(dark, np.nan, one) for name, one in zip(brightness.components, shares, strict=True)},
+        warnings=model.assembly.warnings,
+        seed=seed,
+    )
+
+
+def fit(
+    scene: str | Path | Scene,
+    recording: str | Path | Recording,
+    *,
+    steps: int | None = None,
+    walkers: int | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    resume: bool = False,
+    use: str | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: Sequence[str] | None = None,
+) -> FitResult:
+    """Fit the free numbers of a scene to a recording: Adam from many starts, a polish, then emcee.
+
+    ``steps`` fixes the length of the chain, else it runs until long against its autocorrelation time; ``walkers`` defaults to 6 a
+    parameter. With ``out`` everything is written there (fit.json, posterior.nc, chain.h5, figures, report.html) and ``resume``
+    continues the chain found there. Nothing free: the model is evaluated and nothing is sampled.
+    """
+    began = time.monotonic()
+    scene = _scene(scene, trust)
+    if resume and out is None:
+        raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
+    likelihood = Likelihood(LightCurve(scene, rows := usable(scene, recording, use=use)))
+    _check_sampling(len(likelihood.model.names), steps, walkers)
+    seconds = {"load": time.monotonic() - began}
+    with ExitStack() as stack:
+        directory = None if out is None else stack.enter_context(OutputDirectory(out))
+        stack.enter_context(resources(None if directory is None else directory.path))
+        chain = None if directory is None else directory.path / "chain.h5"
+        clock = time.monotonic()
+        found, warnings = _search(likelihood, rows, seed, progress)
+        seconds["search"] = time.monotonic() - clock
+        clock = time.monotonic()
+        posterior = None
+        if found.model.names:
+            posterior = sample(
+                found, walkers=walkers, steps=steps, seed=seed, chain_file=chain, resume=resume, progress=progress
+            )
+        seconds["sample"] = time.monotonic() - clock
+        if posterior is not None and not posterior.converged:
+            warnings.append(f"the chain is short: {posterior.reason}")
+        if not found.converged:
+            warnings.append(f"the search did not converge: {found.reason}")
+        result = FitResult(
+            fit=found,
+            posterior=posterior,
+            seconds=seconds,
+            warnings=[*found.model.assembly.warnings, *found.warnings, *warnings],
+            seed=seed,
+            provenance=provenance(scene, rows, seed, command),
+        )
+        if directory is not None:
+            from torchlc import report
+
+            seconds["total"] = time.monotonic() - began
+            report.write_fit(result, directory, progress)
+        seconds["total"] = time.monotonic() - began
+    return result
+
+
+def diagnose(
+    scene: str | Path | Scene,
+    recording: str | Path | Recording,
+    *,
+    quick: bool = False,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    use: str | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: Sequence[str] | None = None,
+) -> DiagnosisResult:
+    """Say whether physics is missing from the scene's model, which, where, and what that changes.
+
+    ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and most refits. With ``out``
+    diagnosis.json is written there.
+    """
+    from torchlc.diagnose.run import diagnose as run
+
+    scene = _scene(scene, trust)
+    rows = usable(scene, recording, use=use)
+    _check_candidates(effects)
+    assemble(scene, rows)
+    with ExitStack() as stack:
+        directory = None if out is None else stack.enter_context(OutputDirectory(out))
+        stack.enter_context(resources(None if directory is None else directory.path))
+        result = run(scene, rows, quick=quick, effects=effects, seed=seed, progress=progress)
+        if directory is not None:
+            content = result.to_json() | {"provenance": provenance(scene, rows, seed, command)}
+            directory.write_json("diagnosis.json", content)
+    return result
+
+
+def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:
+    """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and counted."""
+    from torchlc.orbit import make_track
+
+    if not isinstance(recording, Recording):
+        recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)
+    kept = recording.keep(above_horizon(make_track(scene, recording)), "below the horizon")
+    if len(kept) < MIN_ROWS:
+        lost = ", ".join(f"{count} {reason}" for reason, count in kept.dropped.items())
+        found = f"{len(kept)} usable row" + (f" ({lost})" if lost else "")
+        raise InputError(kept.source, None, found, f"at least {MIN_ROWS}")
+    return kept
+
+
+def provenance(scene: Scene, recording: Recording, seed: int, command: Sequence[str] | None = None) -> dict[str, Any]:
+    """From what, with what and how a result was made: hashes of the inputs, versions, seed, command."""
+    import astropy
+    import emcee
+
+    sources = {"scene": scene.source, "recording": recording.source}
+    return {
+        "inputs": {
+            name: {"file": Path(source).name, "sha256": hashlib.sha256(Path(source).read_bytes()).hexdigest()}
+            for name, source in sources.items()
+            if source is not None and Path(source).is_file()
+        },
+        "versions": {
+            "torchlc": __version__,
+            "python": platform.python_version(),
+            "torch": str(torch.__version__),
+            "numpy": np.__version__,
+            "astropy": str(astropy.__version__),
+            "emcee": emcee.__version__,
+        },
+        "seed": seed,
+        "command": None if command is None else " ".join(command),
+    }
+
+
+def _scene(scene: str | Path | Scene, trust: bool) -> Scene:
+    return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
+
+
+def _check_candidates(effects: Sequence[str] | None) -> None:
+    known = effect_names()
+    for name in effects or ():
+        if name.partition("[")[0] not in known:
+            raise InputError(None, "--effects", f"unknown effect {name!r}", f"some of {', '.join(known)}", did_you_mean(name, known))
+
+
+def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> None:
+    if steps is not None and steps < 1:
+        raise InputError(None, "--steps", str(steps), "at least 1")
+    if walkers is not None and parameters and walkers < 2 * parameters + 2:
+        raise InputError(None, "--walkers", str(walkers), f"at least {2 * parameters + 2} for {parameters} free parameters")
+
+
+def _search(likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None) -> tuple[Fit, list[str]]:
+    """The maximum a posteriori; with a jitter added to the model where chi-square says that the quoted errors are too small."""
+    found = fit_map(likelihood, seed=seed, progress=progress)
+    effects = [_listed(effect) for effect in likelihood.model.effects]
+    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
+    if not doubtful:
+        return found, []
+    said = f"chi2 is {found.chi2:.1f} for {found.dof} degrees of freedom (p = {found.p_value:.1g})"
+    if not likelihood.model.names:
+        return found, [f"{said}: the model as it stands does not fit within the errors"]
+    assembly = likelihood.model.assembly
+    with_jitter = assemble(assembly.scene, recording, [*effects, "jitter"], base=assembly)
+    model = LightCurve(assembly.scene, recording, assembly=with_jitter)
+    found = fit_map(Likelihood(model), seed=seed, progress=progress)
+    warning = f"{said}: a jitter was added to the errors; torchlc diagnose looks for what the model lacks"
+    return found, [warning]
+
+
+def _listed(effect: Any) -> str:
+    return effect.name + (f"[{effect.target}]" if effect.target else "")
+
+
+def _geometry(model: LightCurve, theta: torch.Tensor) -> dict[str, np.ndarray | None]:
+    """Range, phase angle, elevation, airmass and the share of the Sun that the Earth hides, (T,) each; None where unknown."""
+    track = model.assembly.track
+    with torch.no_grad():
+        state = bare_view(model, theta).state
+        eclipse = None
+        if track.supports("position") and state.position is not None:
+            air = model.values(theta).get("earth_shadow.h0", torch.tensor(DEFAULT_AIR_KM, dtype=torch.float64))
+            eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air[..., None])
+        found = {
+            "range_km": track.range_km,
+            "phase_angle_deg": track.phase_angle_deg,
+            "elevation_deg": track.elevation_deg,
+            "airmass": track.airmass,
+            "eclipse_fraction": eclipse,
+        }
+        return {name: None if values is None else values.numpy() for name, values in found.items()}
+
+
+def _noise(model: LightCurve, theta: torch.Tensor, sigma: float, seed: int) -> np.ndarray:
+    """Random errors (T,), mag: ``sigma`` normal, widened by the scene's jitter, outliers and red noise."""
+    generator = np.random.default_rng(seed)
+    rows = model.assembly.T
+    with torch.no_grad():
+        noise = model.noise(theta)
+    jitter = 0.0 if noise.jitter is None else noise.jitter.numpy()
+    delta = generator.normal(size=rows) * np.sqrt(sigma**2 + jitter**2)
+    if noise.outliers is not None and noise.width is not None:
+        delta = delta * np.where(generator.random(rows) < noise.outliers.numpy(), noise.width.numpy(), 1.0)
+    if noise.red is not None and noise.tau is not None:
+        context = model.assembly.context
+        for one in np.unique(context.curve.numpy()):
+            index = np.flatnonzero(context.curve.numpy() == one)
+            seconds = context.seconds[index]
+            gap = (seconds[:, None] - seconds[None]).abs() / 60
+            covariance = matern32(gap, noise.tau).numpy() + 1e-9 * np.eye(len(index))
+            delta[index] += float(noise.red) * np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
+    return delta

@@ -1,0 +1,38 @@
+"""The object turns faster or slower than the scene says."""
+
+from __future__ import annotations
+
+import torch
+
+from torchlc.effects.base import Effect
+from torchlc.parameters import Quantity
+
+SLOWEST = 1e-9
+"""Revolutions in the time of one of the scene's, below which an object is taken to stand still."""
+
+
+class SpinRateOffset(Effect):
+    """rate = the scene's + rev_per_hour: out of step after 1/(2 rev_per_hour) h.
+
+    The phase is pinned at spin_epoch (``epoch`` for a spin pole). Neglects a change of the rate during the recording.
+    """
+
+    name = "spin_rate_offset"
+    stage = "spin"
+    quantities = (
+        Quantity(
+            "rev_per_hour", "rev/h", -0.5, 0.5, "true less assumed rate of spin",
+            off=0.0, typical=0.01, prior="normal", mean=0.0, sigma=0.02,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        return None if context.attitude.spins else "the attitude has no spin"
+
+    def spin(self, values, p, context):
+        if context.mode == "spin-pole":
+            period = values["attitude.period"]
+            turns = 1 + period * p["rev_per_hour"]
+            turns = torch.where(turns.abs() < SLOWEST, SLOWEST, turns)
+            return {**values, "attitude.period": period / turns}
+        return {**values, "attitude.spin_rate": values["attitude.spin_rate"] + p["rev_per_hour"]}

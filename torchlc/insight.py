@@ -1,0 +1,201 @@
+"""What the data say about each parameter, and where they say nothing, the geometric reason.
+
+A parameter is informed if, in the flat coordinates of :class:`~torchlc.parameters.ParameterSet` (logarithms of log-scaled numbers, the
+second reflectance of a pair as its share of what the first leaves), its posterior is clearly narrower than its prior or has moved by more
+than the prior's width. With relative flux, numbers that only scale the light together are never informed, however their ratios are known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.assemble import COMPONENT_SIZES, assemble
+from torchlc.effects import GEOMETRY_STAGES
+from torchlc.effects.base import View
+from torchlc.likelihood import Likelihood
+from torchlc.model import LightCurve, degrees_between
+
+NARROWER = 0.75
+"""Ratio of posterior to prior standard deviation below which a parameter is informed; 4000 prior draws give it to 2 %."""
+MOVED = 1.0
+"""Shift of the median, in prior standard deviations, beyond which it is informed."""
+TENSION = 3.0
+"""Distance of the median from the centre of a peaked prior, in its sigma, that is warned of."""
+SCALE_STEP = 0.8
+SCALE_CHI2 = 1e-3
+"""Numbers multiplied by SCALE_STEP together are only a scale if chi-square changes by less than this share of the rows."""
+FAR_GLINT_DEG = 10.0
+"""A closest glint beyond this, or beyond two lobe widths, is a reason not to know a lobe."""
+PRIOR_DRAWS = 4000
+FACETS_AT_ONCE = 2_000_000
+SCALES = ("albedo", "r_spec", "r_diff")
+
+
+@dataclass(frozen=True)
+class Glint:
+    """How near the bisector of Sun and observer comes to a lit-and-seen facet of a material, degrees, at which row."""
+
+    degrees: float
+    row: int
+
+
+def bare_view(model: LightCurve, theta: Tensor) -> View:
+    """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at natural values theta (P,)."""
+    moving = [
+        effect.name + (f"[{effect.target}]" if effect.target else "")
+        for effect in model.effects
+        if effect.stage in GEOMETRY_STAGES and effect.nodes == 1 and effect.stage not in ("light", "surface", "scatter")
+    ]
+    bare = LightCurve(
+        model.scene, model.recording, assembly=assemble(model.scene, model.recording, moving, base=model.assembly)
+    )
+    with torch.no_grad():
+        return bare.view(model.values(theta))
+
+
+def glints(view: View) -> dict[str, Glint | None]:
+    """The closest glint of each material; None if no facet of it is ever both lit and seen."""
+    to_sun, to_observer = view.to_sun[0], view.to_observer[0]
+    half = torch.nn.functional.normalize(to_sun + to_observer, dim=-1)
+    found: dict[str, Glint | None] = {}
+    for patch in view.patches:
+        found.setdefault(patch.material, None)
+        size = max(1, FACETS_AT_ONCE // len(to_sun))
+        directions = (to_sun, to_observer, half)
+        if patch.pose is not None:
+            directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0], one) for one in directions)
+        for normal in patch.normal.split(size):
+            cos_i, cos_r, _ = (one @ normal.T for one in directions)
+            angle = degrees_between(directions[2][:, None], normal)
+            angle = torch.where((cos_i > 0) & (cos_r > 0), angle, math.inf)
+            least = float(angle.min())
+            best = found[patch.material]
+            if math.isfinite(least) and (best is None or least < best.degrees):
+                found[patch.material] = Glint(least, int(angle.min(1).values.argmin()))
+    return found
+
+
+def material_shares(model: LightCurve, theta: Tensor) -> dict[str, float]:
+    """The largest share of any row's light that each material gives at natural values theta (P,)."""
+    with torch.no_grad():
+        values = model.values(theta)
+        tables = (
+            model.make_tables(model.view(values), values, True, compact=False)
+            if model.geometry_free
+            else model.tables(True)
+        )
+        light: dict[str, Tensor] = {}
+        for surface in tables.surfaces:
+            light[surface.material] = light.get(surface.material, 0.0) + model.reflect(surface, values)
+        total = sum(light.values(), start=torch.zeros(()))
+        return {
+            name: float(torch.where(total > 0, one / torch.where(total > 0, total, 1.0), 0.0).max())
+            for name, one in light.items()
+        }
+
+
+@dataclass(frozen=True)
+class Insight:
+    """``informed`` by parameter name, and ``warnings``: one sentence for each that is not, and for each prior in tension."""
+
+    informed: Mapping[str, bool]
+    warnings: Sequence[str]
+
+
+def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed: int) -> Insight:
+    """Compare posterior ``draws`` (N, P) with the prior; ``best`` (P,) is the maximum a posteriori, ``view`` its geometry."""
+    parameters = likelihood.model.parameter_set
+    prior = parameters.sample_prior(PRIOR_DRAWS, torch.Generator(device=parameters.device).manual_seed(seed))
+    before, after = parameters.to_flat(prior), parameters.to_flat(draws)
+    width = before.std(0).clamp(min=1e-300)
+    narrowed = after.std(0) / width
+    moved = (after.median(0).values - before.median(0).values).abs() / width
+    scales = only_scales(likelihood, best)
+    scale_of = {name: group for group in scales for name in group}
+    informed = {
+        name: name not in scale_of and bool(narrowed[i] < NARROWER or moved[i] > MOVED)
+        for i, name in enumerate(parameters.names)
+    }
+    warnings: list[str] = [_scale_sentence(group) for group in scales]
+    closest, shares = glints(view), material_shares(likelihood.model, best)
+    for i, name in enumerate(parameters.names):
+        if not informed[name] and name not in scale_of:
+            reason = _reason(likelihood.model, name, best, closest, shares) or _trade(parameters.names, i, after)
+            warnings.append(f"{name} is set by its prior: {reason}")
+    for i, entry in enumerate(parameters.free):
+        prior_i = entry.prior
+        if prior_i.kind in ("uniform", "loguniform"):
+            continue
+        middle = float(draws[:, i].median())
+        logarithmic = prior_i.kind == "lognormal"
+        gap = math.log(middle / prior_i.centre) if logarithmic else middle - prior_i.centre
+        if abs(gap) > TENSION * prior_i.sigma:
+            warnings.append(
+                f"prior in tension: {entry.name} = {middle:.4g} lies {abs(gap) / prior_i.sigma:.1f} sigma from its prior "
+                f"({prior_i.centre:.4g}, sigma {prior_i.sigma:.4g}{' in the logarithm' if logarithmic else ''})"
+            )
+    return Insight(informed, warnings)
+
+
+def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
+    """Groups of free parameters that relative flux leaves undetermined together: all reflectances, all sizes."""
+    if likelihood.kind != "flux":
+        return []
+    names = likelihood.model.names
+    found = []
+    for shorts in (SCALES, COMPONENT_SIZES):
+        index = [i for i, name in enumerate(names) if name.rpartition(".")[2] in shorts]
+        if not index:
+            continue
+        scaled = best.clone()
+        scaled[index] *= SCALE_STEP
+        with torch.no_grad():
+            change = float((likelihood.chi2(scaled) - likelihood.chi2(best)).abs())
+        if change < SCALE_CHI2 * likelihood.rows:
+            found.append([names[i] for i in index])
+    return found
+
+
+def _scale_sentence(group: Sequence[str]) -> str:
+    if len(group) == 1:
+        return f"{group[0]} is set by its prior: it is only a scale of the light, and relative flux has none"
+    listed = ", ".join(group[:-1]) + f" and {group[-1]}"
+    return f"{listed} are known only relative to one another: together they are a scale of the light, and relative flux has none"
+
+
+def _reason(
+    model: LightCurve, name: str, best: Tensor, closest: Mapping[str, Glint | None], shares: Mapping[str, float]
+) -> str | None:
+    """Why a material's parameter is not informed, from the geometry; None if the geometry gives no reason."""
+    owner, _, short = name.rpartition(".")
+    if owner not in model.scene.materials or short in COMPONENT_SIZES:
+        return None
+    glint = closest.get(owner)
+    if glint is None:
+        return f"no facet of {owner} is ever both lit and seen"
+    share = shares.get(owner, 0.0)
+    kind = model.assembly.models[owner]
+    values = model.assembly.material_values(owner, kind, model.values(best))
+    width = math.degrees(math.sqrt(float(kind.lobe_variance(values))))
+    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "alpha", "m")
+    if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
+        return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
+    if share < 0.2:
+        return f"{owner} never gives more than {100 * share:.2g} % of the light"
+    return None
+
+
+def _trade(names: Sequence[str], index: int, flat: Tensor) -> str:
+    """The parameter with which draws (N, P) trade most, in words."""
+    if len(names) > 1:
+        correlation = torch.corrcoef(flat.T)[index].nan_to_num()
+        correlation[index] = 0.0
+        other = int(correlation.abs().argmax())
+        if abs(float(correlation[other])) > 0.7:
+            return f"it trades against {names[other]} (correlation {float(correlation[other]):.2f})"
+    return "the light hardly depends on it here"

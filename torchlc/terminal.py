@@ -1,0 +1,123 @@
+"""What a person at a terminal sees: progress with time left, one line for an error, and the exit code that goes with it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import typer
+
+from torchlc.errors import ResourceError, TorchlcError
+
+INTERRUPTED = 130
+DEFECT = 1
+USAGE = 2
+TRACEBACK = "TORCHLC_TRACEBACK"
+"""Environment variable that shows where a defect of ours lies."""
+UsageProblem = next(cls for cls in typer.BadParameter.__mro__ if cls.__name__ == "ClickException")
+"""Base of everything the command line itself objects to; newer typer brings a click of its own."""
+
+
+def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
+    """Run a command and turn whatever it raises into one line on standard error and the exit code of FORMATS."""
+    try:
+        with quiet_libraries():
+            found = action()
+            sys.stdout.flush()
+    except TorchlcError as error:
+        say(f"error: {error}")
+        return error.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        say(f"interrupted{after_interrupt}")
+        return INTERRUPTED
+    except UsageProblem as error:
+        say(f"error: {one_line(getattr(error, 'format_message', error.__str__)())}. Try --help.")
+        return USAGE
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        say("error: out of memory")
+        return ResourceError.exit_code
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            say("error: no room on disk")
+            return ResourceError.exit_code
+        say(f"a defect of torchlc, please report it: {type(error).__name__}: {one_line(str(error))}")
+        if os.environ.get(TRACEBACK):
+            traceback.print_exc()
+        else:
+            say(f"({TRACEBACK}=1 shows where)")
+        return DEFECT
+    return found if isinstance(found, int) else 0
+
+
+@contextlib.contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keep what other people's code warns of away from the terminal; our own warnings are part of the results."""
+    import logging
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logging.disable(logging.WARNING)
+        try:
+            yield
+        finally:
+            logging.disable(logging.NOTSET)
+
+
+def one_line(text: str) -> str:
+    return " ".join(text.split()).rstrip(".")
+
+
+def say(text: str) -> None:
+    """One line on standard error."""
+    with contextlib.suppress(OSError, ValueError):
+        print(f"torchlc: {printable(text)}", file=sys.stderr, flush=True)
+
+
+def printable(text: str) -> str:
+    """``text`` without characters that would move a terminal's cursor or colour."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def show_json(content: Any) -> None:
+    """A result on standard output; refuses NaN, which JSON does not have."""
+    print(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+@contextlib.contextmanager
+def progress_bar(wanted: bool) -> Iterator[Callable[[str, float], None]]:
+    """A callback (stage, fraction done) that draws a bar with the time left while standard error is a terminal."""
+    if not wanted or not sys.stderr.isatty():
+        yield lambda stage, fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, completed=1.0)
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=min(fraction, 1.0))
+
+        yield advance

@@ -109,6 +109,11 @@ class Attitude(nn.Module):
         elif self.mode == "quaternions":
             self.slerp = read_quaternions(scene.file_path(str(attitude.file)), recording)
 
+    @property
+    def spins(self) -> bool:
+        """Whether there is a rate of spin, be it 0."""
+        return self._spinning or self.mode == "spin-pole"
+
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
         against (..., T); a name that is absent has the scene's value.

@@ -13,7 +13,8 @@ from torchlc.parameters import Quantity
 class AlongTrackOffset(Effect):
     """The object is further along its orbit by a constant mean anomaly: 0.02 mag for 0.1 deg at GEO.
 
-    Its own clock (spin) and the Sun stay. Neglects errors across the track, and the growth of the error within a recording.
+    Its own clock (spin) and the Sun stay. Neglects errors across the track, and the growth of the error
+    within a recording.
     """
 
     name = "along_track_offset"

@@ -18,7 +18,8 @@ def median(flux: torch.Tensor) -> torch.Tensor:
 
 
 class Background(Effect):
-    """Constant extra light, a fraction of the model's median flux: 5 % is 0.05 mag at the median, none at a glint.
+    """Constant extra light, a fraction of the model's median flux: 5 % is 0.05 mag at the median, none at a
+    glint.
 
     Negative where too much sky was taken out, so that a row may have no light left. Neglects that a sky
     changes and that stars pass.

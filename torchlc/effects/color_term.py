@@ -33,5 +33,6 @@ class ColorTerm(Effect):
         return names if len(names) > 1 else []
 
     def detector(self, brightness, p, context):
+        assert brightness.shares is not None and self.target is not None  # by `needs_shares` and `per`
         share = brightness.shares[..., list(brightness.components).index(self.target), :]
         return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * p["mag"] * share))

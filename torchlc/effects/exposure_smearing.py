@@ -18,17 +18,17 @@ BROADEST_RAD = 0.3
 """Width that a diffuse facet's rise and set is taken to have: that of a lobe with n = 11."""
 MOST_NODES = 801
 MOST_PAIRS = 2e7
-"""Facets, rows and instants together, beyond which fewer instants are taken: 160 MB for each angle of the tables."""
+"""Facets, rows and instants together (160 MB an angle), beyond which fewer instants are taken."""
 
 
 class ExposureSmearing(Effect):
-    """Mean light over the exposure; with a shutter open for s seconds about the stamp where no exptime is recorded.
+    """Mean light over the exposure, which takes s seconds about the stamp where no exptime is recorded.
 
     As many Gauss-Legendre instants as the sharpest lobe asks of the row that turns most: 1 while the half
-    vector moves by less than a twentieth of the lobe's width 1/sqrt(n), 2 or 3 up to one width, then one for
-    each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Neglects turns that only other
-    effects bring (wobble), and what falls between the instants where n is fitted beyond 1e4, or where the caps
-    on instants and memory are met.
+    vector moves by less than a twentieth of the lobe's width 1/sqrt(n), 2 or 3 up to one width, then one
+    for each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Neglects turns that
+    only other effects bring (wobble), and what falls between the instants where n is fitted beyond 1e4, or
+    where the caps on instants and memory are met.
     """
 
     name = "exposure_smearing"
@@ -81,7 +81,7 @@ def instants_for(widths: float) -> int:
 
 
 def widths_swept(context: Context, exposure: torch.Tensor) -> float:
-    """The largest path of the half vector over a part during any exposure (T,), in widths of the part's sharpest lobe.
+    """The longest path of the half vector over a part in any exposure (T,), in widths of its sharpest lobe.
 
     From its rate at five places of each exposure, at the scene's own values.
     """

@@ -13,7 +13,8 @@ LEAST_SPREAD = 1e-3
 class ExtinctionResidual(Effect):
     """Adds mag_per_airmass (X - 1): 0.08 mag for 0.05 over a MEO pass from X = 1.1 to 2.7.
 
-    X is the airmass of Kasten & Young (1989). Neglects the colour of the object (second-order extinction) and changes of the sky during the night.
+    X is the airmass of Kasten & Young (1989). Neglects the colour of the object (second-order extinction)
+    and changes of the sky during the night.
     """
 
     name = "extinction_residual"

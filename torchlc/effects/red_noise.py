@@ -23,7 +23,8 @@ class RedNoise(Effect):
             off=0.0, typical=0.02, prior="halfnormal", sigma=0.05,
         ),
         Quantity(
-            "tau_min", "min", 1.0, 120.0, "time over which rows err together", typical=15.0, prior="loguniform"
+            "tau_min", "min", 1.0, 120.0, "time over which rows err together",
+            typical=15.0, prior="loguniform",
         ),
     )  # fmt: skip
 

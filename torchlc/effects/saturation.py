@@ -13,7 +13,8 @@ from torchlc.parameters import Quantity
 class Saturation(Effect):
     """F (1 - q F/F_max), then cut at limit F_max: q = 3 % is 0.03 mag at the peak.
 
-    F_max is the brightest row of the model, so that a limit of 1 or more cuts nothing. Neglects that counts also depend on seeing and exposure time, and a full well's soft shoulder.
+    F_max is the brightest row of the model, so that a limit of 1 or more cuts nothing. Neglects that counts
+    also depend on seeing and exposure time, and a full well's soft shoulder.
     """
 
     name = "saturation"

@@ -14,7 +14,8 @@ SLOWEST = 1e-9
 class SpinRateOffset(Effect):
     """rate = the scene's + rev_per_hour: out of step after 1/(2 rev_per_hour) h.
 
-    The phase is pinned at spin_epoch (``epoch`` for a spin pole). Neglects a change of the rate during the recording.
+    The phase is pinned at spin_epoch (``epoch`` for a spin pole). Neglects a change of the rate during the
+    recording.
     """
 
     name = "spin_rate_offset"

@@ -12,7 +12,8 @@ AU_KM = 149_597_870.7
 
 
 class SunDistance(Effect):
-    """Sunlight at the object's true distance d, (1 au / d)^2; at 1 au it is wrong by up to 0.036 mag over the year.
+    """Sunlight at the object's true distance d, (1 au / d)^2; at 1 au it is wrong by up to 0.036 mag over
+    the year.
 
     Neglects the Sun's own variation, 0.001 mag.
     """

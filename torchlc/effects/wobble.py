@@ -14,9 +14,9 @@ from torchlc.parameters import Quantity
 class Wobble(Effect):
     """R = R0 Rot(w), w = deg sin(2 pi t / period + phase) about one body axis: 0.16 mag for 0.5 deg at GEO.
 
-    t runs from the first row. The axis has a longitude and a latitude in the body frame (+X at 0, +Y at 90, +Z at
-    latitude 90), on one half of the sphere: its opposite is the same with the phase turned by 180 deg. Neglects
-    coning, which needs two axes a quarter of a period apart.
+    t runs from the first row. The axis has a longitude and a latitude in the body frame (+X at 0, +Y at 90,
+    +Z at latitude 90), on one half of the sphere: its opposite is the same with the phase turned by 180
+    deg. Neglects coning, which needs two axes a quarter of a period apart.
     """
 
     name = "wobble"

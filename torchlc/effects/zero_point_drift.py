@@ -21,7 +21,8 @@ def hours_from_mean(seconds: torch.Tensor, *groups: torch.Tensor) -> torch.Tenso
 class ZeroPointDrift(Effect):
     """Adds mag_per_hour (t - mean time): 0.01 to 0.1 mag a night.
 
-    The mean is over the rows of one curve in one night. Neglects anything but a straight line: clouds, and a step where the camera was restarted.
+    The mean is over the rows of one curve in one night. Neglects anything but a straight line: clouds, and
+    a step where the camera was restarted.
     """
 
     name = "zero_point_drift"

@@ -1,8 +1,8 @@
 """Broken, odd and merely unusual inputs: the files of each, and what must come of them.
 
-Each case is a small change of one of the good scenes and recordings below. ``outcome`` is "exit2" (refused with
-one line that holds ``message``), "dropped" (read, one row counted under the reason ``message``) or "warning"
-(read, with a warning that holds it).
+Each case is a small change of one of the good scenes and recordings below. ``outcome`` is "exit2" (refused
+with one line that holds ``message``), "dropped" (read, one row counted under the reason ``message``) or
+"warning" (read, with a warning that holds it).
 """
 
 from __future__ import annotations
@@ -108,7 +108,8 @@ time mag mag_err
 """
 
 ECSV_VECTORS = (
-    "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: time, datatype: string}\n# - {name: mag, datatype: float64}\n"
+    "# %ECSV 1.0\n# ---\n# datatype:\n"
+    "# - {name: time, datatype: string}\n# - {name: mag, datatype: float64}\n"
     + "".join(f"# - {{name: {name}, unit: AU, datatype: float64}}\n" for name in VECTOR_NAMES.split(",")[:9])
     + "".join(f"# - {{name: v_{axis}, unit: AU / d, datatype: float64}}\n" for axis in "xyz")
     + "# meta: {frame: ecliptic J2000}\n"
@@ -222,6 +223,15 @@ SCENE_CASES = [
         BODY_MATERIAL.replace("body", "spare") + "[materials.body]",
         "spare",
     ),
+    _scene(
+        "unknown preset", "n = 1000.0\nr_spec = 0.3\nr_diff = 0.3", 'preset = "kaptn"', "body.preset: 'kaptn'"
+    ),
+    _scene(
+        "preset of another model",
+        "n = 1000.0",
+        'model = "lambert"\npreset = "kapton"',
+        "as of preset 'kapton'",
+    ),
     _scene("unknown model", '"ashikhmin-shirley"', '"ashikmin"', "materials.panel.model: 'ashikmin'"),
     _scene("key of another model", "n = 1000.0", "albedo = 0.3", "materials.body.albedo: unknown key"),
     _scene("missing n", "n = 1000.0\n", "", "materials.body.n: missing"),
@@ -328,19 +338,10 @@ SCENE_CASES = [
     ),
     _scene("parameter without effect", "zero_point =", "zeropoint = 1.0\nzero_point =", "unknown key"),
     _case(
-        "Sun of unknown band",
-        "no band 'R'",
-        scene=SCENE.replace("-26.7\n", "{ V = -26.76 }\n"),
-        recording="time,mag,band\n2020-10-17T15:00:00,12.5,R\n2020-10-17T15:10:00,12.4,V\n",
-    ),
-    _case(
         "placeholder satellite",
         "placeholder xxxxx",
         scene=SCENE.replace("00001", "xxxxx").replace("9993", "9992").replace("15966", "15965"),
         outcome="warning",
-    ),
-    _scene(
-        "Sun's magnitude not given", "band_sun_magnitude = -26.7\n", "", "-26.7 is taken", outcome="warning"
     ),
 ]
 

@@ -25,9 +25,7 @@ from torchlc.scene import load_scene
 
 def load(case: Case, folder: Path):
     scene_path, recording_path = case.write(folder)
-    scene = load_scene(
-        scene_path, known_effects={*effects.names(), "self_shadowing", "light_time", "panel_offset"}
-    )
+    scene = load_scene(scene_path, known_effects=effects.names())
     return scene, load_recording(recording_path, scene, min_rows=2)
 
 

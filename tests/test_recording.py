@@ -1,4 +1,4 @@
-"""Recordings: the file's numbers in our units, every row accounted for, only InputErrors from broken files."""
+"""Recordings: the file's numbers in our units, every row accounted for, InputErrors from broken files."""
 
 from __future__ import annotations
 

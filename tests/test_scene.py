@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
 from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
+from torchlc import materials
 from torchlc.errors import InputError
 from torchlc.scene import Free, Scene, load_scene
 from torchlc.scene.checks import MAX_FILE_BYTES
@@ -159,6 +160,20 @@ def test_what_is_left_out_takes_its_default():
         )
     )
     assert lommel.materials["body"].parameters == {"weight": 0.1, "albedo": 1.0}
+
+
+def test_a_preset_fills_in_what_the_scene_leaves_out():
+    model, known = materials.preset("kapton")
+    own = next(iter(known))
+    given = {"value": known[own], "low": 0.5 * known[own], "high": known[own] * 1.01}
+    text = SCENE.replace(
+        "n = 1000.0\nr_spec = 0.3\nr_diff = 0.3", f'preset = "kapton"\n{own} = {toml_value(given)}'
+    )
+    body = read(text).materials["body"]
+    assert body.model == model and body.preset == "kapton"
+    assert body.parameters[own] == Free(**given)
+    assert {**body.parameters, own: known[own]} == known
+    assert read(read(text).to_toml()).materials["body"] == body
 
 
 def test_quirks_of_editors(tmp_path: Path):

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from torchlc.scene import Scene
 
 NO_STATION = "unknown"
-DEFAULT_SUN_MAGNITUDE = -26.7
 JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*")
 ABOVE_0 = 5e-324
 LIMITS = {
@@ -253,25 +252,10 @@ class _Reader:
         return groups.compact(station * len(bands) + band, pairs)
 
     def _band(self) -> np.ndarray | None:
-        """Band names (T,), and the check that the scene knows the Sun's magnitude in each."""
-        codes = self.columns.get("band")
-        ids = self.labels["band"].ids if codes is not None else ()
-        present = [ids[code] for code in np.unique(codes)] if codes is not None else []
-        if self.scene is not None and self.kind == "mag":
-            sun = self.scene.model.band_sun_magnitude
-            if sun is None:
-                self.warnings.append(f"the scene has no band_sun_magnitude; {DEFAULT_SUN_MAGNITUDE} is taken")
-            elif isinstance(sun, dict):
-                if codes is None and len(sun) > 1:
-                    raise declared.missing(
-                        self.header, "band", "a column band: the scene's band_sun_magnitude has several"
-                    )
-                for name in present:
-                    if name not in sun:
-                        place = "model.parameters.band_sun_magnitude"
-                        expected = f"a value for each band of {self.source}"
-                        raise InputError(self.scene.source, place, f"no band {name[:40]!r}", expected)
-        return None if codes is None else np.array(ids, dtype=object)[codes]
+        """Band names (T,)."""
+        if "band" not in self.columns:
+            return None
+        return np.array(self.labels["band"].ids, dtype=object)[self.columns["band"]]
 
 
 def _because(dropped: Mapping[str, int]) -> str:

@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
 from torchlc.errors import InputError
+from torchlc.materials import preset as preset_values
 from torchlc.scene.numbers import Free, value_of, within
 from torchlc.scene.parts import Material, Mesh
 from torchlc.scene.problems import shown
@@ -94,9 +95,7 @@ class _Checks:
         if material.preset is None:
             return material.model, {}
         try:
-            from torchlc import materials
-
-            model, values = materials.preset(material.preset)
+            model, values = preset_values(material.preset)
         except InputError as error:
             raise self.error(f"{place}.preset", error.found, error.expected, error.hint) from None
         if "model" in material.model_fields_set and material.model != model:

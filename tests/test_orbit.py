@@ -53,7 +53,7 @@ def hour_at(track, index, start=12.0):
     return start + float(track.seconds[index]) / 3600
 
 
-# ---------------------------------------------------------------- the paper's orbits, paper_audit section 5
+# ---------------------------------------------------------------- the paper's orbits
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torchlc.errors import InputError
 from torchlc.orbit import State
-from torchlc.orbit.earth import icrs_from_ecliptic
+from torchlc.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
 from torchlc.quaternions import Slerp, read_quaternions
 from torchlc.recording import seconds_since
 from torchlc.rotations import frame_turned_about_y, frame_turned_about_z, rotation_about
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from torchlc.recording import Recording
     from torchlc.scene import Scene
 
-LIGHT_KM_S = 299792.458
 ALIGNED = 1e-12
 """Square of the sine below which two directions do not define a plane."""
 

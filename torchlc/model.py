@@ -123,8 +123,10 @@ class LightCurve(nn.Module):
         return self.magnitude(brightness, theta) if self.recording.kind == "mag" else brightness.flux
 
     def magnitude(self, brightness: Brightness, theta: Tensor | None = None) -> Tensor:
-        """Eq. 11: band_sun_magnitude - 2.5 log10 Phi + zero_point, (..., T); +inf where the flux is 0."""
-        return self.assembly.sun_magnitude - 2.5 * torch.log10(brightness.flux) + self.zero_point(theta)
+        """Eq. 11: band_sun_magnitude - 2.5 log10 Phi + zero_point, (..., T); +inf where the flux is 0 or less."""
+        lit = brightness.flux > 0
+        magnitude = -2.5 * torch.log10(torch.where(lit, brightness.flux, 1.0))
+        return self.assembly.sun_magnitude + torch.where(lit, magnitude, math.inf) + self.zero_point(theta)
 
     def zero_point(self, theta: Tensor | None = None) -> Tensor:
         """Zero point, mag, (..., 1) or (..., T)."""

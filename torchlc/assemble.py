@@ -80,14 +80,22 @@ class Assembly:
         return found
 
     @property
-    def geometry_free(self) -> bool:
-        """True if a free parameter belongs to the attitude, a size, or an effect before the material stage."""
-        owners = {effect.name for effect in self.effects if effect.stage in GEOMETRY_STAGES}
-        for name in self.parameters.names:
+    def geometry_columns(self) -> list[int]:
+        """Places in theta of the parameters that move the geometry: the attitude's, sizes, and those of effects before the shade stage."""
+        owners = {effect.name: effect for effect in self.effects if effect.stage in GEOMETRY_STAGES and not effect.linear}
+        found = []
+        for column, name in enumerate(self.parameters.names):
             owner, _, short = name.rpartition(".")
-            if owner == "attitude" or owner in owners or (short in COMPONENT_SIZES):
-                return True
-        return False
+            effect = owners.get(name.partition(".")[0])
+            material = effect is not None and effect.brdf is not None and _is_material(effect.brdf, short)
+            if owner == "attitude" or short in COMPONENT_SIZES or (effect is not None and not material):
+                found.append(column)
+        return found
+
+    @property
+    def geometry_free(self) -> bool:
+        """True if a free parameter moves the geometry."""
+        return bool(self.geometry_columns)
 
     def stage(self, name: str) -> list[Effect]:
         return [effect for effect in self.effects if effect.stage == name]
@@ -153,6 +161,10 @@ def assemble(
         scene, recording, track, attitude, shape, chosen, parameters, models, context,
         torch.as_tensor(sun, dtype=torch.float64), row_index, tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def _is_material(model: type[Brdf], short: str) -> bool:
+    return short in model.shared or any(quantity.name == short for quantity in model.quantities)
 
 
 def _finest_lobes(scene: Scene) -> dict[str, float]:

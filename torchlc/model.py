@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchlc.assemble import Assembly, assemble
 from torchlc.brdf.base import Incidence, incidence
-from torchlc.effects.base import Brightness, Effect, Light, Nodes, Noise, Patch, Reflect, Request, Scatter, Sky, Surface, View
+from torchlc.effects.base import GEOMETRY_STAGES, Brightness, Effect, Light, Nodes, Noise, Patch, Reflect, Request, Scatter, Sky, Surface, View
 from torchlc.parameters import ParameterSet
 from torchlc.recording import Recording
 from torchlc.scene import Scene
@@ -25,6 +25,11 @@ from torchlc.shape.part import like
 
 PAIRS_PER_CHUNK = 4_000_000
 """Facet-epoch pairs held at once while a table is made: about 0.5 GiB with its intermediates."""
+RECENT_TABLES = 48
+"""Compact tables of past geometries that a model keeps."""
+MOST_SLOTS = 12
+"""Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
+ANGLES = len(fields(Incidence))
 VALUES_PER_CHUNK = 8_000_000
 """Exponentials held at once in a batched call: 64 MiB a buffer."""
 
@@ -42,7 +47,7 @@ class LightCurve(nn.Module):
     """Model of one recording. ``model()`` is the light curve at the module's own parameters, ``model(theta)`` at natural values
     theta (..., P): magnitudes (..., T), or the irradiance ratio Phi for a recording of relative flux.
 
-    The free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as ``free.<owner>.<name>``; ``names`` lists
+    ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as ``free.<owner>.<name>``; ``names`` lists
     them in the order of theta and ``theta()`` gives their natural values. Neglects everything that is not among ``effects``.
     """
 
@@ -53,6 +58,7 @@ class LightCurve(nn.Module):
         *,
         effects: Sequence[str] | None = None,
         assembly: Assembly | None = None,
+        sibling: LightCurve | None = None,
     ) -> None:
         super().__init__()
         self.assembly = assembly if assembly is not None else assemble(scene, recording, effects)
@@ -66,7 +72,9 @@ class LightCurve(nn.Module):
                 self.free[owner] = nn.ParameterDict()
             self.free[owner][short] = nn.Parameter(z[index].clone())
             self._keys.append((owner, short))
-        self._tables: dict[bool, Tables] = {}
+        shared = sibling is not None and sibling.tables_key == self.tables_key
+        self._tables: dict[bool, Tables] = sibling._tables if shared and sibling is not None else {}
+        self._recent: dict[tuple[bool, bytes], Tables] = {}
 
     # ------------------------------------------------------------------ parameters
 
@@ -111,6 +119,12 @@ class LightCurve(nn.Module):
         return self.parameter_set.values(self.theta() if theta is None else theta)
 
     @property
+    def tables_key(self) -> tuple[str, ...]:
+        """What the tables of a fixed geometry depend on; models of one assembly with equal keys may share them."""
+        shaping = [e for e in self.effects if e.stage in GEOMETRY_STAGES or e.name == "lobe_tail"]
+        return (str(self.geometry_free), *(f"{e.name}[{e.target}]" for e in shaping))
+
+    @property
     def geometry_free(self) -> bool:
         """True if a free parameter moves the geometry, so that its tables cannot be kept."""
         return self.assembly.geometry_free
@@ -141,6 +155,12 @@ class LightCurve(nn.Module):
         if theta.ndim == 1:
             return self._single(theta, shares)
         flat = theta.reshape(-1, theta.shape[-1])
+        if not torch.is_grad_enabled() and not torch._C._functorch.peek_interpreter_stack():
+            grouped = self._grouped(flat, shares)
+            if grouped is not None:
+                kept = grouped.shares
+                kept = None if kept is None else kept.reshape(*theta.shape[:-1], *kept.shape[1:])
+                return replace(grouped, flux=grouped.flux.reshape(*theta.shape[:-1], -1), shares=kept)
         size = max(1, VALUES_PER_CHUNK // max(1, self.assembly.pairs))
 
         def one(row: Tensor) -> tuple[Tensor, ...]:
@@ -150,6 +170,31 @@ class LightCurve(nn.Module):
         found = torch.vmap(one, chunk_size=size)(flat)
         flux = found[0].reshape(*theta.shape[:-1], -1)
         kept = found[1].reshape(*theta.shape[:-1], *found[1].shape[1:]) if len(found) > 1 else None
+        return Brightness(flux, kept, self.assembly.components)
+
+    def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
+        """Rows of theta (B, P) that share their geometric parameters share one compact table; None where almost none do, so that a
+        vectorised call is better. Recent tables are kept: an optimiser comes back to the point it stepped from."""
+        moving = flat[:, self.assembly.geometry_columns]
+        distinct, member = torch.unique(moving, dim=0, return_inverse=True)
+        slow = any(effect.name == "self_shadowing" for effect in self.effects)
+        if len(distinct) > 0.6 * len(flat) and not slow:
+            return None
+        detail = shares or self.assembly.needs_shares
+        flux = flat.new_empty(len(flat), self.assembly.T)
+        kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
+        for index, geometry in enumerate(distinct):
+            rows = torch.nonzero(member == index)[:, 0]
+            key = (detail, geometry.numpy().tobytes())
+            if key not in self._recent:
+                values = self.parameter_set.values(flat[rows[0]])
+                self._recent[key] = self.make_tables(self.view(values), values, detail, compact=True)
+                if len(self._recent) > RECENT_TABLES:
+                    self._recent.pop(next(iter(self._recent)))
+            piece = self.shine(self._recent[key], self.parameter_set.values(flat[rows]), shares)
+            flux[rows] = piece.flux
+            if kept is not None and piece.shares is not None:
+                kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
 
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
@@ -231,8 +276,19 @@ class LightCurve(nn.Module):
         if detail not in self._tables:
             with torch.no_grad():
                 values = self.parameter_set.values(self.parameter_set.start())
-                self._tables[detail] = self.make_tables(self.view(values), values, detail, compact=True)
+                made = self.make_tables(self.view(values), values, detail, compact=True)
+                self._tables[detail] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
         return self._tables[detail]
+
+    def _condensed(self, surface: Surface) -> Surface:
+        """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing reshapes the lobe."""
+        table = surface.table
+        pairs = table["log_half"].shape[0] if "log_half" in table else 0
+        shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
+        reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
+        if pairs <= MOST_SLOTS or not shared or reshaped or "spread" in table or not hasattr(surface.model, "condense"):
+            return surface
+        return replace(surface, table=surface.model.condense(table))
 
     def make_tables(self, view: View, values: Mapping[str, Tensor], detail: bool, *, compact: bool) -> Tables:
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models allow."""
@@ -243,14 +299,16 @@ class LightCurve(nn.Module):
         groups: dict[tuple[str, str], list[Patch]] = {}
         for patch in view.patches:
             groups.setdefault((patch.component if detail else "", patch.material), []).append(patch)
+        kinds: dict[tuple[bool, str | None], list[Light]] = {}
+        for light in view.lights:
+            kinds.setdefault((light.primary, light.scale), []).append(light)
         surfaces = []
         for (component, material), patches in groups.items():
-            for sunlit in (True, False):
-                lights = tuple(light for light in view.lights if light.primary == sunlit)
-                table = _table(replace(view, lights=lights), patches, compact) if lights else None
+            for (sunlit, scale), lights in kinds.items():
+                table = _table(replace(view, lights=tuple(lights)), patches, compact)
                 if table is not None:
                     model = patches[0].model
-                    surfaces.append(Surface(component, material, model, table, phase_angle, sunlit))
+                    surfaces.append(Surface(component, material, model, table, phase_angle, sunlit, scale))
         return Tables(tuple(surfaces), scatter, Sky(view.state, view.nodes, compact))
 
     # ------------------------------------------------------------------ materials and detector
@@ -270,7 +328,11 @@ class LightCurve(nn.Module):
             by_component[component] = light if old is None else old + light
 
         for surface in tables.surfaces:
-            add(surface.component, self.reflect(surface, values), surface.sunlit)
+            light = self.reflect(surface, values)
+            if surface.scale is not None:
+                light = light * a.rows(values, surface.scale)
+            add(surface.component, light, surface.sunlit)
+
         def reflector(surface: Surface, variance: Tensor) -> Tensor:
             return self.reflect(surface, {name: value[..., None] for name, value in values.items()}, variance)
 
@@ -341,7 +403,7 @@ def _table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, 
         for start in range(0, facets, size):
             columns = _columns(view, patch, slice(start, start + size))
             if model.additive:
-                table = model.tabulate(Incidence(*columns[:-1]), columns[-1])
+                table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
                 sums = table if sums is None else {key: sums[key] + table[key] for key in table}
                 continue
             compacted = _compacted(columns) if compact else columns
@@ -349,15 +411,17 @@ def _table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, 
                 found.append(compacted)
     if model.additive or not found:
         return sums
-    columns = tuple(torch.cat(fields) for fields in zip(*found, strict=True))
+    columns = tuple(torch.cat(column) for column in zip(*found, strict=True))
     if compact and len(found) > 1:
         columns = _compacted(_deduplicated(columns)) or columns
-    return model.tabulate(Incidence(*columns[:-1]), columns[-1])
+    table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
+    return table if len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
 
 
 def _columns(view: View, patch: Patch, cut: slice) -> tuple[Tensor, ...]:
-    """The fields of :class:`Incidence` and the weight of a cut of a patch's facets, each (K, T)."""
-    fields: list[list[Tensor]] = [[] for _ in range(6)]
+    """The fields of :class:`Incidence`, what each source adds to the variance of n.h if any has an extent, and the weight
+    of a cut of a patch's facets, each (K, T)."""
+    rows: list[tuple[Tensor, ...]] = []
     normal, u, area = patch.normal[cut], patch.u[cut], patch.area[cut]
     observer = _into(patch.pose, view.to_observer)
     for light in view.lights:
@@ -368,12 +432,14 @@ def _columns(view: View, patch: Patch, cut: slice) -> tuple[Tensor, ...]:
         lit = (angles.cos_i > 0) & (angles.cos_r > 0)
         gain = light.irradiance * view.nodes.weight / view.range_m**2
         weight = gain[:, :, None] * area[:, None]
-        if patch.visible is not None:
-            weight = weight * patch.visible[..., cut].transpose(-1, -2)
+        visible = patch.visible if light.primary else patch.seen
+        if visible is not None:
+            weight = weight * visible[..., cut].transpose(-1, -2)
         weight = torch.where(lit, weight, 0.0)
-        for store, value in zip(fields, (*vars(angles).values(), weight), strict=True):
-            store.append(value.expand(weight.shape).reshape(-1, weight.shape[-1]))
-    return tuple(torch.cat(store) for store in fields)
+        spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
+        values = (*vars(angles).values(), *spread, weight)
+        rows.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
+    return tuple(torch.cat(column) for column in zip(*rows, strict=True))
 
 
 def _into(pose: Tensor | None, direction: Tensor) -> Tensor:

@@ -93,7 +93,11 @@ class Workbench:
         assembly = assemble(
             self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base
         )
-        return LightCurve(self.base.scene, self.base.recording, assembly=assembly)
+        model = LightCurve(self.base.scene, self.base.recording, assembly=assembly)
+        for other in self._likelihoods.values():
+            if other.model.tables_key == model.tables_key:
+                return LightCurve(self.base.scene, self.base.recording, assembly=assembly, sibling=other.model)
+        return model
 
     def start(self, hypothesis: Hypothesis, theta: Tensor, names: Sequence[str]) -> Tensor:
         """Values of a smaller model's theta (S, P') carried over to a hypothesis; its further parameters at their starts."""
@@ -105,15 +109,23 @@ class Workbench:
         return found
 
 
+def is_slow(model: LightCurve) -> bool:
+    """True if every new geometry costs a computation of visibility."""
+    return model.geometry_free and any(effect.name == "self_shadowing" for effect in model.effects)
+
+
 def refit(likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10) -> Refit:
-    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3) are brought to the end."""
+    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3; 1 if slow) are brought to the
+    end."""
     parameters = likelihood.model.parameter_set
+    if is_slow(likelihood.model):
+        first, iterations = 6, 20
     if not parameters.names:
         return linearised(likelihood, hypothesis, parameters.start())
     level_at = starts[0] if likelihood.fitted_errors else None
     with torch.no_grad():
         found = polish(likelihood, starts, None, iterations=first, level_at=level_at)
-        best = torch.argsort(found.cost)[: max(3, len(starts) // 4)]
+        best = torch.argsort(found.cost)[: 1 if is_slow(likelihood.model) else max(3, len(starts) // 4)]
         theta = parameters.from_flat(found.y[best])
         for _ in range(3 if likelihood.fitted_errors else 1):
             if likelihood.fitted_errors:

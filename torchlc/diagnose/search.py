@@ -10,18 +10,22 @@ from torch import Tensor
 
 from torchlc.diagnose.evidence import Score, Scorer
 from torchlc.diagnose.gate import residual_projection
-from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, refit
+from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
 from torchlc.effects import registry
 
 GRID = 24
 GRID_PER_DIMENSION = 24
 STARTS = 12
+SLOW_STARTS = 3
 EVIDENCE_GAIN = 5.0
 HELDOUT_GAIN = 3.0
 EXCESS_SHARE = 0.1
 BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
+MOST_GROWN = 10
+WEAK_SHARE = 0.05
+"""In later rounds at most MOST_GROWN effects are refitted, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
     parameters = likelihood.model.parameter_set
     columns = effect_columns(parameters, entry)
     count = 1 if not columns else GRID if len(columns) <= 2 else GRID_PER_DIMENSION * len(columns)
+    if is_slow(likelihood.model):
+        count = min(count, 16)
     generator = torch.Generator().manual_seed(seed)
     psi = effect_starts(likelihood, entry, count, generator, 0.0)
     theta = bench.start(hypothesis, at.theta[None].expand(count, -1), at.names)
@@ -104,8 +110,9 @@ def extended(
     parameters = likelihood.model.parameter_set
     columns = effect_columns(parameters, entry)
     generator = torch.Generator().manual_seed(seed)
+    starts = SLOW_STARTS if is_slow(likelihood.model) else starts
     minima = torch.stack([one.theta for one in at])
-    draws = at[0].model.parameter_set.sample_prior(max(starts // 3, 2), generator)
+    draws = at[0].model.parameter_set.sample_prior(starts // 3, generator)
     if at[0].hypothesis.added:
         for added in at[0].hypothesis.added:
             kept = effect_columns(at[0].model.parameter_set, added)
@@ -181,16 +188,18 @@ def search(
     while len(best.hypothesis.added) < MOST_EFFECTS and not is_clean(best):
         grown: list[Found] = []
         for place, stem in enumerate(beam):
+            again = {}
             for number, entry in enumerate(entries):
                 names = (*stem.hypothesis.names, entry.partition("[")[0])
-                if len(set(names)) < len(names) or any(
-                    set(one.hypothesis.added) == {*stem.hypothesis.added, entry} for one in grown
-                ):
+                made = any(set(one.hypothesis.added) == {*stem.hypothesis.added, entry} for one in grown)
+                if len(set(names)) == len(names) and not made:
+                    again[entry] = probe(bench, stem.refit, entry, seed + number)
+            strongest = max((one.score for one in again.values()), default=0.0)
+            for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
+                weak = number >= MOST_GROWN or again[entry].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
+                if weak and not (again[entry].psi.shape[-1] == 0 and again[entry].score > 1.0):
                     continue
-                again = probe(bench, stem.refit, entry, seed + number)
-                if again.score < LEAST_SCORE:
-                    continue
-                grown.append(extended(bench, scorer, [stem.refit], entry, again, seed + number, starts=8))
+                grown.append(extended(bench, scorer, [stem.refit], entry, again[entry], seed + number, starts=8))
             if progress is not None:
                 progress("sets of effects", 0.6 + 0.3 * (place + 1) / len(beam))
         others += grown

@@ -25,8 +25,9 @@ parameters, end in a row axis of size 1 or T; any batch axes stand before it.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -45,6 +46,7 @@ STAGES = (
     "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "shade",
     "scatter", "material", "detector", "noise",
 )  # fmt: skip
+LARGEST_MEMORY = 400 * 2**20
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 
@@ -67,12 +69,18 @@ class Request:
 
 @dataclass(frozen=True)
 class Light:
-    """A set of L point sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance over the Sun's
-    at 1 au (L, Q, T). ``primary`` marks the Sun, whose shadows count."""
+    """A set of L sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance over the
+    Sun's at 1 au (L, Q, T).
+
+    ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a source that
+    stands for a piece of sky; it widens the lobes that it is reflected in. ``scale`` names a parameter that multiplies it.
+    """
 
     direction: Tensor
     irradiance: Tensor
     primary: bool = True
+    spread: Tensor | None = None
+    scale: str | None = None
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,7 @@ class Patch:
     """Facets of one component that share a material.
 
     ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest; ``pose`` (Q, T, 3, 3) turns them into the body frame (None: they
-    stay). ``visible`` (Q, T, F) is the lit-and-seen fraction of the area (None: 1). ``values`` holds the material's names as
-    ``prefix.quantity``.
+    stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and seen, ``seen`` (Q, T, F) that is seen (None: 1).
     """
 
     component: str
@@ -93,6 +100,7 @@ class Patch:
     area: Tensor
     pose: Tensor | None = None
     visible: Tensor | None = None
+    seen: Tensor | None = None
     part: int | None = None
     select: Tensor | None = None
 
@@ -115,7 +123,8 @@ class View:
 
 @dataclass(frozen=True)
 class Surface:
-    """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if its light is the Sun's."""
+    """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if its light is the Sun's;
+    ``scale`` as of :class:`Light`."""
 
     component: str
     material: str
@@ -123,6 +132,7 @@ class Surface:
     table: Mapping[str, Tensor]
     phase_angle: Tensor
     sunlit: bool = True
+    scale: str | None = None
 
 
 @dataclass(frozen=True)
@@ -155,6 +165,30 @@ class Noise:
     width: Tensor | None = None
 
 
+class Memory:
+    """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY bytes."""
+
+    def __init__(self) -> None:
+        self._kept: dict[bytes, Sequence[Tensor]] = {}
+
+    def recall(self, inputs: Sequence[Tensor], compute: Callable[[], Sequence[Tensor]]) -> Sequence[Tensor]:
+        """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need it traced."""
+        if torch.is_grad_enabled() or torch._C._functorch.peek_interpreter_stack():
+            return compute()
+        digest = hashlib.blake2b(digest_size=16)
+        for tensor in inputs:
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        key = digest.digest()
+        if key not in self._kept:
+            self._kept[key] = compute()
+            while len(self._kept) > 1 and self._size() > LARGEST_MEMORY:
+                self._kept.pop(next(iter(self._kept)))
+        return self._kept[key]
+
+    def _size(self) -> int:
+        return sum(one.numel() * one.element_size() for kept in self._kept.values() for one in kept)
+
+
 @dataclass(frozen=True)
 class Context:
     """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index.
@@ -181,6 +215,7 @@ class Context:
     light_time_corrected: bool
     kind: str
     errors: bool
+    memory: Memory = field(default_factory=lambda: Memory())
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -198,8 +233,8 @@ Scatter = Callable[[Reflector, Parameters], Mapping[str, Tensor]]
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities`` and override the method
     of their stage; ``per`` gives each material or component its own set of parameters; ``known`` switches it on by default; ``nodes`` is by
-    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds; ``unable`` says why what is
-    not among its targets cannot be one."""
+    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds; ``linear`` marks an effect of
+    the geometry whose parameters only scale its light; ``unable`` says why what is not among its targets cannot be one."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -210,6 +245,7 @@ class Effect:
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
     brdf: ClassVar[type[Brdf] | None] = None
+    linear: ClassVar[bool] = False
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:

@@ -24,12 +24,12 @@ class SelfShadowing(Effect):
         def flat(tensor):
             return None if tensor is None else tensor.expand(*rows, 3, 3).reshape(-1, 3, 3)
 
-        found = visible_fractions(
-            context.shape,
-            list(view.facets),
-            [flat(pose) for pose in view.poses],
-            view.to_sun.reshape(-1, 3),
-            view.to_observer.expand(*rows, 3).reshape(-1, 3),
+        to_sun, to_observer = view.to_sun.reshape(-1, 3), view.to_observer.expand(*rows, 3).reshape(-1, 3)
+        poses = [flat(pose) for pose in view.poses]
+        corners = [facets.vertices for facets in view.facets]
+        found = context.memory.recall(
+            [to_sun, to_observer, *(pose for pose in poses if pose is not None), *corners],
+            lambda: visible_fractions(context.shape, list(view.facets), poses, to_sun, to_observer),
         )
         return tuple(
             patch

@@ -1,7 +1,8 @@
-"""torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites and debris.
+"""torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites
+and debris.
 
-The verbs are :func:`load`, :func:`simulate`, :func:`fit` and :func:`diagnose`; :class:`LightCurve` is the model, a torch module.
-Everything is imported on first use.
+The verbs are :func:`load`, :func:`simulate`, :func:`fit` and :func:`diagnose`; :class:`LightCurve` is the
+model, a torch module. Everything is imported on first use.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ _HOME = {
 __all__ = [
     "FitResult",
     "InputError",
-    "Likelihood",
     "LightCurve",
+    "Likelihood",
     "Recording",
     "Scene",
     "SimulatedCurve",
@@ -59,7 +60,9 @@ def __dir__() -> list[str]:
 
 
 class _Package(types.ModuleType):
-    """Keeps ``torchlc.fit`` and ``torchlc.diagnose`` the verbs: importing the modules of those names would put them in their place."""
+    """Keeps ``torchlc.fit`` and ``torchlc.diagnose`` the verbs: importing the modules of those names would
+    put them in their place.
+    """
 
     def __setattr__(self, name: str, value: object) -> None:
         if not (_HOME.get(name) == "api" and isinstance(value, types.ModuleType)):

@@ -1,4 +1,6 @@
-"""The verbs: load, simulate, fit, diagnose. Each takes paths or objects, checks everything before it works, and returns one object."""
+"""The verbs: load, simulate, fit, diagnose. Each takes paths or objects, checks everything before it works,
+and returns one object.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ import numpy as np
 import torch
 
 from torchlc import __version__
-from torchlc.assemble import Assembly, assemble
+from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
 from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.errors import InputError
@@ -43,17 +45,24 @@ MIN_ROWS = 2
 
 
 @overload
-def load(scene: str | Path, recording: None = None, *, use: str | None = None, trust: bool = False) -> Scene: ...
+def load(
+    scene: str | Path, recording: None = None, *, use: str | None = None, trust: bool = False
+) -> Scene: ...
 @overload
 def load(
     scene: str | Path | Scene, recording: str | Path, *, use: str | None = None, trust: bool = False
 ) -> tuple[Scene, Recording]: ...
 def load(
-    scene: str | Path | Scene, recording: str | Path | None = None, *, use: str | None = None, trust: bool = False
+    scene: str | Path | Scene,
+    recording: str | Path | None = None,
+    *,
+    use: str | None = None,
+    trust: bool = False,
 ) -> Scene | tuple[Scene, Recording]:
     """Read a scene, or a scene and a recording, and check them.
 
-    ``use`` picks "mag" or "flux" of a recording that has both. ``trust`` lets the scene name files outside its own folder.
+    ``use`` picks "mag" or "flux" of a recording that has both. ``trust`` lets the scene name files outside
+    its own folder.
     """
     read = _scene(scene, trust)
     return read if recording is None else (read, load_recording(recording, read, use=use))
@@ -70,15 +79,18 @@ def simulate(
     seed: int = 0,
     trust: bool = False,
 ) -> SimulatedCurve:
-    """The light curve of a scene at a recording's rows, or for ``hours`` from ``start`` (ISO UTC or JD) every ``cadence`` seconds.
+    """The light curve of a scene at a recording's rows, or for ``hours`` from ``start`` (ISO UTC or JD)
+    every ``cadence`` seconds.
 
-    Free numbers have their scene's values. ``noise`` (mag) makes a recording of it: normal errors, quoted, and on top what noise
-    effects of the scene say (jitter, red_noise, outliers), unquoted.
+    Free numbers have their scene's values. ``noise`` (mag) makes a recording of it: normal errors, quoted,
+    and on top what noise effects of the scene say (jitter, red_noise, outliers), unquoted.
     """
     scene = _scene(scene, trust)
     if recording is None:
         if start is None or hours is None or cadence is None:
-            raise InputError(None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other")
+            raise InputError(
+                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
+            )
         rows = observation_grid(scene, start, hours, cadence)
     elif start is not None or hours is not None or cadence is not None:
         raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
@@ -105,7 +117,9 @@ def simulate(
         name=scene.name,
         recording=rows,
         columns=columns,
-        shares={name: np.where(dark, np.nan, one) for name, one in zip(brightness.components, shares, strict=True)},
+        shares={
+            name: np.where(dark, np.nan, one) for name, one in zip(brightness.components, shares, strict=True)
+        },
         warnings=model.assembly.warnings,
         seed=seed,
     )
@@ -127,9 +141,10 @@ def fit(
 ) -> FitResult:
     """Fit the free numbers of a scene to a recording: Adam from many starts, a polish, then emcee.
 
-    ``steps`` fixes the length of the chain, else it runs until long against its autocorrelation time; ``walkers`` defaults to 6 a
-    parameter. With ``out`` everything is written there (fit.json, posterior.nc, chain.h5, figures, report.html) and ``resume``
-    continues the chain found there. Nothing free: the model is evaluated and nothing is sampled.
+    ``steps`` fixes the length of the chain, else it runs until long against its autocorrelation time;
+    ``walkers`` defaults to 6 a parameter. With ``out`` everything is written there (fit.json, posterior.nc,
+    chain.h5, figures, report.html) and ``resume`` continues the chain found there. Nothing free: the model
+    is evaluated and nothing is sampled.
     """
     began = time.monotonic()
     scene = _scene(scene, trust)
@@ -149,7 +164,13 @@ def fit(
         posterior = None
         if found.model.names:
             posterior = sample(
-                found, walkers=walkers, steps=steps, seed=seed, chain_file=chain, resume=resume, progress=progress
+                found,
+                walkers=walkers,
+                steps=steps,
+                seed=seed,
+                chain_file=chain,
+                resume=resume,
+                progress=progress,
             )
         seconds["sample"] = time.monotonic() - clock
         if posterior is not None and not posterior.converged:
@@ -188,8 +209,8 @@ def diagnose(
 ) -> DiagnosisResult:
     """Say whether physics is missing from the scene's model, which, where, and what that changes.
 
-    ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and most refits. With ``out``
-    diagnosis.json is written there.
+    ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and
+    most refits. With ``out`` diagnosis.json is written there.
     """
     from torchlc.diagnose.run import diagnose as run
 
@@ -208,7 +229,9 @@ def diagnose(
 
 
 def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:
-    """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and counted."""
+    """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and
+    counted.
+    """
     from torchlc.orbit import make_track
 
     if not isinstance(recording, Recording):
@@ -221,7 +244,9 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
     return kept
 
 
-def provenance(scene: Scene, recording: Recording, seed: int, command: Sequence[str] | None = None) -> dict[str, Any]:
+def provenance(
+    scene: Scene, recording: Recording, seed: int, command: Sequence[str] | None = None
+) -> dict[str, Any]:
     """From what, with what and how a result was made: hashes of the inputs, versions, seed, command."""
     import astropy
     import emcee
@@ -254,18 +279,30 @@ def _check_candidates(effects: Sequence[str] | None) -> None:
     known = effect_names()
     for name in effects or ():
         if name.partition("[")[0] not in known:
-            raise InputError(None, "--effects", f"unknown effect {name!r}", f"some of {', '.join(known)}", did_you_mean(name, known))
+            raise InputError(
+                None,
+                "--effects",
+                f"unknown effect {name!r}",
+                f"some of {', '.join(known)}",
+                did_you_mean(name, known),
+            )
 
 
 def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> None:
     if steps is not None and steps < 1:
         raise InputError(None, "--steps", str(steps), "at least 1")
     if walkers is not None and parameters and walkers < 2 * parameters + 2:
-        raise InputError(None, "--walkers", str(walkers), f"at least {2 * parameters + 2} for {parameters} free parameters")
+        raise InputError(
+            None, "--walkers", str(walkers), f"at least {2 * parameters + 2} for {parameters} free parameters"
+        )
 
 
-def _search(likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None) -> tuple[Fit, list[str]]:
-    """The maximum a posteriori; with a jitter added to the model where chi-square says that the quoted errors are too small."""
+def _search(
+    likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None
+) -> tuple[Fit, list[str]]:
+    """The maximum a posteriori; with a jitter added to the model where chi-square says that the quoted
+    errors are too small.
+    """
     found = fit_map(likelihood, seed=seed, progress=progress)
     effects = [_listed(effect) for effect in likelihood.model.effects]
     doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
@@ -287,13 +324,17 @@ def _listed(effect: Any) -> str:
 
 
 def _geometry(model: LightCurve, theta: torch.Tensor) -> dict[str, np.ndarray | None]:
-    """Range, phase angle, elevation, airmass and the share of the Sun that the Earth hides, (T,) each; None where unknown."""
+    """Range, phase angle, elevation, airmass and the share of the Sun that the Earth hides, (T,) each; None
+    where unknown.
+    """
     track = model.assembly.track
     with torch.no_grad():
         state = bare_view(model, theta).state
         eclipse = None
         if track.supports("position") and state.position is not None:
-            air = model.values(theta).get("earth_shadow.h0", torch.tensor(DEFAULT_AIR_KM, dtype=torch.float64))
+            air = model.values(theta).get(
+                "earth_shadow.h0", torch.tensor(DEFAULT_AIR_KM, dtype=torch.float64)
+            )
             eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air[..., None])
         found = {
             "range_km": track.range_km,
@@ -322,5 +363,7 @@ def _noise(model: LightCurve, theta: torch.Tensor, sigma: float, seed: int) -> n
             seconds = context.seconds[index]
             gap = (seconds[:, None] - seconds[None]).abs() / 60
             covariance = matern32(gap, noise.tau).numpy() + 1e-9 * np.eye(len(index))
-            delta[index] += float(noise.red) * np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
+            delta[index] += (
+                float(noise.red) * np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
+            )
     return delta

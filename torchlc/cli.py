@@ -26,13 +26,21 @@ app = typer.Typer(
 )
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)]
-RecordingFile = Annotated[Path, typer.Argument(metavar="OBS", help="Recording (ECSV or CSV).", show_default=False)]
-Out = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)]
+RecordingFile = Annotated[
+    Path, typer.Argument(metavar="OBS", help="Recording (ECSV or CSV).", show_default=False)
+]
+Out = Annotated[
+    Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)
+]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**32 - 1)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Threads = Annotated[int | None, typer.Option(help="Threads of the computation.", min=1, max=1024, show_default=False)]
+Threads = Annotated[
+    int | None, typer.Option(help="Threads of the computation.", min=1, max=1024, show_default=False)
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
-Use = Annotated[str | None, typer.Option(help="mag or flux, of a recording that has both.", show_default=False)]
+Use = Annotated[
+    str | None, typer.Option(help="mag or flux, of a recording that has both.", show_default=False)
+]
 Trust = Annotated[bool, typer.Option("--trust", help="Let the scene name files outside its own folder.")]
 
 
@@ -49,7 +57,9 @@ def root(
         raise typer.Exit
 
 
-@app.command(epilog="Example: torchlc simulate scene.toml --start 2020-10-17T10:00 --hours 10 --cadence 60 -o out")
+@app.command(
+    epilog="Example: torchlc simulate scene.toml --start 2020-10-17T10:00 --hours 10 --cadence 60 -o out"
+)
 def simulate(
     scene: SceneFile,
     out: Out,
@@ -96,10 +106,12 @@ def fit(
     recording: RecordingFile,
     out: Out,
     steps: Annotated[
-        int | None, typer.Option(help="Length of the chain; default: until long enough.", min=1, show_default=False)
+        int | None,
+        typer.Option(help="Length of the chain; default: until long enough.", min=1, show_default=False),
     ] = None,
     walkers: Annotated[
-        int | None, typer.Option(help="Walkers of the ensemble; default 6 a parameter.", min=2, show_default=False)
+        int | None,
+        typer.Option(help="Walkers of the ensemble; default 6 a parameter.", min=2, show_default=False),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the chain found in DIR.")] = False,
     use: Use = None,
@@ -109,7 +121,9 @@ def fit(
     json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Find what the object is made of: Adam, then emcee; fit.json, posterior.nc, chain.h5, report.html and figures."""
+    """Find what the object is made of: Adam, then emcee; fit.json, posterior.nc, chain.h5, report.html and
+    figures.
+    """
     use_threads(threads)
     from torchlc import api
 
@@ -121,13 +135,16 @@ def fit(
     show_fit(result, out, quiet=quiet, json=json)
 
 
-@app.command(epilog="Example: torchlc diagnose scene.toml recording.ecsv -o out --effects panel_offset,earthshine")
+@app.command(
+    epilog="Example: torchlc diagnose scene.toml recording.ecsv -o out --effects panel_offset,earthshine"
+)
 def diagnose(
     scene: SceneFile,
     recording: RecordingFile,
     out: Out,
     effects: Annotated[
-        str | None, typer.Option(help="The only candidates, comma-separated; noise is always added.", show_default=False)
+        str | None,
+        typer.Option(help="The only candidates, comma-separated; noise is always added.", show_default=False),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="No sampler, few refits.")] = False,
     use: Use = None,
@@ -158,7 +175,7 @@ def diagnose(
 @app.command()
 def effects(quiet: Quiet = False, seed: Seed = 0, threads: Threads = None, json: Json = False) -> None:
     """List the library of effects: name, parameters with units and bounds, and one sentence each."""
-    from torchlc.listing import effects_listing, effects_lines
+    from torchlc.listing import effects_lines, effects_listing
 
     if json:
         show_json({"effects": effects_listing()})
@@ -216,5 +233,8 @@ def main() -> None:
     arguments = sys.argv[1:]
     command = typer.main.get_command(app)
     sys.exit(
-        exit_code(lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False), after_interrupt(arguments))
+        exit_code(
+            lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False),
+            after_interrupt(arguments),
+        )
     )

@@ -1,8 +1,9 @@
 """What the data say about each parameter, and where they say nothing, the geometric reason.
 
-A parameter is informed if, in the flat coordinates of :class:`~torchlc.parameters.ParameterSet` (logarithms of log-scaled numbers, the
-second reflectance of a pair as its share of what the first leaves), its posterior is clearly narrower than its prior or has moved by more
-than the prior's width. With relative flux, numbers that only scale the light together are never informed, however their ratios are known.
+A parameter is informed if, in the flat coordinates of :class:`~torchlc.parameters.ParameterSet` (logarithms
+of log-scaled numbers, the second reflectance of a pair as its share of what the first leaves), its
+posterior is clearly narrower than its prior or has moved by more than the prior's width. With relative
+flux, numbers that only scale the light together are never informed, however their ratios are known.
 """
 
 from __future__ import annotations
@@ -21,14 +22,18 @@ from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve, degrees_between
 
 NARROWER = 0.75
-"""Ratio of posterior to prior standard deviation below which a parameter is informed; 4000 prior draws give it to 2 %."""
+"""Ratio of posterior to prior standard deviation below which a parameter is informed; 4000 prior draws give
+it to 2 %.
+"""
 MOVED = 1.0
 """Shift of the median, in prior standard deviations, beyond which it is informed."""
 TENSION = 3.0
 """Distance of the median from the centre of a peaked prior, in its sigma, that is warned of."""
 SCALE_STEP = 0.8
 SCALE_CHI2 = 1e-3
-"""Numbers multiplied by SCALE_STEP together are only a scale if chi-square changes by less than this share of the rows."""
+"""Numbers multiplied by SCALE_STEP together are only a scale if chi-square changes by less than this share
+of the rows.
+"""
 FAR_GLINT_DEG = 10.0
 """A closest glint beyond this, or beyond two lobe widths, is a reason not to know a lobe."""
 PRIOR_DRAWS = 4000
@@ -38,21 +43,29 @@ SCALES = ("albedo", "r_spec", "r_diff")
 
 @dataclass(frozen=True)
 class Glint:
-    """How near the bisector of Sun and observer comes to a lit-and-seen facet of a material, degrees, at which row."""
+    """How near the bisector of Sun and observer comes to a lit-and-seen facet of a material, degrees, at
+    which row.
+    """
 
     degrees: float
     row: int
 
 
 def bare_view(model: LightCurve, theta: Tensor) -> View:
-    """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at natural values theta (P,)."""
+    """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at
+    natural values theta (P,).
+    """
     moving = [
         effect.name + (f"[{effect.target}]" if effect.target else "")
         for effect in model.effects
-        if effect.stage in GEOMETRY_STAGES and effect.nodes == 1 and effect.stage not in ("light", "surface", "scatter")
+        if effect.stage in GEOMETRY_STAGES
+        and effect.nodes == 1
+        and effect.stage not in ("light", "surface", "scatter")
     ]
     bare = LightCurve(
-        model.scene, model.recording, assembly=assemble(model.scene, model.recording, moving, base=model.assembly)
+        model.scene,
+        model.recording,
+        assembly=assemble(model.scene, model.recording, moving, base=model.assembly),
     )
     with torch.no_grad():
         return bare.view(model.values(theta))
@@ -101,14 +114,18 @@ def material_shares(model: LightCurve, theta: Tensor) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Insight:
-    """``informed`` by parameter name, and ``warnings``: one sentence for each that is not, and for each prior in tension."""
+    """``informed`` by parameter name, and ``warnings``: one sentence for each that is not, and for each
+    prior in tension.
+    """
 
     informed: Mapping[str, bool]
     warnings: Sequence[str]
 
 
 def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed: int) -> Insight:
-    """Compare posterior ``draws`` (N, P) with the prior; ``best`` (P,) is the maximum a posteriori, ``view`` its geometry."""
+    """Compare posterior ``draws`` (N, P) with the prior; ``best`` (P,) is the maximum a posteriori,
+    ``view`` its geometry.
+    """
     parameters = likelihood.model.parameter_set
     prior = parameters.sample_prior(PRIOR_DRAWS, torch.Generator(device=parameters.device).manual_seed(seed))
     before, after = parameters.to_flat(prior), parameters.to_flat(draws)
@@ -125,7 +142,9 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
     closest, shares = glints(view), material_shares(likelihood.model, best)
     for i, name in enumerate(parameters.names):
         if not informed[name] and name not in scale_of:
-            reason = _reason(likelihood.model, name, best, closest, shares) or _trade(parameters.names, i, after)
+            reason = _reason(likelihood.model, name, best, closest, shares) or _trade(
+                parameters.names, i, after
+            )
             warnings.append(f"{name} is set by its prior: {reason}")
     for i, entry in enumerate(parameters.free):
         prior_i = entry.prior
@@ -143,7 +162,9 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
 
 
 def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
-    """Groups of free parameters that relative flux leaves undetermined together: all reflectances, all sizes."""
+    """Groups of free parameters that relative flux leaves undetermined together: all reflectances, all
+    sizes.
+    """
     if likelihood.kind != "flux":
         return []
     names = likelihood.model.names
@@ -169,7 +190,11 @@ def _scale_sentence(group: Sequence[str]) -> str:
 
 
 def _reason(
-    model: LightCurve, name: str, best: Tensor, closest: Mapping[str, Glint | None], shares: Mapping[str, float]
+    model: LightCurve,
+    name: str,
+    best: Tensor,
+    closest: Mapping[str, Glint | None],
+    shares: Mapping[str, float],
 ) -> str | None:
     """Why a material's parameter is not informed, from the geometry; None if the geometry gives no reason."""
     owner, _, short = name.rpartition(".")

@@ -63,7 +63,11 @@ def effects_lines() -> list[str]:
 
 
 def _prior(told: dict[str, Any]) -> str:
-    short = {"normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N"}[told["prior"]]
-    numbers = {"normal": ("mean", "sigma"), "halfnormal": ("sigma",), "lognormal": ("mean", "sigma")}.get(told["prior"], ())
+    short = {"normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N"}[
+        told["prior"]
+    ]
+    numbers = {"normal": ("mean", "sigma"), "halfnormal": ("sigma",), "lognormal": ("mean", "sigma")}.get(
+        told["prior"], ()
+    )
     given = [f"{told[key] or 0:g}" for key in numbers]
     return f"{short}({', '.join(given)})" if given else short

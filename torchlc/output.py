@@ -1,4 +1,6 @@
-"""Where results go: one run at a time in a directory, every file whole or not at all, a full disk said in words."""
+"""Where results go: one run at a time in a directory, every file whole or not at all, a full disk said in
+words.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,8 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 class OutputDirectory:
     """A directory held by this process from ``with`` to the end of the block.
 
-    The lock is the kernel's (flock on a file that names the process and its start), so that of a killed process holds nobody up.
-    A directory made for a run that then writes nothing is taken away again.
+    The lock is the kernel's (flock on a file that names the process and its start), so that of a killed
+    process holds nobody up. A directory made for a run that then writes nothing is taken away again.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -44,7 +46,9 @@ class OutputDirectory:
             left.unlink(missing_ok=True)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         (self.path / LOCK_NAME).unlink(missing_ok=True)
         os.close(self._descriptor)
         if kind is not None:
@@ -58,7 +62,9 @@ class OutputDirectory:
 
     def write_json(self, name: str, content: Any) -> Path:
         """NaN and infinity become null."""
-        return self.write_text(name, json.dumps(without_nan(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        return self.write_text(
+            name, json.dumps(without_nan(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        )
 
     def write(self, name: str, writer: Callable[[Path], object]) -> Path:
         """Let ``writer`` fill a file beside ``name`` and put it in place once it is on disk."""
@@ -116,7 +122,9 @@ def without_nan(value: Any) -> Any:
 
 
 def write_whole(path: Path, writer: Callable[[Path], object]) -> Path:
-    """Write through a file of another name in the same directory, flushed to disk before it takes the place of ``path``."""
+    """Write through a file of another name in the same directory, flushed to disk before it takes the place
+    of ``path``.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
     with resources(path):
         try:
@@ -135,14 +143,20 @@ def resources(path: Path | None = None) -> Iterator[None]:
     try:
         yield
     except MemoryError:
-        raise ResourceError("out of memory; fewer rows, fewer --walkers or a coarser mesh need less") from None
+        raise ResourceError(
+            "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
+        ) from None
     except (OSError, RuntimeError) as error:
         text = str(error).lower()
         if getattr(error, "errno", None) in FULL or any(os.strerror(code).lower() in text for code in FULL):
             where = path or getattr(error, "filename", None)
-            raise ResourceError(f"no room on disk{f' for {where}' if where else ''}; nothing of it was written") from None
+            raise ResourceError(
+                f"no room on disk{f' for {where}' if where else ''}; nothing of it was written"
+            ) from None
         if "can't allocate memory" in text or "not enough memory" in text:
-            raise ResourceError("out of memory; fewer rows, fewer --walkers or a coarser mesh need less") from None
+            raise ResourceError(
+                "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
+            ) from None
         if isinstance(error, PermissionError) and path is not None:
             raise _unusable(path, error) from None
         raise
@@ -151,7 +165,9 @@ def resources(path: Path | None = None) -> Iterator[None]:
 def _unusable(path: Path, error: OSError) -> InputError | ResourceError:
     if error.errno in FULL:
         return ResourceError(f"no room on disk for {path}")
-    return InputError(None, "-o", f"{path} cannot be written: {error.strerror}", "a directory that can be written")
+    return InputError(
+        None, "-o", f"{path} cannot be written: {error.strerror}", "a directory that can be written"
+    )
 
 
 def _same_file(descriptor: int, path: Path) -> bool:
@@ -166,4 +182,3 @@ def _named(holder: str) -> str:
         said = json.loads(holder)
         return f": process {said['pid']}, started {said['started']}"
     return ""
-

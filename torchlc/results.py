@@ -1,4 +1,6 @@
-"""What the verbs give back: objects that print their conclusion, plot themselves and turn into tables, ArviZ data and JSON."""
+"""What the verbs give back: objects that print their conclusion, plot themselves and turn into tables,
+ArviZ data and JSON.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,7 @@ from torchlc.effects.base import View
 from torchlc.fit import Fit, Mode
 from torchlc.insight import Insight, bare_view, judge
 from torchlc.likelihood import MAG_PER_LN, Likelihood
+from torchlc.materials import match
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
 from torchlc.recording import Recording
@@ -36,9 +39,11 @@ BAND_DRAWS = 200
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted recording: the maximum a posteriori, the posterior (None where nothing is free) and what they mean.
+    """A fitted recording: the maximum a posteriori, the posterior (None where nothing is free) and what
+    they mean.
 
-    ``seconds`` by stage; ``warnings`` in words; ``provenance`` says from what, with what and how it was made.
+    ``seconds`` by stage; ``warnings`` in words; ``provenance`` says from what, with what and how it was
+    made.
     """
 
     fit: Fit
@@ -130,7 +135,9 @@ class FitResult:
     # ------------------------------------------------------------------ numbers
 
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Everything known of each free parameter, by name, as in fit.json; noise levels where they were fitted."""
+        """Everything known of each free parameter, by name, as in fit.json; noise levels where they were
+        fitted.
+        """
         found: dict[str, dict[str, Any]] = {}
         if self.posterior is not None:
             draws = self.posterior.flat
@@ -151,14 +158,20 @@ class FitResult:
         return found | self._noise_levels()
 
     def _noise_levels(self) -> dict[str, dict[str, Any]]:
-        """Of curves without errors: given the residuals of a draw, N s^2 / S of each curve follows the inverse chi-square."""
+        """Of curves without errors: given the residuals of a draw, N s^2 / S of each curve follows the
+        inverse chi-square.
+        """
         likelihood = self.likelihood
         if not likelihood.fitted_errors:
             return {}
         with torch.no_grad():
             best = likelihood.fitted_levels(likelihood.residuals(self.fit.theta).delta)
             theta = self.fit.theta[None] if self.posterior is None else self.posterior.flat
-            theta = _thinned(theta, NOISE_DRAWS).expand(NOISE_DRAWS, -1) if len(theta) < 2 else _thinned(theta, NOISE_DRAWS)
+            theta = (
+                _thinned(theta, NOISE_DRAWS).expand(NOISE_DRAWS, -1)
+                if len(theta) < 2
+                else _thinned(theta, NOISE_DRAWS)
+            )
             squares = likelihood._by_curve(likelihood.residuals(theta).delta ** 2)
         freedom = (likelihood.count - (1 if likelihood.gains else 0)).clamp(min=1.0)
         generator = np.random.default_rng(self.seed)
@@ -203,24 +216,49 @@ class FitResult:
 
     @property
     def rms_relative(self) -> float:
-        """Root mean square residual of flux over the model (magnitudes), or over the mean of its curve (relative flux)."""
+        """Root mean square residual of flux over the model (magnitudes), or over the mean of its curve
+        (relative flux).
+        """
         measured = ~self.recording.upper_limit
         if self.recording.kind == "mag":
             return _rms(self._ratio() - 1)
-        mean = np.array([self.recording.observed[self.recording.curve == c].mean() for c in range(len(self.recording.curve_ids))])
+        mean = np.array(
+            [
+                self.recording.observed[self.recording.curve == c].mean()
+                for c in range(len(self.recording.curve_ids))
+            ]
+        )
         return _rms((self.delta / mean[self.recording.curve])[measured])
 
     def mean_shares(self) -> dict[str, dict[str, float]]:
         """Mean share of each component over the rows with light."""
         lit = self.shares.sum(0) > 0
         mean = self.shares[:, lit].mean(1) if lit.any() else np.zeros(len(self.shares))
-        return {name: {"mean_share": float(one)} for name, one in zip(self.model.assembly.components, mean, strict=True)}
+        return {
+            name: {"mean_share": float(one)}
+            for name, one in zip(self.model.assembly.components, mean, strict=True)
+        }
+
+    def materials(self) -> dict[str, list[dict[str, Any]]]:
+        """For each material with free parameters, how probable each known material is, most probable first."""
+        if self.posterior is None:
+            return {}
+        draws = dict(zip(self.names, self.posterior.flat.numpy().T, strict=True))
+        found = {}
+        for name, material in self.model.scene.materials.items():
+            own = {short: draws[f"{name}.{short}"] for short in material.parameters if f"{name}.{short}" in draws}
+            if own:
+                found[name] = [vars(one) for one in match(own, model=material.model)]
+        return found
 
     def modes(self) -> list[dict[str, Any]]:
         """Distinct minima: chi-square (with the priors' rows) and parameters of each, best first."""
 
         def told(mode: Mode) -> dict[str, Any]:
-            return {"chi2": mode.objective, "parameters": dict(zip(self.names, mode.theta.tolist(), strict=True))}
+            return {
+                "chi2": mode.objective,
+                "parameters": dict(zip(self.names, mode.theta.tolist(), strict=True)),
+            }
 
         return [told(mode) for mode in self.fit.modes]
 
@@ -253,7 +291,7 @@ class FitResult:
             "samples": 0 if posterior is None else len(posterior.flat),
             "seconds": dict(self.seconds),
             "components": self.mean_shares(),
-            "materials": {},
+            "materials": self.materials(),
             "warnings": self.all_warnings,
             "provenance": dict(self.provenance),
         }
@@ -270,13 +308,16 @@ class FitResult:
         return Table({key: [math.nan if row[key] is None else row[key] for row in rows] for key in names})
 
     def to_arviz(self) -> arviz.InferenceData:
-        """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|", which netCDF needs."""
+        """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",
+        which netCDF needs.
+        """
         import arviz
 
         if self.posterior is None:
             raise ValueError("nothing was free: there is no posterior")
         posterior = {
-            name.replace("/", "|"): self.posterior.theta[..., i].numpy() for i, name in enumerate(self.posterior.names)
+            name.replace("/", "|"): self.posterior.theta[..., i].numpy()
+            for i, name in enumerate(self.posterior.names)
         }
         return arviz.from_dict(
             posterior=posterior,
@@ -323,13 +364,15 @@ class FitResult:
     def write_report(self, path: str | Path) -> Path:
         """One HTML file that needs no network."""
         from torchlc import report
+
         page = report.render_fit(self)
         return write_whole(Path(path), lambda partial: partial.write_text(page, encoding="utf-8"))
 
     def lines(self) -> list[tuple[str, str]]:
         """(name, value with its uncertainty) of every parameter, ready to print."""
         return [
-            (name, stated(row) + ("" if row["informed"] else "  (prior)")) for name, row in self.parameters().items()
+            (name, stated(row) + ("" if row["informed"] else "  (prior)"))
+            for name, row in self.parameters().items()
         ]
 
     def headline(self) -> str:
@@ -344,10 +387,14 @@ class FitResult:
         rows = self.lines()
         width = max((len(name) for name, _ in rows), default=0)
         warned = [f"  ! {text}" for text in self.all_warnings]
-        return "\n".join([f"FitResult: {self.headline()}", *(f"  {name:{width}}  {text}" for name, text in rows), *warned])
+        return "\n".join(
+            [f"FitResult: {self.headline()}", *(f"  {name:{width}}  {text}" for name, text in rows), *warned]
+        )
 
     def _repr_html_(self) -> str:
-        rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(v)}</td></tr>" for n, v in self.lines())
+        rows = "".join(
+            f"<tr><td>{html.escape(n)}</td><td>{html.escape(v)}</td></tr>" for n, v in self.lines()
+        )
         warned = "".join(f"<li>{html.escape(text)}</li>" for text in self.all_warnings)
         return f"<p>{html.escape(self.headline())}</p><table>{rows}</table><ul>{warned}</ul>"
 
@@ -378,7 +425,9 @@ def rounded(value: float, digits: int) -> str:
 
 @dataclass(frozen=True)
 class SimulatedCurve:
-    """A simulated light curve: columns (T,) of ``curve.ecsv``, shares (C, T) by component; mag is +inf where no light comes."""
+    """A simulated light curve: columns (T,) of ``curve.ecsv``, shares (C, T) by component; mag is +inf
+    where no light comes.
+    """
 
     name: str
     recording: Recording
@@ -396,7 +445,9 @@ class SimulatedCurve:
         return _known(self.columns["flux"])
 
     def to_table(self) -> Table:
-        """The columns of curve.ecsv; what is unknown or infinite is masked. Geometry that the recording brought is kept."""
+        """The columns of curve.ecsv; what is unknown or infinite is masked. Geometry that the recording
+        brought is kept.
+        """
         from torchlc import tables
 
         return tables.curve_table(self)
@@ -404,7 +455,9 @@ class SimulatedCurve:
     def write(self, path: str | Path) -> Path:
         """Write as ECSV, whole or not at all."""
         table = self.to_table()
-        return write_whole(Path(path), lambda partial: table.write(partial, format="ascii.ecsv", overwrite=True))
+        return write_whole(
+            Path(path), lambda partial: table.write(partial, format="ascii.ecsv", overwrite=True)
+        )
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Magnitude along time."""
@@ -422,9 +475,13 @@ class SimulatedCurve:
                 "name": self.name,
                 "rows": len(mag),
                 "rows_without_light": int((~seen).sum()),
-                "brightest": None if peak is None else {"time": self.recording.time.isot[peak], "mag": float(mag[peak])},
+                "brightest": None
+                if peak is None
+                else {"time": self.recording.time.isot[peak], "mag": float(mag[peak])},
                 "faintest_mag": float(mag[seen].max()) if seen.any() else None,
-                "components": {name: float(np.nanmean(one)) if seen.any() else None for name, one in self.shares.items()},
+                "components": {
+                    name: float(np.nanmean(one)) if seen.any() else None for name, one in self.shares.items()
+                },
                 "warnings": list(self.warnings),
             }
         )
@@ -458,4 +515,3 @@ def _thinned(draws: Tensor, most: int) -> Tensor:
 def _rms(values: np.ndarray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
-

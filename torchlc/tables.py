@@ -1,4 +1,6 @@
-"""Simulated curves as tables: the columns of curve.ecsv, and the geometry that lets it be read as a recording again."""
+"""Simulated curves as tables: the columns of curve.ecsv, and the geometry that lets it be read as a
+recording again.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,20 @@ UNITS = {
     "mag": "mag", "mag_err": "mag", "range_km": "km", "phase_angle_deg": "deg", "elevation_deg": "deg", "exptime": "s",
     "alt": "deg", "az": "deg", "height": "km",
 }  # fmt: skip
-DIGITS = {"mag": ".6f", "mag_err": ".6g", "range_km": ".6f", "phase_angle_deg": ".6f", "elevation_deg": ".6f", "airmass": ".6f"}
+DIGITS = {
+    "mag": ".6f",
+    "mag_err": ".6g",
+    "range_km": ".6f",
+    "phase_angle_deg": ".6f",
+    "elevation_deg": ".6f",
+    "airmass": ".6f",
+}
 
 
 def curve_table(curve: SimulatedCurve) -> Table:
-    """Time, station, the columns of the simulation in FORMATS' order, a ``share <component>`` each, then what the recording brought."""
+    """Time, station, the columns of the simulation in FORMATS' order, a ``share <component>`` each, then
+    what the recording brought.
+    """
     recording = curve.recording
     columns: dict[str, Any] = {
         "time": iso_times(recording),

@@ -1,4 +1,6 @@
-"""What a person at a terminal sees: progress with time left, one line for an error, and the exit code that goes with it."""
+"""What a person at a terminal sees: progress with time left, one line for an error, and the exit code that
+goes with it.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ UsageProblem = next(cls for cls in typer.BadParameter.__mro__ if cls.__name__ ==
 
 
 def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
-    """Run a command and turn whatever it raises into one line on standard error and the exit code of FORMATS."""
+    """Run a command and turn whatever it raises into one line on standard error and the exit code of
+    FORMATS.
+    """
     try:
         with quiet_libraries():
             found = action()
@@ -61,7 +65,9 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
 
 @contextlib.contextmanager
 def quiet_libraries() -> Iterator[None]:
-    """Keep what other people's code warns of away from the terminal; our own warnings are part of the results."""
+    """Keep what other people's code warns of away from the terminal; our own warnings are part of the
+    results.
+    """
     import logging
 
     with warnings.catch_warnings():
@@ -95,7 +101,9 @@ def show_json(content: Any) -> None:
 
 @contextlib.contextmanager
 def progress_bar(wanted: bool) -> Iterator[Callable[[str, float], None]]:
-    """A callback (stage, fraction done) that draws a bar with the time left while standard error is a terminal."""
+    """A callback (stage, fraction done) that draws a bar with the time left while standard error is a
+    terminal.
+    """
     if not wanted or not sys.stderr.isatty():
         yield lambda stage, fraction: None
         return

@@ -14,8 +14,8 @@ from torchlc.parameters import Quantity
 from torchlc.shape import tracking_pose
 from torchlc.shape.part import like
 
-BROADEST_RAD = 0.3
-"""Width that a diffuse facet's rise and set is taken to have: that of a lobe with n = 11."""
+DIFFUSE_RAD = 0.1
+"""Path of the Sun or the observer, seen from a part, that counts as one width where facets rise and set."""
 MOST_NODES = 801
 MOST_PAIRS = 2e7
 """Facets, rows and instants together (160 MB an angle), beyond which fewer instants are taken."""
@@ -81,9 +81,10 @@ def instants_for(widths: float) -> int:
 
 
 def widths_swept(context: Context, exposure: torch.Tensor) -> float:
-    """The longest path of the half vector over a part in any exposure (T,), in widths of its sharpest lobe.
+    """The longest path in any exposure (T,): of the half vector over a part, in widths of its sharpest lobe,
+    or of the Sun or the observer, in widths of what is diffuse.
 
-    From its rate at five places of each exposure, at the scene's own values.
+    From the rates at five places of each exposure, at the scene's own values.
     """
     step = 1e-3 * exposure
     place = torch.linspace(-0.5, 0.5, 5, dtype=exposure.dtype)[:, None] * exposure
@@ -92,14 +93,16 @@ def widths_swept(context: Context, exposure: torch.Tensor) -> float:
     rotation = context.attitude.rotation(state, {})
     to_sun = torch.einsum("...ij,...i->...j", rotation, normalize(state.sun, dim=-1))
     to_observer = torch.einsum("...ij,...i->...j", rotation, normalize(state.observer, dim=-1))
-    most = 0.0
+    longest = 0.0
     for part in context.parts:
-        half = to_sun + to_observer
+        source, target = to_sun, to_observer
         if part.tracks_axis is not None:
             pose = tracking_pose(like(part.tracks_axis, to_sun), like(part.front, to_sun), to_sun)
-            half = torch.einsum("...ij,...i->...j", pose, half)
-        half = normalize(half, dim=-1)
-        swept = 1e3 * torch.linalg.vector_norm(half[5:] - half[:5], dim=-1).amax()
-        sharpest = max(context.lobes[material] for material in part.materials)
-        most = max(most, float(swept) / min(BROADEST_RAD, 1 / math.sqrt(sharpest)))
-    return most
+            source, target = (torch.einsum("...ij,...i->...j", pose, one) for one in (source, target))
+        lobe = min(DIFFUSE_RAD, max(context.lobes[material] for material in part.materials) ** -0.5)
+        half = normalize(source + target, dim=-1)
+        paths = [(half, lobe), (source, DIFFUSE_RAD), (target, DIFFUSE_RAD)]
+        for direction, width in paths:
+            swept = 1e3 * torch.linalg.vector_norm(direction[5:] - direction[:5], dim=-1).amax()
+            longest = max(longest, float(swept) / width)
+    return longest

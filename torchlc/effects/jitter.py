@@ -23,5 +23,8 @@ class Jitter(Effect):
         ),
     )  # fmt: skip
 
+    def missing(self, context):
+        return None if context.errors else "the errors are fitted, and jitter is part of them"
+
     def noise(self, noise, p, context):
         return replace(noise, jitter=p["mag"])

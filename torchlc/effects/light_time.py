@@ -14,7 +14,7 @@ LIGHT_KM_S = 299_792.458
 class LightTime(Effect):
     """The object is taken range/c before the stamp: 0.12 s at GEO, below 1e-4 mag unless it spins in seconds.
 
-    One iteration from the stamp; the second would move a LEO object by 0.02 m.
+    One iteration from the stamp; neglects the second, which would move a LEO object by 0.02 m.
     """
 
     name = "light_time"

@@ -1,0 +1,50 @@
+"""A late clock is the curve at other stamps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.effects.cases import PLATE, seen_from, still, tilted
+from tests.effects.passes import LOW_PASS, magnitudes, orbiting, rows
+from tests.paper_orbits import LOW
+from torchlc.effects import registry
+from torchlc.model import LightCurve
+
+SPIN = 'mode = "nadir"\nspin_axis = [0.2, 0.9, 0.1]\nspin_rate = 9.0\nspin_epoch = "2006-06-27T13:00:00"'
+
+
+@pytest.mark.parametrize("seconds", [-75.0, 40.0])
+def test_equals_the_curve_at_shifted_stamps(seconds):
+    """SGP4, the turning Earth and the spin are those of the shifted stamps; a metre in low orbit is 1e-6 mag."""
+    scene = orbiting(SPIN, tle=LOW)
+    start = np.datetime64(LOW_PASS, "ms")
+    shifted = start + np.timedelta64(int(1000 * seconds), "ms")
+    found = magnitudes(scene, rows(scene, str(start), 0.1, 15.0), "time_offset", time_offset__s=seconds)
+    expected = magnitudes(scene, rows(scene, str(shifted), 0.1, 15.0))
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    assert np.abs(found - magnitudes(scene, rows(scene, str(start), 0.1, 15.0))).max() > 0.3
+
+
+def test_one_offset_a_station():
+    scene = orbiting(
+        SPIN, tle=LOW, parameters='"time_offset.s" = { value = 0.0, sigma = 10.0, per = "curve" }'
+    )
+    recording = rows(scene, LOW_PASS, 0.1, 15.0)
+    half = (np.arange(len(recording)) >= 12).astype(np.int64)
+    recording = replace(recording, curve=half, curve_ids=("a", "b"))
+    model = LightCurve(scene, recording, effects=["time_offset"])
+    assert model.names == ["time_offset.s[a]", "time_offset.s[b]"]
+    found = model(model.theta().new_tensor([20.0, -30.0])).detach().numpy()
+    one, other = (magnitudes(scene, recording, "time_offset", time_offset__s=s) for s in (20.0, -30.0))
+    np.testing.assert_allclose(found, np.where(half == 0, one, other), atol=1e-12)
+
+
+def test_one_row_has_no_motion(tmp_path):
+    scene = still(PLATE, '[materials.white]\nmodel = "lambert"\nalbedo = 0.6\n')
+    recording = seen_from(scene, tmp_path, [0, 0, 1], tilted([10.0, 20.0]), position=[7000.0, 0.0, 0.0])
+    recording = recording.keep(np.array([True, False]), "test")
+    context = LightCurve(scene, recording, effects=[]).assembly.context
+    assert "no motion" in (registry()["time_offset"]().missing(context) or "")

@@ -1,0 +1,58 @@
+# make demo    install into .venv and run the whole job on the recording that ships with the package
+# make test    install into .venv and run the whole test suite
+# Both need Python 3.11 or newer and make, and nothing else. The rest: make lint examples docs wheel minimum clean
+
+PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
+BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: demo test lint format examples docs wheel minimum clean
+
+demo: .venv/demo
+	$(BIN)/torchlc demo
+
+test: .venv/develop
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+
+lint: .venv/develop
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: .venv/develop
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+examples: .venv/develop
+	$(BIN)/python examples/run_all.py
+
+docs: .venv/develop
+	$(BIN)/sphinx-build -W --keep-going -q -j 2 docs docs/_build/html
+
+wheel: .venv/develop
+	$(BIN)/python -m build --quiet --wheel --outdir dist
+	rm -rf build .venv-wheel && $(PYTHON) -m venv .venv-wheel
+	.venv-wheel/bin/pip install --quiet --constraint constraints.txt dist/torchlc-*.whl
+	cd / && $(CURDIR)/.venv-wheel/bin/torchlc demo --quiet
+
+minimum: constraints-minimum.txt
+	rm -rf .venv-minimum && $(PYTHON) -m venv .venv-minimum
+	.venv-minimum/bin/pip install --quiet --constraint constraints-minimum.txt --editable '.[mesh,dask,report,test]'
+	.venv-minimum/bin/python -m pytest --numprocesses 2 -m "not slow" -W default
+
+clean:
+	rm -rf build dist docs/_build .venv .venv-wheel .venv-minimum .pytest_cache .ruff_cache .hypothesis
+
+.venv/bin/python:
+	@test -n "$(PYTHON)" || { echo "torchlc needs Python 3.11 or newer: set PYTHON=/path/to/python"; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/demo: .venv/bin/python pyproject.toml constraints.txt
+	$(INSTALL) --editable '.[mesh,report]'
+	touch $@
+
+.venv/develop: .venv/bin/python pyproject.toml constraints.txt
+	$(INSTALL) --editable '.[mesh,dask,report,docs,test,dev]'
+	touch $@

@@ -43,7 +43,7 @@ def visible_fractions(
     for part, own, pose in zip(shape.parts, facets, poses, strict=True):
         turn = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
         fixed = [own.vertices, own.normal] + ([own.u, part.hull_corners(own)] if convex else [])
-        each += [turn.expand(rows, 3, 3), *(tensor.expand(rows, *tensor.shape) for tensor in fixed)]
+        each += [turn if turn.dim() > 2 else turn[None], *(tensor[None] for tensor in fixed)]
     if convex:
         return list(rowwise(partial(polygon_fractions, shape.parts), to_sun, to_observer, *each))
     still = tuple(pose is None for pose in poses)

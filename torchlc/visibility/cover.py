@@ -15,6 +15,21 @@ from torch import Tensor
 INFLATION = 1e-9  # of the facet's size; see covered_area
 
 
+@torch.no_grad()
+def settled(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Which facets (P,) are clear of all polygons, and which lie within one: most facets of a smooth part.
+
+    Arguments as in `covered_area`. A polygon is clear of a facet that is outside one of its edges.
+    """
+    outward = _outward(end - start)
+    offset = torch.where(valid, (outward * start).sum(dim=-1), torch.inf).flatten(1, 2)
+    beyond = (facet @ outward.flatten(1, 2).mT - offset[:, None]).unflatten(-1, valid.shape[1:])
+    there = valid.any(dim=-1)
+    clear = (beyond.amin(dim=1) >= 0).any(dim=-1) | ~there
+    within = (beyond.amax(dim=1) <= 0).all(dim=-1) & there
+    return clear.all(dim=-1), within.any(dim=-1)
+
+
 def covered_area(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> Tensor:
     """Area (P,) of each of P facets that lies in at least one of its K polygons.
 
@@ -81,8 +96,8 @@ def _inside(a: Tensor, along: Tensor, outward: Tensor, offset: Tensor, group: in
     outside = still & (room < 0)
     enter = torch.where(speed < 0, reach, -torch.inf).masked_fill(outside, torch.inf)
     leave = torch.where(speed > 0, reach, torch.inf)
-    shape = (*reach.shape[:2], -1, group)
-    return enter.view(shape).amax(dim=-1), leave.view(shape).amin(dim=-1)
+    groups = (reach.shape[-1] // group, group)
+    return enter.unflatten(-1, groups).amax(dim=-1), leave.unflatten(-1, groups).amin(dim=-1)
 
 
 def _left_free(begin: Tensor, finish: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:

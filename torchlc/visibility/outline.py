@@ -24,11 +24,11 @@ class Joints:
 
 
 def facing(corners: Tensor, joints: Joints, direction: Tensor) -> Tensor:
-    """Which faces (N, L) of the hull with corners (N, H, 3) face ``direction`` (N, 3)."""
+    """Which faces (N, D, L) of the hull with corners (N, H, 3) face each ``direction`` (N, D, 3)."""
     loop = corners[:, joints.loops]
     loop = loop - loop[:, :, :1]
     vector_area = torch.linalg.cross(loop, loop.roll(-1, dims=2), dim=-1).sum(dim=2)
-    return (vector_area * direction[:, None, :]).sum(dim=-1) > 0
+    return direction @ vector_area.mT > 0
 
 
 def outline(flat: Tensor, height: Tensor, faces: Tensor, joints: Joints) -> tuple[Tensor, Tensor, Tensor]:

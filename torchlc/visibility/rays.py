@@ -31,18 +31,19 @@ TENSORS_PER_PART = 3
 def ray_fractions(parts: Sequence[Part], still: Sequence[bool], *tensors: Tensor) -> tuple[Tensor, ...]:
     """Fractions (N, F) of each part; tensors: to_sun, to_observer (N, 3), then a part pose, vertices, normal.
 
-    pose (N, 3, 3), vertices (N, F, V, 3), normal (N, F, 3), at rest; ``still`` says which parts never turn.
-    Rows that follow one another with the same vertices share an Embree scene.
+    pose (N, 3, 3), vertices (N, F, V, 3), normal (N, F, 3), at rest, or one row for all; ``still`` says which
+    parts never turn. Rows that follow one another with the same vertices share an Embree scene.
     """
     rows = len(tensors[0])
     changes = np.zeros(rows, dtype=bool)
     for vertices in tensors[3::TENSORS_PER_PART]:
-        if vertices.stride(0):
+        if len(vertices) > 1:
             changes[1:] |= (vertices[1:] != vertices[:-1]).flatten(1).any(dim=1).cpu().numpy()
     bounds = [0, *np.flatnonzero(changes), rows]
     found = []
     for start, stop in pairwise(bounds):
-        own = [tensor[start:stop].detach().cpu().double().numpy() for tensor in tensors]
+        chosen = [tensor[start:stop] if len(tensor) > 1 else tensor for tensor in tensors]
+        own = [tensor.detach().cpu().double().numpy() for tensor in chosen]
         found.append(_Bodies(parts, still, own[3::3], own[4::3]).visible(own[0], own[1], own[2::3]))
     like = tensors[0]
     return tuple(torch.as_tensor(np.concatenate(piece)).to(like) for piece in zip(*found, strict=True))
@@ -124,7 +125,7 @@ class _Bodies:
         pieces = []
         for start in range(0, len(to_sun), rows):
             chunk = slice(start, start + rows)
-            turns = [pose[chunk] for pose in poses]
+            turns = [pose[chunk] if len(pose) > 1 else pose for pose in poses]
             pieces.append(
                 [self._part(k, to_sun[chunk], to_observer[chunk], turns) for k in range(len(poses))]
             )

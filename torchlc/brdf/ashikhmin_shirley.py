@@ -59,8 +59,9 @@ class AshikhminShirley(Brdf):
         rows: dict[str, list[Tensor]] = {f"{kind}_{name}": [] for kind in ("log", "slope") for name in ("normal", "grazing")}
         for one in x:
             n = torch.expm1(one)
-            shape = lobe(n * table["log_half"] + one)
-            turning = 1 + (n + 1) * table["log_half"]
+            wide, _ = widened(table, n, n)
+            shape = lobe(torch.addcmul(torch.log1p(wide), wide, table["log_half"]))
+            turning = torch.where(wide < n, 0.0, 1 + (n + 1) * table["log_half"])
             for name in ("normal", "grazing"):
                 light = table[name] * shape
                 total = light.sum(-2)
@@ -128,10 +129,10 @@ def exponents(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
 
 
 def widened(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor) -> tuple[Tensor, Tensor]:
-    """Exponents shaped to meet (K, T), after the sources' own extent if they have one."""
+    """Exponents shaped to meet (K, T), no larger than the pairs allow."""
     spread = table.get("spread", 0.0)
-    wide = per_pair(n_u) / (1 + per_pair(n_u) * spread)
-    return wide, wide if n_u is n_v else per_pair(n_v) / (1 + per_pair(n_v) * spread)
+    wide = per_pair(n_u) / (per_pair(n_u) * spread).clamp(min=1)
+    return wide, wide if n_u is n_v else per_pair(n_v) / (per_pair(n_v) * spread).clamp(min=1)
 
 
 def cosine_power(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor) -> Tensor:

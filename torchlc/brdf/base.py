@@ -274,7 +274,10 @@ class Brdf(nn.Module):
     @staticmethod
     @abstractmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Lobe and diffuse flux (..., T): sum over K of weight f_r mu0 mu, eqs. 8-10; values are (...)."""
+        """Lobe and diffuse flux (..., T): sum over K of weight f_r mu0 mu, eqs. 8-10; values are (...).
+
+        ``spread`` (K, T) in the table, if it is there, is the least variance, rad^2, that a lobe is given.
+        """
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

@@ -54,10 +54,12 @@ class CookTorrance(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        f0, per_m2 = per_epoch(values["f0"]), 1 / values["m"] ** 2
-        slopes = lobe(-per_pair(per_m2) * table["tan2"])
+        f0 = per_epoch(values["f0"])
+        per_m2 = 1 / per_pair(values["m"] ** 2)
+        per_m2 = per_m2 / (2 * per_m2 * table.get("spread", 0.0)).clamp(min=1)
+        slopes = lobe(torch.addcmul(torch.log(per_m2), -per_m2, table["tan2"]))
         specular = f0 * (table["normal"] * slopes).sum(-2) + (table["grazing"] * slopes).sum(-2)
-        return per_epoch(per_m2) * specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+        return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

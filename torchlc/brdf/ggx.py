@@ -53,6 +53,7 @@ class Ggx(Brdf):
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         f0, square = per_epoch(values["f0"]), per_pair(values["alpha"] ** 2)
+        square = square * (4 * table.get("spread", 0.0) / square).clamp(min=1)
 
         def open_(cosine: Tensor) -> Tensor:
             return 2 * cosine / (cosine + torch.sqrt(square + (1 - square) * cosine**2))

@@ -40,10 +40,11 @@ class PhongHalf(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        n = values["n"]
-        norm = (n + 2) * (n + 4) / (n + torch.exp2(-0.5 * n))
-        specular = (table["lobe"] * lobe(per_pair(n) * table["log_half"])).sum(-2)
-        return per_epoch(values["r_spec"] * norm) * specular, per_epoch(values["r_diff"]) * table["diffuse"]
+        n = per_pair(values["n"])
+        n = n / (n * table.get("spread", 0.0)).clamp(min=1)
+        log_norm = torch.log((n + 2) * (n + 4) / (n + torch.exp2(-0.5 * n)))
+        specular = (table["lobe"] * lobe(torch.addcmul(log_norm, n, table["log_half"]))).sum(-2)
+        return per_epoch(values["r_spec"]) * specular, per_epoch(values["r_diff"]) * table["diffuse"]
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

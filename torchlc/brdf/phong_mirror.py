@@ -45,10 +45,11 @@ class PhongMirror(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        n = values["n"]
-        specular = (table["lobe"] * lobe(per_pair(n) * table["log_mirror"])).sum(-2)
+        n = per_pair(values["n"])
+        n = n / (4 * n * table.get("spread", 0.0)).clamp(min=1)
+        specular = (table["lobe"] * lobe(torch.addcmul(torch.log(n + 2), n, table["log_mirror"]))).sum(-2)
         return (
-            per_epoch(values["r_spec"] * (n + 2)) * specular,
+            per_epoch(values["r_spec"]) * specular,
             per_epoch(values["r_diff"]) * table["diffuse"],
         )
 

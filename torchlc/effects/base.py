@@ -72,8 +72,8 @@ class Light:
     """A set of L sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance over the
     Sun's at 1 au (L, Q, T).
 
-    ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a source that
-    stands for a piece of sky; it widens the lobes that it is reflected in. ``scale`` names a parameter that multiplies it.
+    ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of
+    a source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice of points. ``scale`` names a parameter that multiplies it.
     """
 
     direction: Tensor

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents
+from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents, widened
 from torchlc.brdf.base import per_pair
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
@@ -45,25 +45,27 @@ class LobeTail(Effect):
 
     def material(self, reflect, surface, values, p):
         return lambda material: AshikhminShirley.parts_of_lobe(
-            surface.table, material, *_lobe(surface.table, *exponents(material), p["g"][..., 0])
+            surface.table, material, _tailed(surface.table, *exponents(material), p["g"][..., 0])
         )
 
 
-def _lobe(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
-    """Shape (..., K, T) and norm (...) of the tailed lobe; the cosine power where g is infinite."""
-    power, power_norm = cosine_power(table, n_u, n_v)
+def _tailed(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor, g: Tensor) -> Tensor:
+    """Distribution (..., K, T) of integral 2 pi; the cosine power where g is infinite."""
     off = torch.isinf(g)
     g = torch.where(off, 2.0, g)
-    sin2 = -torch.expm1(2 * table["log_half"])
+    wide_u, wide_v = widened(table, n_u, n_v)
     if n_u is n_v:
-        n, norm = per_pair(n_u), _norm(n_u, g)
+        n, norm = wide_u, _norm(n_u, g)
     else:
         log_half = torch.where(table["log_half"] < 0, table["log_half"], -1.0)
         share = torch.where(table["log_half"] < 0, table["log_u"] / log_half, 0.5)
-        n = per_pair(n_u) * share + per_pair(n_v) * (1 - share)
+        n = wide_u * share + wide_v * (1 - share)
         norm = torch.sqrt(_norm(n_u, g) * _norm(n_v, g))
-    shape = torch.exp(-per_pair(g) * torch.log1p(_steepness(n, per_pair(g)) * sin2))
-    return torch.where(per_pair(off), power, shape), torch.where(off, power_norm, norm)
+    peak = torch.sqrt((wide_u + 1) * (wide_v + 1) / per_pair((n_u + 1) * (n_v + 1)))
+    sin2 = -torch.expm1(2 * table["log_half"])
+    tail = torch.log1p(_steepness(n, per_pair(g)) * sin2)
+    tailed = per_pair(norm) * peak * torch.exp(-per_pair(g) * tail)
+    return torch.where(per_pair(off), cosine_power(table, n_u, n_v), tailed)
 
 
 def _steepness(n: Tensor, g: Tensor) -> Tensor:

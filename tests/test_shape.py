@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +12,7 @@ import pytest
 import torch
 import trimesh
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, MissingExtraError
 from torchlc.shape import Shape, tracking_pose
 
 F64 = torch.float64
@@ -313,6 +314,12 @@ def test_a_broken_mesh_is_refused_in_one_line(tmp_path, text):
     with pytest.raises(InputError, match=r"bad\.obj") as refused:
         shape_of(mesh_part(path), directory=tmp_path)
     assert "\n" not in str(refused.value)
+
+
+def test_without_trimesh_the_message_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'torchlc\[mesh\]'"):
+        shape_of(mesh_part(tmp_path / "rock.obj"), directory=tmp_path)
 
 
 def test_a_missing_mesh_is_refused(tmp_path):

@@ -56,10 +56,10 @@ class Part(ABC):
     """One component: what does not depend on the sizes, and `facets`, which does.
 
     faces, materials: label and material of each facet. pivot (3,): the centre, about which the part turns.
-    tracks_axis (3,): unit body axis about which it follows the Sun, or None. front (3,): the direction it
-    turns to the Sun, at rest. hull: how it stands in the way of others if it is convex, else None (then
-    visibility is traced by rays). thin: it encloses nothing, and each facet has a twin that faces the other
-    way.
+    tracks_axis (3,): unit body axis about which it follows the Sun, or None. front (3,): what it turns to the
+    Sun, at rest: a plate's normal, the axis of a shape that has one, a box's widest face, else its own +Z.
+    hull: how it stands in the way of others if it is convex, else None (then visibility is traced by rays).
+    thin: it encloses nothing, and each facet has a twin that faces the other way.
     """
 
     kind: ClassVar[str]

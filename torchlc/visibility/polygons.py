@@ -1,4 +1,8 @@
-"""Joint visibility of facets among convex parts, exact."""
+"""Joint visibility of facets among convex parts, exact.
+
+Round parts hide others as prisms or polyhedra (`torchlc.shape`). Of parts in contact, a plate flat on a box
+hides what is below it, as if it lay on top; plates that overlap in one plane hide each other.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,7 @@ from torchlc.visibility.cover import covered_area, settled
 from torchlc.visibility.outline import Joints, facing, outline
 from torchlc.visibility.rowwise import picked
 
+GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
 PAIRS_AT_ONCE = 200_000  # (row, facet) pairs, which bounds the memory
 TENSORS_PER_PART = 5
@@ -107,7 +112,7 @@ def _rows_fractions(
 def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) -> Tensor:
     """Fractions (N, F) of one part; directions (N, 2, 3), to the Sun and to the observer."""
     normal = (target.normal @ target.pose.mT).detach()
-    upright = (normal @ directions.detach().mT > 0).all(dim=-1)
+    upright = (normal @ directions.detach().mT > GRAZING).all(dim=-1)
     fractions = normal.new_ones(upright.shape)
     row, facet = upright.nonzero(as_tuple=True)
     reach = _in_reach(target, others, row, facet, directions)

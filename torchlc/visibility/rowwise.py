@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -14,11 +14,12 @@ Rows = Callable[..., tuple[Tensor, ...]]
 def rowwise(function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:
     """``function(*inputs)``, rows independent of one another; it may branch on data.
 
-    The leading axis of the first input and of every output is N rows; that of the other inputs is N, or 1 for
-    what is the same in every row. Under vmap the function sees the batch as more rows, never a batched
-    tensor. Gradients run it again; they are constants themselves, so second derivatives leave it out.
+    The leading axis of the first input and of every output is N rows; that of the others is N, or 1 for what
+    is the same in every row. Under vmap the function sees the batch as more rows, never a batched tensor.
+    Derivatives run it again. Its Jacobian is taken as constant: second derivatives have the Gauss-Newton
+    terms, not its own curvature.
     """
-    return _Rowwise.apply(function, False, *inputs)  # pyright: ignore[reportReturnType]
+    return _Value.apply(function, *inputs)  # pyright: ignore[reportReturnType]
 
 
 def picked(tensor: Tensor, row: Tensor) -> Tensor:
@@ -26,73 +27,146 @@ def picked(tensor: Tensor, row: Tensor) -> Tensor:
     return tensor[row] if len(tensor) > 1 else tensor.expand(len(row), *tensor.shape[1:])
 
 
-class _Rowwise(torch.autograd.Function):
-    """``sums``: outputs add up over rows, so that a batch cannot be treated as more rows."""
-
+class _Value(torch.autograd.Function):
     @staticmethod
-    def forward(function: Rows, sums: bool, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
+    def forward(function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
         with torch.no_grad():
             return function(*inputs)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
-        ctx.function, ctx.sums = inputs[:2]
-        ctx.save_for_backward(*inputs[2:])
-        ctx.save_for_forward(*inputs[2:])
-        if ctx.sums:
-            ctx.mark_non_differentiable(*output)
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.function = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> Any:
-        function, inputs = ctx.function, ctx.saved_tensors
-        wanted = ctx.needs_input_grad[2:]
-
-        def pulled_back(*rows: Tensor) -> tuple[Tensor, ...]:
-            with torch.enable_grad():
-                leaves = [row.detach().requires_grad_(want) for row, want in zip(rows, wanted, strict=False)]
-                outputs = function(*leaves)
-            moving = [k for k, output in enumerate(outputs) if output.requires_grad]
-            return torch.autograd.grad(
-                [outputs[k] for k in moving],
-                [leaf for leaf in leaves if leaf.requires_grad],
-                [rows[len(inputs) + k] for k in moving],
-                allow_unused=True,
-                materialize_grads=True,
-            )
-
-        found = iter(_Rowwise.apply(pulled_back, True, *inputs, *cotangents))  # pyright: ignore
-        return None, None, *(next(found) if want else None for want in wanted)
+        wanted = tuple(ctx.needs_input_grad[1:])
+        found = iter(_PulledBack.apply(ctx.function, wanted, *ctx.saved_tensors, *cotangents))  # pyright: ignore
+        return None, *(next(found) if want else None for want in wanted)
 
     @staticmethod
-    def jvp(ctx: Any, _function: Any, _sums: Any, *tangents: Tensor) -> Any:
-        function, inputs = ctx.function, ctx.saved_tensors
-
-        def pushed_forward(*rows: Tensor) -> tuple[Tensor, ...]:
-            pairs = zip(rows[: len(inputs)], rows[len(inputs) :], strict=True)
-            level = [torch.broadcast_tensors(row, tangent) for row, tangent in pairs]
-            primals, directions = (
-                tuple(row.contiguous() for row in each) for each in zip(*level, strict=True)
-            )
-            return torch.func.jvp(function, primals, directions)[1]
-
-        return rowwise(pushed_forward, *inputs, *tangents)
+    def jvp(ctx: Any, _function: Any, *tangents: Tensor) -> Any:
+        return _PushedForward.apply(ctx.function, *ctx.saved_tensors, *tangents)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], function: Rows, sums: bool, *inputs: Tensor) -> Any:
-        size = info.batch_size
-        batches = [
-            row.expand(size, *row.shape) if dim is None else row.movedim(dim, 0)
-            for row, dim in zip(inputs, in_dims[2:], strict=True)
+    def vmap(info: Any, in_dims: tuple[Any, ...], function: Rows, *inputs: Tensor) -> Any:
+        return _as_more_rows(_Value, info.batch_size, in_dims, function, inputs)
+
+
+class _PushedForward(torch.autograd.Function):
+    """Jacobian times tangents: inputs, then a tangent for each; linear in the tangents."""
+
+    @staticmethod
+    def forward(function: Rows, *rows: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
+        half = len(rows) // 2
+        level = [
+            torch.broadcast_tensors(row, tangent)
+            for row, tangent in zip(rows[:half], rows[half:], strict=True)
         ]
-        if sums:
-            alone = [_Rowwise.apply(function, True, *(batch[k] for batch in batches)) for k in range(size)]
-            outputs = tuple(torch.stack(output) for output in zip(*alone, strict=True))  # pyright: ignore
-            return outputs, (0,) * len(outputs)
-        count = batches[0].shape[1]
+        # a dual number has to own its memory
+        primals, tangents = (tuple(row.contiguous() for row in each) for each in zip(*level, strict=True))
+        return torch.func.jvp(function, primals, tangents)[1]
 
-        def more_rows(batch: Tensor, dim: int | None) -> Tensor:
-            shared = dim is None and batch.shape[1] < count
-            return batch[0] if shared else batch.expand(size, count, *batch.shape[2:]).flatten(0, 1)
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.function, half = inputs[0], len(inputs) // 2
+        ctx.save_for_backward(*inputs[1 : half + 1])
+        ctx.save_for_forward(*inputs[1 : half + 1])
 
-        outputs = rowwise(function, *map(more_rows, batches, in_dims[2:]))
-        return tuple(output.unflatten(0, (size, count)) for output in outputs), (0,) * len(outputs)
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> Any:
+        inputs = ctx.saved_tensors
+        wanted = tuple(ctx.needs_input_grad[1 + len(inputs) :])
+        found = iter(_PulledBack.apply(ctx.function, wanted, *inputs, *cotangents))  # pyright: ignore
+        return None, *[None] * len(inputs), *(next(found) if want else None for want in wanted)
+
+    @staticmethod
+    def jvp(ctx: Any, _function: Any, *tangents: Tensor) -> Any:
+        inputs = ctx.saved_tensors
+        return _PushedForward.apply(ctx.function, *inputs, *tangents[len(inputs) :])
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], function: Rows, *rows: Tensor) -> Any:
+        return _as_more_rows(_PushedForward, info.batch_size, in_dims, function, rows)
+
+
+class _PulledBack(torch.autograd.Function):
+    """Cotangents times Jacobian: inputs, then a cotangent for each output; linear in the cotangents.
+
+    ``wanted`` says of which inputs. What has one row collects from all, so that a batch is taken one by one.
+    """
+
+    @staticmethod
+    def forward(function: Rows, wanted: tuple[bool, ...], *rows: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
+        inputs, cotangents = rows[: len(wanted)], rows[len(wanted) :]
+        with torch.enable_grad():
+            leaves = [row.detach().requires_grad_(want) for row, want in zip(inputs, wanted, strict=True)]
+            outputs = function(*leaves)
+        leaves = [leaf for leaf in leaves if leaf.requires_grad]
+        moving = [k for k, output in enumerate(outputs) if output.requires_grad]
+        if not moving:
+            return tuple(map(torch.zeros_like, leaves))
+        return torch.autograd.grad(
+            [outputs[k] for k in moving],
+            leaves,
+            [cotangents[k] for k in moving],
+            allow_unused=True,
+            materialize_grads=True,
+        )
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.function, ctx.wanted = inputs[:2]
+        ctx.save_for_backward(*inputs[2 : 2 + len(ctx.wanted)])
+        ctx.save_for_forward(*inputs[2 : 2 + len(ctx.wanted)])
+
+    @staticmethod
+    def backward(ctx: Any, *tangents: Tensor) -> Any:
+        inputs, given = ctx.saved_tensors, iter(tangents)
+        each = [
+            next(given) if want else torch.zeros_like(row)
+            for row, want in zip(inputs, ctx.wanted, strict=True)
+        ]
+        return None, None, *[None] * len(inputs), *_PushedForward.apply(ctx.function, *inputs, *each)  # pyright: ignore
+
+    @staticmethod
+    def jvp(ctx: Any, _function: Any, _wanted: Any, *tangents: Tensor) -> Any:
+        inputs = ctx.saved_tensors
+        return _PulledBack.apply(ctx.function, ctx.wanted, *inputs, *tangents[len(inputs) :])
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple[Any, ...], function: Rows, wanted: tuple[bool, ...], *rows: Tensor
+    ) -> Any:
+        batches = _batches(info.batch_size, in_dims[2:], rows)
+        alone = [
+            _PulledBack.apply(function, wanted, *(batch[k] for batch in batches))
+            for k in range(info.batch_size)
+        ]
+        outputs = tuple(torch.stack(output) for output in zip(*alone, strict=True))  # pyright: ignore
+        return outputs, (0,) * len(outputs)
+
+
+def _batches(size: int, in_dims: Sequence[int | None], rows: Sequence[Tensor]) -> list[Tensor]:
+    """Every input with the batch as its first axis."""
+    return [
+        row.expand(size, *row.shape) if dim is None else row.movedim(dim, 0)
+        for row, dim in zip(rows, in_dims, strict=True)
+    ]
+
+
+def _as_more_rows(
+    kind: Any, size: int, in_dims: Sequence[Any], function: Rows, rows: Sequence[Tensor]
+) -> Any:
+    """``kind`` of the function, batch and rows as one axis; what is the same in all keeps its one row."""
+    batches = _batches(size, in_dims[1:], rows)
+    count = batches[0].shape[1]
+    flat = [
+        batch[0]
+        if dim is None and batch.shape[1] < count
+        else batch.expand(size, count, *batch.shape[2:]).flatten(0, 1)
+        for batch, dim in zip(batches, in_dims[1:], strict=True)
+    ]
+    outputs = kind.apply(function, *flat)
+    return tuple(output.unflatten(0, (size, count)) for output in outputs), (0,) * len(outputs)

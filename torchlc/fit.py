@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -20,6 +20,8 @@ from torchlc.model import LightCurve
 
 DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""
+NOISE_VALUES = 10_000_000
+"""Elements of the covariances held at once while noise is fitted: 80 MB."""
 Progress = Callable[[str, float], None]
 
 
@@ -90,23 +92,9 @@ def find_modes(
     draws = _crowded(parameters.names, draws, generator)
     points = torch.cat([parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else []))
     theta, history = adam(likelihood, points, adam_steps, progress)
-    fixed_noise = model.noise(parameters.start())
-    best = polish(likelihood, theta, fixed_noise)
+    best = polish(likelihood, theta, model.noise(parameters.start()))
     if model.assembly.stage("noise") or likelihood.fitted_errors:
-        best_theta = parameters.from_flat(best.y)
-        keep = torch.argsort(best.cost)[:4]
-        for _ in range(4):
-            noise_theta = torch.stack([fit_noise(likelihood, best_theta[i]) for i in keep.tolist()])
-            found = [
-                polish(likelihood, one[None], model.noise(one), level_at=one) for one in noise_theta
-            ]
-            best_theta = torch.cat([parameters.from_flat(one.y) for one in found])
-            best = Minimum(
-                torch.cat([one.y for one in found]), torch.cat([one.cost for one in found]),
-                torch.cat([one.jacobian for one in found]), torch.cat([one.residual for one in found]),
-                torch.cat([one.converged for one in found]), max(one.iterations for one in found),
-            )  # fmt: skip
-            keep = torch.arange(len(best_theta))
+        best = _noise_in_turn(likelihood, parameters.from_flat(best.y[torch.argsort(best.cost)[:4]]))
     modes = _distinct(likelihood, best)
     return modes, history, best
 
@@ -148,12 +136,15 @@ def polish(
     iterations: int = 60,
 ) -> Minimum:
     """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the rows, prior rows follow.
-    Noise levels of curves without errors are those of the residuals at ``level_at``."""
+    Noise levels of curves without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
     with torch.no_grad():
         reference = parameters.start() if level_at is None else level_at
+        if level_at is not None:
+            stay, index = parameters.to_flat(level_at), noise_columns(likelihood)
+            low[index] = high[index] = stay[index]
         whiten = whitener(likelihood, likelihood.residuals(reference), noise, fitted=level_at is not None)
 
         def residual(y: Tensor) -> Tensor:
@@ -202,63 +193,141 @@ def whitener(
     return independent
 
 
-def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 60) -> Tensor:
-    """The noise parameters of theta (P,) at their best for the residuals of its other parameters: Newton's method in unconstrained
-    coordinates, every step kept only if it improves."""
-    model = likelihood.model
-    parameters = model.parameter_set
-    owners = {effect.name for effect in model.assembly.stage("noise")}
-    index = [i for i, name in enumerate(parameters.names) if name.partition(".")[0] in owners]
+def noise_columns(likelihood: Likelihood) -> list[int]:
+    """Which elements of theta belong to noise effects."""
+    owners = {effect.name for effect in likelihood.model.assembly.stage("noise")}
+    names = likelihood.model.parameter_set.names
+    return [i for i, name in enumerate(names) if name.partition(".")[0] in owners]
+
+
+def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 40) -> Tensor:
+    """The noise parameters of theta (P,) at their best for the residuals of its other parameters.
+
+    Newton's method in unconstrained coordinates from the best of a cloud, by differences of one batched call a
+    step; every step is kept only if it improves.
+    """
+    index = noise_columns(likelihood)
     if not index:
         return theta
-    with torch.no_grad():
-        found = likelihood.residuals(theta)
-    frozen = _Frozen(likelihood, found)
+    parameters = likelihood.model.parameter_set
+    objective = _noise_objective(likelihood, theta, parameters.to_natural)
     z = parameters.to_unconstrained(theta)
-
-    def objective(part: Tensor) -> Tensor:
-        whole = z.clone()
-        whole[index] = part
-        natural = parameters.to_natural(whole)
-        prior = 0.5 * (parameters.prior_residuals(natural) ** 2).sum()
-        return prior - frozen.log_likelihood(natural)
-
-    best_part, best = z[index], math.inf
-    for shift in (0.0, -2.0, 2.0):
-        part = z[index] + shift
-        value = float(objective(part))
-        lam = 1e-1
-        for _ in range(steps):
-            gradient = torch.func.grad(objective)(part)
-            hessian = torch.func.hessian(objective)(part)
-            values, vectors = torch.linalg.eigh(torch.nan_to_num(hessian))
-            move = -vectors @ ((vectors.T @ torch.nan_to_num(gradient)) / (values.abs() + lam))
-            trial = part + move.clamp(-1.5, 1.5)
-            new = float(objective(trial))
-            if new < value:
-                done = value - new < 1e-7 * (abs(value) + 1)
-                part, value, lam = trial, new, lam / 4
-                if done:
-                    break
-            else:
-                lam *= 6
-                if lam > 1e6:
-                    break
-        if value < best:
-            best_part, best = part, value
-    z = z.clone()
-    z[index] = best_part
-    return parameters.to_natural(z)
+    first = parameters.to_unconstrained(parameters.start())[index]  # theta may have 0: Adam knows no noise
+    cloud = 8.0 * torch.quasirandom.SobolEngine(len(index)).draw(32, dtype=z.dtype).to(z.device) - 4.0
+    trials = torch.cat([z[None, index], first[None], first + cloud])
+    values = objective(_with_columns(z, index, trials))
+    part, value = trials[values.argmin()], float(values.min())
+    damping = 1e-1
+    for _ in range(steps):
+        gradient, hessian = _differences(lambda cut: objective(_with_columns(z, index, cut)), part, 1e-3)
+        curvature, axes = torch.linalg.eigh(hessian)
+        move = -axes @ ((axes.T @ gradient) / (curvature.abs() + damping))
+        trial = part + move.clamp(-1.5, 1.5)
+        new = float(objective(_with_columns(z, index, trial[None]))[0])
+        done = abs(value - new) < 1e-7 * (abs(value) + 1)
+        if new < value:
+            part, value, damping = trial, new, damping / 4
+        else:
+            damping *= 6
+        if done or damping > 1e6:
+            break
+    return parameters.to_natural(_with_columns(z, index, part[None]))[0]
 
 
-class _Frozen:
-    """The likelihood of noise parameters alone, the model's residuals held."""
+def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
+    """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
-    def __init__(self, likelihood: Likelihood, found: Residuals) -> None:
-        self.likelihood, self.found = likelihood, found
+    Their costs are -2 ln of the density, less that of rows of unit variance, so that minima with different noise
+    compare; the curvature of the noise is among the rows of the slopes.
+    """
+    parameters = likelihood.model.parameter_set
+    index = noise_columns(likelihood)
+    found: list[Minimum] = []
+    with torch.no_grad():
+        for _ in range(4):
+            noisy = torch.stack([fit_noise(likelihood, one) for one in theta])
+            noises = [likelihood.model.noise(one) for one in noisy]
+            found = [
+                polish(likelihood, one[None], noise, level_at=one)
+                for one, noise in zip(noisy, noises, strict=True)
+            ]
+            theta = torch.cat([parameters.from_flat(one.y) for one in found])
+        cost = -2 * likelihood.log_likelihood(theta) - likelihood.rows * math.log(2 * math.pi)
+        cost = cost + (parameters.prior_residuals(theta) ** 2).sum(-1)
+        jacobian = torch.cat([one.jacobian for one in found])
+        residual = torch.cat([one.residual for one in found])
+        extra = jacobian.new_zeros(len(theta), len(index), jacobian.shape[-1])
+        for number, one in enumerate(theta):
+            y = parameters.to_flat(one)
+            objective = _noise_objective(likelihood, one, parameters.from_flat)
+            part, step = _inside(y[index], *(bound[index] for bound in parameters.flat_bounds()))
+            _, hessian = _differences(lambda cut: objective(_with_columns(y, index, cut)), part, step)  # noqa: B023
+            curvature, axes = torch.linalg.eigh(hessian)
+            extra[number][:, index] = torch.sqrt(curvature.clamp(min=0))[:, None] * axes.T
+    return Minimum(
+        torch.cat([one.y for one in found]), cost, torch.cat([jacobian, extra], 1),
+        torch.cat([residual, residual.new_zeros(len(theta), len(index))], 1),
+        torch.cat([one.converged for one in found]), max(one.iterations for one in found),
+    )  # fmt: skip
 
-    def log_likelihood(self, theta: Tensor) -> Tensor:
-        return self.likelihood.density(self.found, self.likelihood.model.noise(theta))
+
+def _noise_objective(
+    likelihood: Likelihood, theta: Tensor, natural: Callable[[Tensor], Tensor]
+) -> Callable[[Tensor], Tensor]:
+    """Minus the log posterior (B,) of coordinates (B, P), which ``natural`` turns into theta, with the residuals
+    held at those of theta (P,).
+    """
+    parameters = likelihood.model.parameter_set
+    with torch.no_grad():
+        held = likelihood.residuals(theta)
+    size = max(1, NOISE_VALUES // len(held.delta) ** 2)
+
+    def piece(coordinates: Tensor) -> Tensor:
+        whole = natural(coordinates)
+        shape = (len(whole), likelihood.rows)
+        rows = {name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale")}
+        found = replace(held, **rows)
+        prior = 0.5 * (parameters.prior_residuals(whole) ** 2).sum(-1)
+        value = prior - likelihood.density(found, likelihood.model.noise(whole))
+        return torch.where(torch.isfinite(value), value, torch.inf)
+
+    @torch.no_grad()
+    def objective(coordinates: Tensor) -> Tensor:
+        return torch.cat([piece(cut) for cut in coordinates.split(size)])
+
+    return objective
+
+
+def _with_columns(whole: Tensor, index: Sequence[int], columns: Tensor) -> Tensor:
+    """Copies (B, P) of ``whole`` (P,) with some elements from ``columns`` (B, k)."""
+    copies = whole.repeat(len(columns), 1)
+    copies[:, index] = columns
+    return copies
+
+
+def _inside(y: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """The point (k,) moved off its bounds so far that differences by the step (k,) stay inside."""
+    span = torch.where(torch.isfinite(high - low), high - low, 1.0).clamp(max=1.0)
+    step = 1e-3 * torch.minimum(span, torch.minimum(y - low, high - y).clamp(min=1e-3 * span))
+    return torch.maximum(torch.minimum(y, high - 2 * step), low + 2 * step), step
+
+
+def _differences(
+    function: Callable[[Tensor], Tensor], at: Tensor, step: Tensor | float
+) -> tuple[Tensor, Tensor]:
+    """Gradient (k,) and Hessian (k, k) at a point (k,) by central differences, all in one call of (B, k) -> (B,)."""
+    k = len(at)
+    axes = torch.eye(k, dtype=at.dtype, device=at.device) * step
+    pairs = [(i, j) for i in range(k) for j in range(i)]
+    corners = [sign * (axes[i] + axes[j]) for i, j in pairs for sign in (1.0, -1.0)]
+    values = function(at + torch.stack([torch.zeros_like(at), *axes, *-axes, *corners]))
+    size = torch.diagonal(axes)
+    middle, up, down, both = values[0], values[1 : k + 1], values[k + 1 : 2 * k + 1], values[2 * k + 1 :]
+    second = up + down - 2 * middle
+    hessian = torch.diag(second)
+    for (i, j), corner in zip(pairs, both.reshape(-1, 2).sum(-1), strict=True):
+        hessian[i, j] = hessian[j, i] = 0.5 * (corner - 2 * middle - second[i] - second[j])
+    return torch.nan_to_num((up - down) / (2 * size)), torch.nan_to_num(hessian / size[:, None] / size)
 
 
 def _crowded(names: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:

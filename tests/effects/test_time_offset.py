@@ -18,7 +18,7 @@ SPIN = 'mode = "nadir"\nspin_axis = [0.2, 0.9, 0.1]\nspin_rate = 9.0\nspin_epoch
 
 @pytest.mark.parametrize("seconds", [-75.0, 40.0])
 def test_equals_the_curve_at_shifted_stamps(seconds):
-    """SGP4, the turning Earth and the spin are those of the shifted stamps; a metre in low orbit is 1e-6 mag."""
+    """SGP4, Earth rotation and spin are those of the shifted stamps; a metre in low orbit is 1e-6 mag."""
     scene = orbiting(SPIN, tle=LOW)
     start = np.datetime64(LOW_PASS, "ms")
     shifted = start + np.timedelta64(int(1000 * seconds), "ms")

@@ -183,6 +183,149 @@ def effects(quiet: Quiet = False, seed: Seed = 0, threads: Threads = None, json:
         print("\n".join(effects_lines()))
 
 
+@app.command(epilog="Example: torchlc period recording.ecsv --shortest 5 --longest 600")
+def period(
+    recording: RecordingFile,
+    shortest: Annotated[
+        float | None, typer.Option(help="Shortest period, s; default: two rows a turn.", show_default=False)
+    ] = None,
+    longest: Annotated[
+        float | None, typer.Option(help="Longest period, s; default: half the longest run.", show_default=False)
+    ] = None,
+    use: Use = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+) -> None:
+    """Find an unknown spin: a periodogram's candidates with their aliases."""
+    use_threads(threads)
+    from torchlc.period import find_period
+    from torchlc.recording import load_recording
+
+    found = find_period(load_recording(recording, use=use), shortest_s=shortest, longest_s=longest)
+    if json:
+        show_json(found.to_json())
+    elif not quiet:
+        print(found)
+
+
+materials = typer.Typer(
+    help="Known materials, what a posterior matches, and fits to laboratory tables.", pretty_exceptions_enable=False
+)
+app.add_typer(materials, name="materials", rich_help_panel=None)
+
+
+@materials.callback(invoke_without_command=True)
+def list_materials(
+    context: typer.Context,
+    posterior: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Results of a fit: what its materials match.", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+) -> None:
+    """List the known materials, or with --posterior what the materials of a fit match."""
+    if context.invoked_subcommand is not None:
+        return
+    from torchlc import listing
+
+    if posterior is not None:
+        found = listing.matches_of(posterior)
+        if json:
+            show_json({"materials": found})
+        elif not quiet:
+            print("\n".join(listing.matches_lines(found)))
+    elif json:
+        show_json({"materials": listing.materials_listing()})
+    elif not quiet:
+        print("\n".join(listing.materials_lines()))
+
+
+@materials.command("fit", epilog="Example: torchlc materials fit lab_brdf_array.csv --model ggx")
+def fit_material(
+    table: Annotated[Path, typer.Argument(metavar="FILE", help="CSV with incidence, azimuth, exit, brdf.", show_default=False)],
+    model: Annotated[str, typer.Option(help="Reflection model.")] = "ashikhmin-shirley",
+    without_peak: Annotated[float, typer.Option(metavar="DEG", help="Leave out rows this near the mirror direction.", min=0)] = 0.0,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+) -> None:
+    """Fit a reflection model to a goniometer's table of the BRDF."""
+    use_threads(threads)
+    from torchlc import goniometer, listing
+
+    measured = goniometer.read_table(table)
+    if without_peak:
+        measured = measured.without_peak(without_peak)
+    found = goniometer.fit_table(measured, model, seed=seed)
+    if json:
+        show_json(listing.reflectance_told(found, measured.dropped))
+    elif not quiet:
+        print("\n".join(listing.reflectance_lines(found, measured.dropped)))
+
+
+@app.command(epilog="Example: torchlc init my.toml --tle elements.txt --shape box-wing --station weihai,37.536,122.05,110")
+def init(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file to write.", show_default=False)],
+    tle: Annotated[Path, typer.Option(metavar="FILE", help="Two-line elements of one object.", show_default=False)],
+    shape: Annotated[str, typer.Option(help="box-wing, cubesat, rocket body, cylinder or mesh.")] = "box-wing",
+    station: Annotated[
+        str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the object.", show_default=False)] = None,
+    date: Annotated[
+        str | None, typer.Option(help="Take the elements nearest to this; default: the latest.", show_default=False)
+    ] = None,
+    mesh: Annotated[str | None, typer.Option(metavar="FILE", help="Mesh beside the scene.", show_default=False)] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+) -> None:
+    """Write a commented scene to start from: elements, a preset shape, free materials."""
+    from torchlc import scaffold
+    from torchlc.errors import InputError
+    from torchlc.output import write_whole
+
+    if scene.exists() and not force:
+        raise InputError(scene, None, "exists", "a new file", "--force replaces it.")
+    chosen = scaffold.nearest_elements(scaffold.read_elements(tle), date, tle)
+    place = None if station is None else scaffold.read_station(station)
+    text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh)
+    read = scaffold.check_scene(text, scene.parent, scene)
+    write_whole(scene, lambda partial: partial.write_text(text, encoding="utf-8"))
+    if json:
+        show_json({"scene": str(scene), "name": read.name, "tle": list(chosen.lines)})
+    elif not quiet:
+        print(f"written: {scene}")
+        if place is None:
+            say("warning: the station is a placeholder: edit [[stations]] before use")
+        print(f"next: torchlc simulate {shlex.quote(str(scene))} --start ... --hours 8 --cadence 60 -o out")
+
+
+@app.command(epilog="Example: torchlc demo, then open torchlc-demo/report.html")
+def demo(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.")] = Path("torchlc-demo"),
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+) -> None:
+    """Do the whole main job on the embedded example, in under a minute."""
+    use_threads(threads)
+    from torchlc import api
+
+    with progress_bar(not (quiet or json)) as progress:
+        result = api.demo(out, seed=seed, progress=progress, command=command_line())
+    show_fit(result, out, quiet=quiet, json=json)
+
+
 def use_threads(threads: int | None) -> None:
     """Limit the threads of torch and of the libraries below it, before they are loaded."""
     if threads is None:

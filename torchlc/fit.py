@@ -94,7 +94,7 @@ def find_modes(
     theta, history = adam(likelihood, points, adam_steps, progress)
     best = polish(likelihood, theta, model.noise(parameters.start()))
     if model.assembly.stage("noise") or likelihood.fitted_errors:
-        best = _noise_in_turn(likelihood, parameters.from_flat(best.y[torch.argsort(best.cost)[:4]]))
+        best = _noise_in_turn(likelihood, parameters.from_flat(_leaders(best, noise_columns(likelihood))))
     modes = _distinct(likelihood, best)
     return modes, history, best
 
@@ -160,7 +160,8 @@ def whitener(
     """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the residuals ``at``."""
     sigma = at.sigma.expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
-        sigma = likelihood.fitted_levels(at.delta)[likelihood.curve]
+        red = noise is not None and noise.red is not None
+        sigma = (likelihood.white_levels if red else likelihood.fitted_levels)(at.delta)[likelihood.curve]
     if noise is not None and noise.jitter is not None:
         sigma = torch.sqrt(sigma**2 + (noise.jitter * at.scale) ** 2)
     if noise is not None and noise.red is not None and noise.tau is not None:
@@ -200,11 +201,11 @@ def noise_columns(likelihood: Likelihood) -> list[int]:
     return [i for i, name in enumerate(names) if name.partition(".")[0] in owners]
 
 
-def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 40) -> Tensor:
+def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, steps: int = 40) -> Tensor:
     """The noise parameters of theta (P,) at their best for the residuals of its other parameters.
 
-    Newton's method in unconstrained coordinates from the best of a cloud, by differences of one batched call a
-    step; every step is kept only if it improves.
+    Newton's method in unconstrained coordinates, from theta or, with ``search``, the best of a cloud; by differences
+    of one batched call a step, and every step is kept only if it improves.
     """
     index = noise_columns(likelihood)
     if not index:
@@ -212,9 +213,11 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 40) -> Tensor:
     parameters = likelihood.model.parameter_set
     objective = _noise_objective(likelihood, theta, parameters.to_natural)
     z = parameters.to_unconstrained(theta)
-    first = parameters.to_unconstrained(parameters.start())[index]  # theta may have 0: Adam knows no noise
-    cloud = 8.0 * torch.quasirandom.SobolEngine(len(index)).draw(32, dtype=z.dtype).to(z.device) - 4.0
-    trials = torch.cat([z[None, index], first[None], first + cloud])
+    trials = z[None, index]
+    if search:
+        first = parameters.to_unconstrained(parameters.start())[index]
+        cloud = 8.0 * torch.quasirandom.SobolEngine(len(index)).draw(32, dtype=z.dtype).to(z.device) - 4.0
+        trials = torch.cat([trials, first[None], first + cloud])
     values = objective(_with_columns(z, index, trials))
     part, value = trials[values.argmin()], float(values.min())
     damping = 1e-1
@@ -234,6 +237,20 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, steps: int = 40) -> Tensor:
     return parameters.to_natural(_with_columns(z, index, part[None]))[0]
 
 
+def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
+    """Flat coordinates (S, P) of the best minima that differ by more than a thousandth in what is not ``noise``."""
+    kept: list[Tensor] = []
+    apart = torch.ones(found.y.shape[-1], dtype=torch.bool, device=found.y.device)
+    apart[list(noise)] = False
+    for index in torch.argsort(found.cost).tolist():
+        y = found.y[index]
+        if all(bool(((y - other).abs() > 1e-3 * (1 + y.abs()))[apart].any()) for other in kept):
+            kept.append(y)
+        if len(kept) == most:
+            break
+    return torch.stack(kept)
+
+
 def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
     """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
@@ -244,8 +261,8 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
     index = noise_columns(likelihood)
     found: list[Minimum] = []
     with torch.no_grad():
-        for _ in range(4):
-            noisy = torch.stack([fit_noise(likelihood, one) for one in theta])
+        for turn in range(4):
+            noisy = torch.stack([fit_noise(likelihood, one, search=turn == 0) for one in theta])
             noises = [likelihood.model.noise(one) for one in noisy]
             found = [
                 polish(likelihood, one[None], noise, level_at=one)

@@ -112,6 +112,15 @@ class Likelihood:
         level = torch.sqrt(self._by_curve(delta**2) / (self.count - share).clamp(min=1.0))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
+    def white_levels(self, delta: Tensor) -> Tensor:
+        """Noise level of each curve, (..., curves), from the steps between successive residuals delta (..., T), which red noise
+        hardly changes: their root mean square over sqrt 2."""
+        order = torch.argsort(self.curve, stable=True)
+        step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
+        step = torch.zeros_like(delta).index_copy(-1, order[1:], step)
+        level = torch.sqrt(self._by_curve(step**2) / (2 * (self.count - 1).clamp(min=1.0)))
+        return torch.maximum(level, 1e-3 * self.noise_level)
+
     def normalised(self, found: Residuals) -> Tensor:
         """Normalised residuals with a censored row's counted as the square root of its deviance."""
         u = found.delta / found.sigma
@@ -146,8 +155,8 @@ class Likelihood:
     def _integrated_level(self, found: Residuals, noise: Noise) -> Tensor:
         """A level s of each curve under d ln s: Gamma(N/2) / 2 (pi S)^(-N/2) with S the sum of squares and N less the gain."""
         if noise.red is not None:
-            base = torch.sqrt(self.noise_level[self.curve] ** 2 + found.delta.new_zeros(()))
-            return correlated_log_density(found, base, noise, self.model.assembly.context.seconds, self.curve)
+            white = self.white_levels(found.delta)[..., self.curve]
+            return correlated_log_density(found, white, noise, self.model.assembly.context.seconds, self.curve)
         squares = self._by_curve(found.delta**2) + self.count * (1e-3 * self.noise_level) ** 2
         if noise.outliers is not None and noise.width is not None:
             level = torch.sqrt(squares / self.count)[..., self.curve]

@@ -13,8 +13,11 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "reference"))
 
 import body  # noqa: E402
+import bounces  # noqa: E402
 import bruteforce as reference  # noqa: E402
+import earth  # noqa: E402
 import observe  # noqa: E402
+import sampling  # noqa: E402
 import sky  # noqa: E402
 import surface  # noqa: E402
 
@@ -104,7 +107,7 @@ def test_object_1_geometry_of_the_audit() -> None:
 
 def hemisphere(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions over the hemisphere about z, uniform in the squared sine, and mu d(omega) of each."""
-    q = reference.additive_sequence(count, 2)
+    q = sampling.additive_sequence(count, 2)
     sine, angle = np.sqrt(q[:, 0]), 2.0 * np.pi * q[:, 1]
     return np.stack([sine * np.cos(angle), sine * np.sin(angle), np.sqrt(1 - q[:, 0])], -1), np.pi / count
 
@@ -144,7 +147,7 @@ def test_diffuse_term_has_its_hemispherical_reflectance() -> None:
 def test_polished_surface_reflects_r_spec() -> None:
     """A narrow lobe is a mirror: its reflectance at normal incidence is r_spec, less terms of order 1/n."""
     n = 3000.0
-    q = reference.additive_sequence(20000, 2)
+    q = sampling.additive_sequence(20000, 2)
     sine, angle = np.sqrt(q[:, 0]) * 0.3, 2.0 * np.pi * q[:, 1]
     out = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.sqrt(1 - sine**2)], -1)
     axes = [np.broadcast_to(a, out.shape) for a in np.eye(3)]
@@ -173,7 +176,7 @@ def light_of(
 ) -> np.ndarray:
     """Sum of A f mu0 mu V of each face of fixed parts, (faces,), with both directions in the body frame."""
     parts, faces = body.build(one.components, 720)
-    q = np.mod(reference.additive_sequence(samples, 6)[None, :, 2:] + 0.37, 1.0)
+    q = np.mod(sampling.additive_sequence(samples, 6)[None, :, 2:] + 0.37, 1.0)
     source, target = (
         np.broadcast_to(sky.unit(np.asarray(d, float)), (1, samples, 3)) for d in (to_sun, to_observer)
     )
@@ -252,8 +255,8 @@ def test_white_squares_exchange_light_by_their_view_factor() -> None:
         ATTITUDE + plate("floor", [0, 0, 0]) + plate("wall", [-0.5, 0, 0.5], "[0, 1, 0]", "[0, 0, 1]")
     )
     parts, faces = body.build(one.components, 8)
-    twice = reference.two_bounces(
-        faces, parts, [None, None], one, {}, np.array([[1e-9, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]), 65536,
+    twice = bounces.two_bounces(
+        faces, parts, [None, None], one, np.array([[1e-9, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]), 65536,
         np.random.default_rng(1),
     )  # fmt: skip
     view_factor = twice.sum() / (0.5 * 0.5 / np.pi)
@@ -265,7 +268,7 @@ def test_earth_light_of_a_full_and_a_half_earth() -> None:
     r = 1.0e6
     for b in (0.0, np.pi / 2, 2.0):
         sun = np.array([[np.cos(b), np.sin(b), 0.0]]) * sky.AU_KM
-        _, weight = reference.earth_light(np.array([[r, 0.0, 0.0]]), sun, 20000, 0.3)
+        _, weight = earth.earth_light(np.array([[r, 0.0, 0.0]]), sun, 20000, 0.3)
         closed = (
             (2 / 3) * 0.3 * (sky.EARTH_RADIUS_KM / r) ** 2 * (np.sin(b) + (np.pi - b) * np.cos(b)) / np.pi
         )
@@ -275,11 +278,11 @@ def test_earth_light_of_a_full_and_a_half_earth() -> None:
 def test_the_solar_disc_dulls_a_glint() -> None:
     """1/n_eff = 1/n + 0.90 (theta/4)^2, limb-darkened, to first order: 11 % off at n = 1e5, 1.3 % at 1e4."""
     for n in (1e4, 1e5):
-        q = reference.additive_sequence(20000, 2)
+        q = sampling.additive_sequence(20000, 2)
         up = np.broadcast_to([0.0, 0.0, 1.0], (20000, 3))
         theta = np.full(20000, sky.SUN_RADIUS_KM / sky.AU_KM)
-        sun = reference._disc_point(up, theta, *q.T)
-        limb = reference._limb(q[:, 0])
+        sun = sampling.disc_point(up, theta, *q.T)
+        limb = sampling.limb(q[:, 0])
         material = {"n": n, "r_spec": 1.0, "r_diff": 0.0}
         axes = [np.broadcast_to(a, up.shape) for a in np.eye(3)]
         light = surface.reflected(material, {}, axes[2], axes[0], axes[1], sun, up)
@@ -299,8 +302,8 @@ def test_earth_hides_by_its_polar_and_equatorial_radius() -> None:
         for sign in (-1.0, 1.0):
             place = np.array([-42164.0, 0.0, 0.0])
             place[axis] = limb + sign * 0.1
-            assert bool(reference.behind_earth(place, along, h0)) == (sign < 0)
-    assert not reference.behind_earth(np.array([42164.0, 0.0, 0.0]), along, h0)
+            assert bool(earth.behind_earth(place, along, h0)) == (sign < 0)
+    assert not earth.behind_earth(np.array([42164.0, 0.0, 0.0]), along, h0)
 
 
 def test_penumbra_of_a_straight_limb() -> None:
@@ -309,7 +312,7 @@ def test_penumbra_of_a_straight_limb() -> None:
     limb = np.arcsin(6378.137 / 42164.0)
     angle = limb + np.linspace(0.3, -0.3, 13) * np.pi / 180.0
     place = 42164.0 * np.stack([-np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
-    share = reference.sunlit_fraction(place, sun - place, 0.0)
+    share = earth.sunlit_fraction(place, sun - place, 0.0)
     assert share[0] == 1.0 and share[-1] == 0.0
     assert share[6] == pytest.approx(0.5, abs=0.01)
     assert np.all(np.diff(share) <= 0)

@@ -116,15 +116,40 @@ Hit = Callable[[Array, Array], Mask]  # origin, direction (N, 3) in the part's o
 
 @dataclass(frozen=True)
 class Face:
-    """A flat patch at rest in the body frame; ``points`` maps two uniform numbers (N,) to places (N, 3)."""
+    """A flat patch at rest in the body frame: a rectangle of sides e1, e2, or a disc of radii e1, e2."""
 
     part: int
     label: str
     material: str
     normal: Array
     u: Array
-    area: float
-    points: Callable[[Array, Array], Array]
+    centre: Array
+    e1: Array
+    e2: Array
+    round: bool = False
+
+    @property
+    def area(self) -> float:
+        return float(np.linalg.norm(np.cross(self.e1, self.e2)) * (np.pi if self.round else 1.0))
+
+    def points(self, a: Array, b: Array) -> Array:
+        """Places (N, 3), uniform over the area for uniform a, b (N,)."""
+        if self.round:
+            x, y = np.sqrt(a) * np.cos(2.0 * np.pi * b), np.sqrt(a) * np.sin(2.0 * np.pi * b)
+        else:
+            x, y = a - 0.5, b - 0.5
+        return self.centre + x[:, None] * self.e1 + y[:, None] * self.e2
+
+    def reach(self, origin: Array, direction: Array) -> Array:
+        """Distance (N,) at which rays (N, 3) meet the front of this face; inf where they do not."""
+        towards = direction @ self.normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = ((self.centre - origin) @ self.normal) / towards
+            place = origin + along[:, None] * direction - self.centre
+            x = place @ self.e1 / (self.e1 @ self.e1)
+            y = place @ self.e2 / (self.e2 @ self.e2)
+            inside = x**2 + y**2 < 1.0 if self.round else np.maximum(np.abs(x), np.abs(y)) < 0.5
+        return np.where((towards < 0) & (along > 1e-9) & inside, along, np.inf)
 
 
 @dataclass(frozen=True)
@@ -137,18 +162,6 @@ class Part:
     axis: Array | None  # of the drive that follows the Sun
     front: Array  # normal at rest that is turned to the Sun
     hit: Hit | None  # None: stops nothing
-
-
-def _rectangle(centre: Array, e1: Array, e2: Array) -> Callable[[Array, Array], Array]:
-    return lambda a, b: centre + (a - 0.5)[:, None] * e1 + (b - 0.5)[:, None] * e2
-
-
-def _disc(centre: Array, e1: Array, e2: Array, radius: float) -> Callable[[Array, Array], Array]:
-    def points(a: Array, b: Array) -> Array:
-        r, angle = radius * np.sqrt(a), 2.0 * np.pi * b
-        return centre + (r * np.cos(angle))[:, None] * e1 + (r * np.sin(angle))[:, None] * e2
-
-    return points
 
 
 def hits_box(half: Array) -> Hit:
@@ -222,19 +235,19 @@ def build(components: Sequence[Mapping[str, Any]], cylinder_facets: int) -> tupl
                     label = "+-"[int(sign < 0)] + "XYZ"[k]
                     n, u = sign * rest[:, k], rest[:, (k + 1) % 3]
                     e2 = rest[:, (k + 2) % 3] * size[(k + 2) % 3]
-                    points = _rectangle(centre + 0.5 * size[k] * n, u * size[(k + 1) % 3], e2)
-                    area = size[(k + 1) % 3] * size[(k + 2) % 3]
-                    faces.append(Face(index, label, per_face.get(label, material), n, u, area, points))
+                    middle = centre + 0.5 * size[k] * n
+                    e1 = u * size[(k + 1) % 3]
+                    faces.append(Face(index, label, per_face.get(label, material), n, u, middle, e1, e2))
             hit = hits_box(size / 2.0)
         elif shape == "plate":
             size = np.array([number(s) for s in component["size"]])
             u, v = (rest @ unit(np.asarray(component[key], float)) for key in "uv")
             front = np.cross(u, v)
             axes = np.stack([u, v, front], axis=-1)
-            points, area = _rectangle(centre, u * size[0], v * size[1]), float(size[0] * size[1])
-            faces.append(Face(index, "front", material, front, u, area, points))
+            e1, e2 = u * size[0], v * size[1]
+            faces.append(Face(index, "front", material, front, u, centre, e1, e2))
             behind = component.get("back_material", material)
-            faces.append(Face(index, "back", behind, -front, u, area, points))
+            faces.append(Face(index, "back", behind, -front, u, centre, e1, e2))
             hit = hits_rectangle(size[0] / 2.0, size[1] / 2.0)
         elif shape == "cylinder":
             radius, length = number(component["radius"]), number(component["length"])
@@ -245,11 +258,13 @@ def build(components: Sequence[Mapping[str, Any]], cylinder_facets: int) -> tupl
             width = 2.0 * np.pi * radius / cylinder_facets
             for angle in (np.arange(cylinder_facets) + 0.5) * 2.0 * np.pi / cylinder_facets:
                 n = np.cos(angle) * x + np.sin(angle) * y
-                points = _rectangle(centre + radius * n, axis * length, np.cross(n, axis) * width)
-                faces.append(Face(index, "side", material, n, axis, width * length, points))
+                wall, across = centre + radius * n, np.cross(n, axis) * width
+                faces.append(Face(index, "side", material, n, axis, wall, axis * length, across))
             for sign, label in ((1.0, "cap+"), (-1.0, "cap-")):
-                points = _disc(centre + sign * axis * length / 2.0, x, y, radius)
-                faces.append(Face(index, label, material, sign * axis, x, np.pi * radius**2, points))
+                middle = centre + sign * axis * length / 2.0
+                faces.append(
+                    Face(index, label, material, sign * axis, x, middle, x * radius, y * radius, True)
+                )
             hit = hits_cylinder(radius, length / 2.0)
         else:
             raise ValueError(f"shape {shape} is not in the reference")

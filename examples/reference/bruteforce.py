@@ -12,7 +12,8 @@ row to row).
     mag = photometry(curve, scene, {})
 
 ``sky`` knows time, orbit, station and Sun; ``body`` reads a scene and knows attitude, parts and rays;
-``surface`` reflects; ``observe`` adds noise and writes files; ``make_demo`` wrote the recording of the demo.
+``surface`` reflects; ``earth`` hides the Sun and shines; ``bounces`` sends light between parts;
+``observe`` adds noise and writes files; ``circumstances`` and ``gain`` draw and size injections.
 
 Conventions, where more than one reading is possible:
 - ``effects`` is the whole truth: name -> parameters; nothing is on by default. Without any: the paper's bare
@@ -31,19 +32,20 @@ Conventions, where more than one reading is possible:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import sky
 from body import Face, Part, Scene, blocked, body_axes, build, number, rotation_about, spin, wing_pose
-from sky import Array, Mask, apply, unit
+from bounces import two_bounces
+from earth import behind_earth, earth_light, sunlit_fraction
+from sampling import additive_sequence, disc_point, limb, tilted
+from sky import Array, apply, basis, unit
 from surface import reflected
 
 TILES = 2048  # of the Earth's disc
-PAIRS = 4096  # of points on two faces
-LIMB_DARKENING = 0.6  # I = 1 - u (1 - mu), broad band
 DEFAULTS: dict[str, dict[str, float]] = {
     "earth_shadow": {"h0": 20.0},
     "earthshine": {"albedo": 0.3},
@@ -81,66 +83,6 @@ def scene_effects(scene: Scene) -> dict[str, dict[str, Any]]:
     return out
 
 
-def additive_sequence(count: int, dimensions: int) -> Array:
-    """Low-discrepancy points (count, dimensions) in [0, 1), from powers of the generalised golden ratio."""
-    ratio = 2.0
-    for _ in range(60):
-        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
-    return np.mod(np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1.0, dimensions + 1), 1.0)
-
-
-def _basis(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors (..., 3) that complete ``direction`` (..., 3)."""
-    helper = np.where(np.abs(direction[..., :1]) < 0.8, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    first = unit(np.cross(direction, helper))
-    return first, np.cross(direction, first)
-
-
-def _disc_point(direction: Array, radius_rad: Array, a: Array, b: Array) -> Array:
-    """Points of a disc of that angular radius (small) about ``direction`` (..., 3), uniform in a, b (...)."""
-    e1, e2 = _basis(direction)
-    r, angle = np.tan(radius_rad) * np.sqrt(a), 2.0 * np.pi * b
-    return unit(direction + (r * np.cos(angle))[..., None] * e1 + (r * np.sin(angle))[..., None] * e2)
-
-
-def _limb(a: Array) -> Array:
-    """Brightness of the solar disc at squared radius ``a``, mean 1."""
-    return (1.0 - LIMB_DARKENING * (1.0 - np.sqrt(1.0 - a))) / (1.0 - LIMB_DARKENING / 3.0)
-
-
-def behind_earth(position: Array, direction: Array, h0_km: float) -> Mask:
-    """Whether rays from position, km, along direction (..., 3; z is the Earth's axis) meet Earth plus h0."""
-    equator = sky.EARTH_RADIUS_KM + h0_km
-    pole = sky.EARTH_RADIUS_KM * (1.0 - sky.EARTH_FLATTENING) + h0_km
-    stretch = np.array([1.0, 1.0, equator / pole])
-    p, d = position * stretch, direction * stretch
-    along = -(p * d).sum(-1) / (d * d).sum(-1)
-    nearest = p + along[..., None] * d
-    return (along > 0) & ((nearest**2).sum(-1) < equator**2)
-
-
-def sunlit_fraction(position: Array, to_sun: Array, h0_km: float, points: int = 4096) -> Array:
-    """Share (...) of the limb-darkened Sun in view; position, to_sun (..., 3) km, z the Earth's axis."""
-    shape = position.shape[:-1]
-    position, to_sun = position.reshape(-1, 3), to_sun.reshape(-1, 3)
-    distance = np.linalg.norm(to_sun, axis=-1)
-    direction = to_sun / distance[:, None]
-    out = np.ones(len(position))
-    radius = np.linalg.norm(position, axis=-1)
-    limb = np.arcsin(np.minimum((sky.EARTH_RADIUS_KM + h0_km) / radius, 1.0))
-    apart = np.arccos(np.clip(-(unit(position) * direction).sum(-1), -1.0, 1.0))
-    near = np.flatnonzero(apart < limb + 0.02)
-    q = additive_sequence(points, 2)
-    weight = _limb(q[:, 0]) / _limb(q[:, 0]).sum()
-    for i in near:
-        disc = _disc_point(
-            np.broadcast_to(direction[i], (points, 3)), np.arcsin(sky.SUN_RADIUS_KM / distance[i]), *q.T
-        )
-        above = ~behind_earth(position[i], disc, h0_km)
-        out[i] = 1.0 if above.all() else weight[above].sum()
-    return out.reshape(shape)
-
-
 @dataclass(frozen=True)
 class _View:
     """Geometry of rows at K instants (T, K, ...), directions in the body frame."""
@@ -151,10 +93,23 @@ class _View:
     range_km: Array  # (T, K)
     to_body: Array  # (T, K, 3, 3) from GCRS
     position: Array  # (T, K, 3) GCRS, km
-    to_earth_fixed_axis: Array  # (T, K, 3, 3) from GCRS, z the axis of date
+    to_earth_axis: Array  # (T, K, 3, 3) from GCRS, z the axis of date
     poses: list[Array | None]
     zenith: Array  # (T, K, 3) GCRS
     station_to_sun: Array  # (T, K, 3) GCRS
+
+    def _each(self, pick: Callable[[Any], Any]) -> _View:
+        """``pick`` applied to every array."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        poses = [None if pose is None else pick(pose) for pose in values.pop("poses")]
+        return _View(poses=poses, **{name: pick(value) for name, value in values.items()})
+
+    def rows(self, rows: slice) -> _View:
+        return self._each(lambda values: values[rows])
+
+    def at(self, instant: int) -> _View:
+        """One instant, without the axis K."""
+        return self._each(lambda values: values[:, instant])
 
 
 def _view(scene: Scene, parts: list[Part], t: Array, first: float, station: Array, effects: Effects) -> _View:
@@ -215,7 +170,7 @@ def _view(scene: Scene, parts: list[Part], t: Array, first: float, station: Arra
         range_km=range_km,
         to_body=to_body,
         position=position,
-        to_earth_fixed_axis=np.swapaxes(sky.teme_to_gcrs(clock), -1, -2),
+        to_earth_axis=np.swapaxes(sky.teme_to_gcrs(clock), -1, -2),
         poses=poses,
         zenith=zenith,
         station_to_sun=unit(to_sun + position - site),
@@ -229,13 +184,6 @@ def _changes(effects: Effects, material: str) -> dict[str, Mapping[str, Any]]:
         for name in PER_MATERIAL
         if name in effects and effects[name].get("material", material) == material
     }
-
-
-def _tilted(normal: Array, u: Array, v: Array, sigma_rad: float, a: Array, b: Array) -> Array:
-    """Normals (N, 3) tilted by a two-dimensional Gaussian of sigma per axis, from uniform a, b (N,)."""
-    tilt = np.minimum(sigma_rad * np.sqrt(-2.0 * np.log1p(-a)), np.pi / 2.0)[:, None]
-    angle = (2.0 * np.pi * b)[:, None]
-    return np.cos(tilt) * normal + np.sin(tilt) * (np.cos(angle) * u + np.sin(angle) * v)
 
 
 def face_light(
@@ -274,11 +222,11 @@ def face_light(
         flat_lit = (normal * source).sum(-1)
         flat_seen = (normal * to_observer).sum(-1)
         through = effects.get("back_transmission", {})
-        if through and through.get("component", parts[face.part].name) == parts[face.part].name:
+        if through and face.part >= 0 and through.get("component") in (None, parts[face.part].name):
             passed = np.where((flat_lit > 0) & (flat_seen < 0), -flat_lit * flat_seen, 0.0) * weight
             out[:, k] += through["t_d"] / np.pi * face.area * np.bincount(row, passed, shape[0])
         if sigma:
-            normal = _tilted(normal, u, v, sigma, q[:, 0], q[:, 1])
+            normal = tilted(normal, u, v, sigma, q[:, 0], q[:, 1])
             flat_lit = (normal * source).sum(-1)
             flat_seen = (normal * to_observer).sum(-1)
         use = np.flatnonzero((flat_lit > 0) & (flat_seen > 0) & (weight > 0))
@@ -304,102 +252,65 @@ def _appendage(parameters: Mapping[str, Any]) -> list[Face]:
     """Both sides of the flat plate that nobody modelled."""
     lon, lat = np.deg2rad(parameters["lon"]), np.deg2rad(parameters["lat"])
     normal = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    u = _basis(normal)[0]
-
-    def nowhere(a: Array, b: Array) -> Array:
-        return np.zeros((len(a), 3))
-
+    u = basis(normal)[0]
+    side = np.sqrt(float(parameters["area"]))
+    e1, e2 = side * u, side * np.cross(normal, u)
     return [
-        Face(-1, label, "appendage", sign * normal, u, float(parameters["area"]), nowhere)
+        Face(-1, label, "appendage", sign * normal, u, np.zeros(3), e1, e2)
         for sign, label in ((1.0, "front"), (-1.0, "back"))
     ]
 
 
-def two_bounces(
+def _sunlight(
     faces: list[Face],
     parts: list[Part],
-    poses: list[Array | None],
     scene: Scene,
     effects: Effects,
-    to_sun: Array,
-    to_observer: Array,
-    points: int,
-    rng: np.random.Generator,
+    view: _View,
+    scale: Array,
+    lit: Array,
+    q: Array,
 ) -> Array:
-    """Light by way of Sun, face i, face j, observer, (B, faces of j); directions (B, 3), poses (B, 3, 3)."""
-    rows = len(to_sun)
-    out = np.zeros((rows, len(faces)))
-    base = additive_sequence(points, 4)
-    row = np.repeat(np.arange(rows), points)
-    flat = [None if pose is None else np.repeat(pose, points, axis=0) for pose in poses]
-    source, target = np.repeat(to_sun, points, axis=0), np.repeat(to_observer, points, axis=0)
+    """Light (B, faces) straight from the Sun; scale, lit (B, K), q (B, S, 6) with S a multiple of K."""
+    per_instant = q.shape[1] // lit.shape[1]
 
-    def placed(face: Face, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-        pose, place = flat[face.part], face.points(a, b)
-        axes = [np.broadcast_to(x, place.shape) for x in (face.normal, face.u, np.cross(face.normal, face.u))]
-        if pose is not None:
-            centre = parts[face.part].centre
-            place = centre + np.einsum("nij,nj->ni", pose, place - centre)
-            axes = [np.einsum("nij,nj->ni", pose, x) for x in axes]
-        return place, axes[0], axes[1], axes[2]
+    def each(values: Any) -> Any:
+        return np.repeat(values, per_instant, axis=1)
 
-    for first in faces:
-        for index, second in enumerate(faces):
-            if first.part == second.part:
-                continue  # convex parts do not see themselves
-            q = np.mod(base + rng.random((rows, 1, 4)), 1.0).reshape(-1, 4)
-            x, n1, u1, v1 = placed(first, q[:, 0], q[:, 1])
-            y, n2, u2, v2 = placed(second, q[:, 2], q[:, 3])
-            distance = np.linalg.norm(y - x, axis=-1)
-            way = (y - x) / np.maximum(distance, 1e-9)[:, None]
-            cosines = [(a * b).sum(-1) for a, b in ((n1, source), (n1, way), (n2, -way), (n2, target))]
-            use = np.flatnonzero(np.min(cosines, axis=0) > 0)
-            if use.size == 0:
-                continue
-            held = [None if p is None else p[use] for p in flat]
-            dark = blocked(parts, held, first.part, x[use], source[use])
-            dark |= blocked(parts, held, second.part, y[use], target[use])
-            others = [
-                Part(p.name, p.centre, p.rotation, p.axis, p.front, None if i == second.part else p.hit)
-                for i, p in enumerate(parts)
-            ]
-            dark |= blocked(
-                others, held, first.part, x[use], way[use]
-            )  # convex: only third parts between the two
-            use = use[~dark]
-            one = reflected(
-                scene.materials[first.material], {}, n1[use], u1[use], v1[use], source[use], way[use]
-            )
-            two = reflected(
-                scene.materials[second.material], {}, n2[use], u2[use], v2[use], -way[use], target[use]
-            )
-            light = first.area * second.area / points * one * two / distance[use] ** 2
-            out[:, index] += np.bincount(row[use], light, rows)
-    return out
+    source, weight = each(view.to_sun), each(scale) / q.shape[1]
+    if "finite_sun" not in effects:
+        weight = weight * each(lit)
+    else:
+        source = disc_point(
+            source, np.arcsin(sky.SUN_RADIUS_KM / each(view.sun_distance_km)), q[..., 0], q[..., 1]
+        )
+        disc = limb(q[..., 0])
+        weight = weight * disc / disc.mean(axis=1, keepdims=True)
+        partly = (lit > 0) & (lit < 1)
+        if partly.any():
+            to_axis = each(view.to_earth_axis @ np.swapaxes(view.to_body, -1, -2))
+            place = each(apply(view.to_earth_axis, view.position))
+            h0 = effects["earth_shadow"].get("h0", DEFAULTS["earth_shadow"]["h0"])
+            above = ~behind_earth(place, apply(to_axis, source), h0)
+            weight = weight * np.where(each(partly), above, each(lit))
+        else:
+            weight = weight * each(lit)
+    poses = [None if p is None else each(p) for p in view.poses]
+    return face_light(faces, parts, poses, scene, effects, source, weight, each(view.to_observer), q[..., 2:])
 
 
-def earth_light(position: Array, sun: Array, samples: int, albedo: float) -> tuple[Array, Array]:
-    """Directions (B, S, 3) to a Lambert Earth's disc, their irradiance (B, S) over the Sun's at the Earth.
-
-    position, sun (B, 3) km from the geocentre; the disc is cut into equal solid angles.
-    """
-    radius = np.linalg.norm(position, axis=-1)
-    edge = np.sqrt(1.0 - (sky.EARTH_RADIUS_KM / radius) ** 2)
-    q = additive_sequence(samples, 2)
-    cosine = 1.0 - q[:, 0] * (1.0 - edge[:, None])
-    sine, angle = np.sqrt(1.0 - cosine**2), 2.0 * np.pi * q[:, 1]
-    down = -unit(position)
-    e1, e2 = _basis(down)
-    direction = (
-        cosine[..., None] * down[:, None]
-        + (sine * np.cos(angle))[..., None] * e1[:, None]
-        + (sine * np.sin(angle))[..., None] * e2[:, None]
-    )
-    half_chord2 = sky.EARTH_RADIUS_KM**2 - (radius[:, None] * sine) ** 2
-    reach = radius[:, None] * cosine - np.sqrt(np.maximum(half_chord2, 0.0))
-    ground = unit(position[:, None] + reach[..., None] * direction)
-    day = np.maximum((ground * unit(sun)[:, None]).sum(-1), 0.0)
-    return direction, albedo / np.pi * day * 2.0 * np.pi * (1.0 - edge[:, None]) / samples
+def _earthlight(
+    faces: list[Face], parts: list[Part], scene: Scene, effects: Effects, view: _View, scale: Array, q: Array
+) -> Array:
+    """Light (B, faces) by way of the Earth; a view of one instant, scale (B,), q (B, TILES, 6)."""
+    sun = apply(np.swapaxes(view.to_body, -1, -2), view.to_sun) * view.sun_distance_km[:, None]
+    albedo = effects["earthshine"].get("albedo", DEFAULTS["earthshine"]["albedo"])
+    tiles, strength = earth_light(view.position, sun + view.position, TILES, albedo)
+    tiles = apply(view.to_body[:, None], tiles)
+    observer = np.repeat(view.to_observer[:, None], TILES, axis=1)
+    poses = [None if p is None else np.repeat(p[:, None], TILES, axis=1) for p in view.poses]
+    weight = strength * scale[:, None]
+    return face_light(faces, parts, poses, scene, effects, tiles, weight, observer, q[..., 2:])
 
 
 def simulate(
@@ -411,6 +322,7 @@ def simulate(
     *,
     samples: int = 4096,
     instants: int = 64,
+    rays: int = 8192,
     cylinder_facets: int = 240,
     seed: int = 0,
 ) -> Curve:
@@ -422,10 +334,8 @@ def simulate(
     parts, faces = build(scene.components, cylinder_facets)
     if "appendage" in effects:
         faces = faces + _appendage(effects["appendage"])
-    smear = "exposure_smearing" in effects
-    finite = "finite_sun" in effects
-    sampled = finite or "self_shadowing" in effects or "normal_dispersion" in effects
-    k = instants if smear else 1
+    sampled = any(name in effects for name in ("finite_sun", "self_shadowing", "normal_dispersion"))
+    k = instants if "exposure_smearing" in effects else 1
     per_instant = max(samples // k, 1) if sampled else 1
     count = k * per_instant
     inside = (np.arange(k) + 0.5) / k - 0.5
@@ -444,85 +354,51 @@ def simulate(
     if "earth_shadow" in effects:
         earth_sun = apply(np.swapaxes(view.to_body, -1, -2), view.to_sun) * view.sun_distance_km[..., None]
         lit = sunlit_fraction(
-            apply(view.to_earth_fixed_axis, view.position), apply(view.to_earth_fixed_axis, earth_sun), h0
+            apply(view.to_earth_axis, view.position), apply(view.to_earth_axis, earth_sun), h0
         )
 
     light = np.zeros((rows_total, len(faces)))
-    block = max(1, 200_000 // count)
+    mid = k // 2
+    widest = max(count, TILES * ("earthshine" in effects), rays * ("interreflection" in effects))
+    block = max(1, 200_000 // widest)
     for start in range(0, rows_total, block):
         rows = slice(start, min(start + block, rows_total))
         q = np.mod(sequence + shift[rows], 1.0)
-
-        def each(values: Any, rows: slice = rows) -> Any:
-            return np.repeat(values[rows], per_instant, axis=1)
-
-        source = each(view.to_sun)
-        weight = each(scale) / count
-        if finite:
-            radius = np.arcsin(sky.SUN_RADIUS_KM / each(view.sun_distance_km))
-            source = _disc_point(source, radius, q[..., 0], q[..., 1])
-            limb = _limb(q[..., 0])
-            limb /= limb.mean(axis=1, keepdims=True)
-            if "earth_shadow" in effects and np.any((lit[rows] > 0) & (lit[rows] < 1)):
-                to_axis = each(view.to_earth_fixed_axis @ np.swapaxes(view.to_body, -1, -2))
-                place = each(apply(view.to_earth_fixed_axis, view.position))
-                above = ~behind_earth(place, np.einsum("bsij,bsj->bsi", to_axis, source), h0)
-                part_lit = each((lit > 0) & (lit < 1))
-                limb = limb * np.where(part_lit, above, each(lit) > 0)
-            else:
-                limb = limb * each(lit)
-            weight = weight * limb
-        else:
-            weight = weight * each(lit)
-        poses = [None if p is None else each(p) for p in view.poses]
-        light[rows] += face_light(
-            faces, parts, poses, scene, effects, source, weight, each(view.to_observer), q[..., 2:]
-        )
-        mid = k // 2
-        mid_poses = [None if p is None else p[rows, mid] for p in view.poses]
+        light[rows] += _sunlight(faces, parts, scene, effects, view.rows(rows), scale[rows], lit[rows], q)
+        middle = view.rows(rows).at(mid)
         if "interreflection" in effects:
-            gain = effects["interreflection"].get("gain", 1.0)
             twice = two_bounces(
                 faces[: len(faces) - 2 * ("appendage" in effects)],
                 parts,
-                mid_poses,
+                middle.poses,
                 scene,
-                effects,
-                view.to_sun[rows, mid],
-                view.to_observer[rows, mid],
-                PAIRS,
+                middle.to_sun,
+                middle.to_observer,
+                rays,
                 rng,
             )
-            light[rows, : twice.shape[1]] += gain * twice * (scale * lit).mean(1)[rows, None]
+            gain = effects["interreflection"].get("gain", 1.0) * (scale * lit)[rows].mean(1)
+            light[rows, : twice.shape[1]] += gain[:, None] * twice
         if "earthshine" in effects:
-            place, to_body = view.position[rows, mid], view.to_body[rows, mid]
-            sun = apply(np.swapaxes(to_body, -1, -2), view.to_sun[rows, mid])
-            sun = sun * view.sun_distance_km[rows, mid, None] + place
-            albedo = effects["earthshine"].get("albedo", 0.3)
-            tiles, strength = earth_light(place, sun, TILES, albedo)
-            tiles = np.einsum("bij,bsj->bsi", to_body, tiles)
-            ray = np.mod(additive_sequence(TILES, 6) + shift[rows], 1.0)[..., 2:]
-            observer = np.repeat(view.to_observer[rows, mid, None], TILES, axis=1)
-            held = [None if p is None else np.repeat(p[:, None], TILES, axis=1) for p in mid_poses]
-            strength = strength * scale.mean(1)[rows, None]
-            light[rows] += face_light(faces, parts, held, scene, effects, tiles, strength, observer, ray)
+            q = np.mod(additive_sequence(TILES, 6) + shift[rows], 1.0)
+            light[rows] += _earthlight(faces, parts, scene, effects, middle, scale[rows].mean(1), q)
 
     names = tuple(part.name for part in parts) + (("appendage",) if "appendage" in effects else ())
     component_flux = np.zeros((rows_total, len(names)))
     for index, face in enumerate(faces):
         component_flux[:, face.part] += light[:, index]
-    mid = k // 2
-    to_station = apply(np.swapaxes(view.to_body, -1, -2), view.to_observer)[:, mid]
-    elevation = np.rad2deg(np.arcsin(-(to_station * view.zenith[:, mid]).sum(-1)))
-    sun_elevation = np.rad2deg(np.arcsin((view.station_to_sun[:, mid] * view.zenith[:, mid]).sum(-1)))
-    cos_phase = (view.to_sun[:, mid] * view.to_observer[:, mid]).sum(-1)
+    middle = view.at(mid)
+    to_station = apply(np.swapaxes(middle.to_body, -1, -2), middle.to_observer)
+    elevation = np.rad2deg(np.arcsin(-(to_station * middle.zenith).sum(-1)))
+    sun_elevation = np.rad2deg(np.arcsin((middle.station_to_sun * middle.zenith).sum(-1)))
+    cos_phase = (middle.to_sun * middle.to_observer).sum(-1)
     return Curve(
         t=t,
         flux=light.sum(1),
         components=names,
         component_flux=component_flux,
         sunlit=lit.mean(1),
-        range_km=view.range_km[:, mid],
+        range_km=middle.range_km,
         phase_deg=np.rad2deg(np.arccos(np.clip(cos_phase, -1.0, 1.0))),
         elevation_deg=elevation,
         sun_elevation_deg=sun_elevation,
@@ -543,10 +419,9 @@ def photometry(curve: Curve, scene: Scene, effects: Effects) -> Array:
     if "saturation" in effects:
         flux *= 1.0 - effects["saturation"]["q"] * flux / flux.max()
     with np.errstate(divide="ignore"):
-        mag = number(scene.parameters.get("band_sun_magnitude", -26.7)) - 2.5 * np.log10(
-            np.maximum(flux, 0.0)
-        )
-    mag = mag + number(scene.parameters.get("zero_point", 0.0))
+        mag = -2.5 * np.log10(np.maximum(flux, 0.0))
+    mag += number(scene.parameters.get("band_sun_magnitude", -26.7))
+    mag += number(scene.parameters.get("zero_point", 0.0))
     if "color_term" in effects:
         color = effects["color_term"]
         chosen = [name.startswith(color["component"]) for name in curve.components]

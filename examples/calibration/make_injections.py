@@ -1,0 +1,598 @@
+"""Concealed-effect cases: python examples/calibration/make_injections.py OUT [--seed 1] [--only TEXT]
+
+Each case is a folder with scene.toml (what the model may assume), recording.ecsv (what the brute-force
+reference saw, noise included) and answer.json (what was concealed). Geometry, materials, priors and noise are
+drawn at random per case, from the seed and the case's name. An effect's size is set by its gain, the square
+root of the chi2 that is left when the baseline (materials under their priors) is refitted to the noiseless
+truth: near 3, 6 and 20. An effect without a size is sized by what makes it matter: a wing's distance, an
+exposure, a polish.
+
+In answer.json, ``family`` lists the sets of effects that are right answers: the truth, and each single rival
+that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at the refit of
+the baseline, so that rivals of large effects are only roughly judged). ``intervals``: rows where the truth
+and the best refit without the effect differ by more than 2 sigma; ``effect_intervals``: the effect itself, at
+the true materials.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
+
+import observe
+import sky
+from body import DEFAULT_EFFECTS
+from circumstances import (
+    Setup,
+    draw,
+    draw_log,
+    found,
+    geo,
+    leo,
+    meo,
+    parked,
+    rocket,
+    tight_material,
+    toml,
+    tumbler,
+)
+from gain import Baseline, Make, sized, truth_of, with_effects
+
+Rng = np.random.Generator
+Concealed = dict[str, dict[str, Any]]
+NOISE = ("jitter", "red_noise", "outliers")
+SHADOWLESS = tuple(e for e in DEFAULT_EFFECTS if e != "self_shadowing")
+SIZES = {"small": 3.0, "medium": 6.0, "large": 20.0}
+
+
+# ---------------------------------------------------------------------------------------- what is concealed
+
+
+def sign(rng: Rng) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def by(effect: str, key: str, scale: float = 1.0, **fixed: Any) -> Make:
+    """The effect with its parameter ``key`` equal to scale times the size."""
+    return lambda size, setup: (setup, {effect: {key: round(scale * size, 6), **fixed}})
+
+
+def attitude_offset(rng: Rng) -> Make:
+    x, y, z = sky.unit(rng.standard_normal(3))
+    return lambda size, setup: (
+        setup,
+        {"attitude_offset": {k: round(float(size * w), 5) for k, w in zip("xyz", (x, y, z), strict=True)}},
+    )
+
+
+def appendage(rng: Rng) -> Make:
+    x, y, z = sky.unit(rng.standard_normal(3))
+    return by(
+        "appendage",
+        "area",
+        lon=round(float(np.rad2deg(np.arctan2(y, x))), 3),
+        lat=round(float(np.rad2deg(np.arcsin(z))), 3),
+        n=draw_log(rng, 15.0, 80.0),
+        r_spec=draw(rng, 0.1, 0.4),
+        r_diff=draw(rng, 0.2, 0.5),
+    )
+
+
+def farther_wings(size: float, setup: Setup) -> tuple[Setup, Concealed]:
+    """Self-shadowing weakens as the wings move out: the gap to the wall is 0.1/size m."""
+    tree = deepcopy(setup.tree)
+    wall = tree["components"][0]["size"][1] / 2
+    for wing in tree["components"][1:]:
+        reach = wall + wing["size"][1] / 2 + 0.1 / size
+        wing["centre"] = [0.0, float(np.copysign(reach, wing["centre"][1])), 0.0]
+    return replace(setup, tree=tree), {"self_shadowing": {}}
+
+
+def longer_exposures(size: float, setup: Setup) -> tuple[Setup, Concealed]:
+    return replace(setup, exptime=round(float(size), 2)), {"exposure_smearing": {}}
+
+
+def polish(size: float, setup: Setup) -> tuple[Setup, Concealed]:
+    """The solar disc matters more the larger n is."""
+    materials = deepcopy(setup.materials)
+    materials["body"]["n"] = round(float(size), 1)
+    return replace(setup, materials=materials), {"finite_sun": {}}
+
+
+def tail(size: float, setup: Setup) -> tuple[Setup, Concealed]:
+    material = "panel" if "panel" in setup.materials else next(iter(setup.materials))
+    return setup, {"lobe_tail": {"material": material, "g": round(1.0 / size, 4)}}
+
+
+def _middle(setup: Setup, share: float) -> float:
+    return float(setup.t[0] + share * (setup.t[-1] - setup.t[0]))
+
+
+def step(rng: Rng) -> Make:
+    share, s = rng.uniform(0.3, 0.7), sign(rng)
+    return lambda size, setup: (
+        setup,
+        {"zero_point_step": {"mag": round(s * size, 5), "time": round(_middle(setup, share), 3)}},
+    )
+
+
+def fixed_lobe(setup: Setup) -> Setup:
+    """The panel's n known from the laboratory, so that a spread of normals can be told from it."""
+    tree = deepcopy(setup.tree)
+    tree["materials"]["panel"]["n"] = setup.materials["panel"]["n"]
+    return replace(setup, tree=tree)
+
+
+def known_panel(setup: Setup, rng: Rng) -> Setup:
+    tree = deepcopy(setup.tree)
+    tree["materials"]["panel"] = tight_material(setup.materials["panel"], 0.03, rng)
+    return replace(setup, tree=tree)
+
+
+def fixed_materials(setup: Setup) -> Setup:
+    tree = deepcopy(setup.tree)
+    for name, values in setup.materials.items():
+        tree["materials"][name] = {"model": "ashikhmin-shirley", **values}
+    return replace(setup, tree=tree)
+
+
+# ---------------------------------------------------------------------------------------- the table of cases
+
+Kind = Callable[[Rng], Setup]
+Recipe = tuple[
+    str, Callable[[Rng], Make], float, tuple[float, float]
+]  # kind of object, effect, first size, limits
+
+
+def kinds(number: int) -> dict[str, Kind]:
+    """Observable circumstances by name; ``number`` is the catalogue number to print in the elements."""
+    return {
+        "geo": lambda rng: found(lambda: geo(rng, number)),
+        "geo_free": lambda rng: found(lambda: geo(rng, number, known=False)),
+        "eclipse": lambda rng: found(lambda: geo(rng, number, True, False, 360), shadow=True),
+        "fixed_lobe": lambda rng: fixed_lobe(found(lambda: geo(rng, number))),
+        "fixed": lambda rng: fixed_materials(found(lambda: geo(rng, number))),
+        "known": lambda rng: known_panel(found(lambda: geo(rng, number)), rng),
+        "meo": lambda rng: found(lambda: meo(rng, number)),
+        "box": lambda rng: found(lambda: tumbler(rng, number)),
+        "fast": lambda rng: found(lambda: tumbler(rng, number, rate=draw(rng, 4.0, 8.0))),
+        "whirling": lambda rng: found(lambda: tumbler(rng, number, rate=draw(rng, 20.0, 40.0))),
+        "wing": lambda rng: found(lambda: tumbler(rng, number, wing=True)),
+        "parked": lambda rng: found(lambda: parked(rng, number)),
+        "rocket": lambda rng: found(lambda: rocket(rng, number)),
+        "leo": lambda rng: found(lambda: leo(rng, number)),
+    }
+
+
+def either_way(effect: str, key: str, **fixed: Any) -> Callable[[Rng], Make]:
+    """An effect of either sign."""
+    return lambda rng: by(effect, key, sign(rng), **fixed)
+
+
+def one_way(effect: str, key: str, **fixed: Any) -> Callable[[Rng], Make]:
+    return lambda rng: by(effect, key, **fixed)
+
+
+def wobble(rng: Rng) -> Make:
+    axis = str(rng.choice(list("xyz")))
+    return by("wobble", "deg", period_min=draw(rng, 20, 70), phase_deg=draw(rng, 0, 360), axis=axis)
+
+
+def second_material(rng: Rng) -> Make:
+    n = draw_log(rng, 1500.0, 4000.0)
+    return by("second_material", "weight", material="panel", n=n, r_spec=0.1, r_diff=0.05)
+
+
+def opposition_surge(rng: Rng) -> Make:
+    return by("opposition_surge", "b0", material="body", h=draw(rng, 0.02, 0.06))
+
+
+RECIPES: dict[str, Recipe] = {
+    "panel_offset": ("geo", either_way("panel_offset", "deg"), 0.5, (0.01, 12.0)),
+    "panel_cant": ("known", either_way("panel_cant", "deg"), 0.5, (0.01, 9.0)),
+    "attitude_offset": ("wing", attitude_offset, 0.3, (0.01, 10.0)),
+    "wobble": ("box", wobble, 0.3, (0.01, 5.0)),
+    "spin_rate_offset": ("box", either_way("spin_rate_offset", "rev_per_hour"), 1e-3, (1e-6, 0.2)),
+    "self_shadowing": ("wing", lambda rng: farther_wings, 1.0, (0.01, 20.0)),
+    "exposure_smearing": ("fast", lambda rng: longer_exposures, 10.0, (0.5, 40.0)),
+    "earth_shadow": ("eclipse", one_way("earth_shadow", "h0"), 15.0, (15.0, 15.0)),
+    "finite_sun": ("parked", lambda rng: polish, 2e4, (2e3, 6e5)),
+    "appendage": ("box", appendage, 0.05, (1e-4, 8.0)),
+    "second_material": ("geo", second_material, 0.05, (1e-4, 0.5)),
+    "lobe_tail": ("wing", lambda rng: tail, 0.2, (0.1, 0.8)),
+    "normal_dispersion": (
+        "fixed_lobe",
+        one_way("normal_dispersion", "deg", material="panel"),
+        1.5,
+        (0.05, 15.0),
+    ),
+    "opposition_surge": ("eclipse", opposition_surge, 0.3, (0.01, 1.0)),
+    "time_offset": ("rocket", either_way("time_offset", "s"), 1.0, (1e-3, 600.0)),
+    "along_track_offset": ("leo", either_way("along_track_offset", "deg"), 0.1, (1e-3, 5.0)),
+    "zero_point_drift": ("meo", either_way("zero_point_drift", "mag_per_hour"), 0.02, (1e-4, 0.5)),
+    "zero_point_step": ("box", step, 0.02, (1e-4, 0.5)),
+    "extinction_residual": ("leo", either_way("extinction_residual", "mag_per_airmass"), 0.05, (1e-4, 0.6)),
+    "background": ("wing", either_way("background", "fraction"), 0.03, (1e-4, 0.5)),
+    "saturation": ("box", one_way("saturation", "q"), 0.05, (1e-3, 0.4)),
+    "color_term": ("wing", either_way("color_term", "mag", component="body"), 0.05, (1e-3, 0.5)),
+    "back_transmission": (
+        "wing",
+        one_way("back_transmission", "t_d", component="panel +Y"),
+        0.02,
+        (1e-4, 0.2),
+    ),
+    "interreflection": ("wing", one_way("interreflection", "gain"), 1.0, (1.0, 1.0)),
+    "earthshine": ("leo", one_way("earthshine", "albedo"), 0.3, (0.3, 0.3)),
+    "light_time": ("whirling", one_way("light_time", "unused"), 1.0, (1.0, 1.0)),
+    "sun_distance": ("fixed", one_way("sun_distance", "unused"), 1.0, (1.0, 1.0)),
+}
+THREE_SIZES = ("panel_offset", "attitude_offset", "self_shadowing", "exposure_smearing", "appendage",
+               "second_material", "lobe_tail", "time_offset", "spin_rate_offset", "zero_point_drift",
+               "background")  # fmt: skip
+ONE_SIZE = ("earth_shadow", "interreflection", "earthshine", "light_time", "sun_distance")
+ELSEWHERE = (  # the same effects on other objects, medium or large
+    ("time_offset", "leo"), ("time_offset", "box"), ("panel_offset", "meo"), ("panel_offset", "leo"),
+    ("exposure_smearing", "rocket"), ("spin_rate_offset", "rocket"), ("background", "rocket"),
+    ("zero_point_drift", "geo"), ("lobe_tail", "box"), ("wobble", "rocket"),
+)  # fmt: skip
+PAIRS = (
+    ("wing", "self_shadowing", "zero_point_step"), ("geo", "panel_offset", "background"),
+    ("box", "spin_rate_offset", "appendage"), ("leo", "time_offset", "extinction_residual"),
+    ("fast", "exposure_smearing", "saturation"),
+)  # fmt: skip
+
+
+def names() -> Iterator[str]:
+    """Every case, in order."""
+    for kind in ("geo", "geo_free", "eclipse_none", "meo", "box", "wing", "rocket", "leo"):
+        yield f"control_{kind}"
+    for effect in RECIPES:
+        sizes = THREE_SIZES if effect in THREE_SIZES else ()
+        for size in (
+            ("small", "medium", "large")
+            if sizes
+            else (("as_is",) if effect in ONE_SIZE else ("medium", "large"))
+        ):
+            yield f"{effect}-{size}"
+    for effect, kind in ELSEWHERE:
+        yield f"{effect}-large-{kind}"
+    for effect in NOISE:
+        for size in ("medium", "large"):
+            yield f"{effect}-{size}"
+    for _, one, two in PAIRS:
+        yield f"two-{one}-{two}"
+    yield from ("wrong-box-wing", "wrong-box-box", "wrong-orbit-leo", "wrong-orbit-meo", "wrong-clock-leo",
+                "wrong-clock-rocket", "ggx-wing-self_shadowing", "ggx-geo-panel_offset", "outside-flash",
+                "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
+
+
+def _noise(effect: str, large: bool, floor: float, rng: Rng) -> Concealed:
+    factor = 2.0 if large else 0.8
+    return {
+        "jitter": {"jitter": {"mag": round(floor * factor, 4)}},
+        "red_noise": {"red_noise": {"mag": round(floor * factor, 4), "tau_min": draw(rng, 6.0, 20.0)}},
+        "outliers": {"outliers": {"fraction": 0.06 if large else 0.03, "width": 0.3 if large else 0.15}},
+    }[effect] | {}
+
+
+def compose(name: str, number: int, rng: Rng) -> tuple[Setup, Concealed, dict[str, Any]]:
+    """Setup, what is concealed, and what is said about it, of a case by its name."""
+    at = kinds(number)
+    words = name.split("-")
+    if name.startswith("control_"):
+        kind = name.removeprefix("control_")
+        return at["geo_free" if kind == "eclipse_none" else kind](rng), {}, {"verdict": "adequate"}
+    if words[0] in NOISE:
+        setup = at[str(rng.choice(["box", "wing", "meo", "geo"]))](rng)
+        verdict = {"verdict": "noise_model"} | (
+            {} if words[1] == "large" else {"accepted": ["noise_model", "adequate"]}
+        )
+        return setup, _noise(words[0], words[1] == "large", setup.floor, rng), verdict
+    if words[0] == "two":
+        kind = next(k for k, *both in PAIRS if both == words[1:])
+        setup, concealed = at[kind](rng), {}
+        for effect in words[1:]:
+            _, maker, first, limits = RECIPES[effect]
+            make = maker(rng)
+            size = sized(setup, make, first, limits, 15.0)
+            setup, one = make(size, setup)
+            concealed |= one
+        return setup, concealed, {"verdict": "missing_physics"}
+    if words[0] == "wrong":
+        setup = at[words[2]](rng)
+        if words[1] == "orbit":
+            return setup, {"along_track_offset": {"deg": 0.1}}, {"verdict": "missing_physics"}
+        if words[1] == "clock":
+            return setup, {"time_offset": {"s": 2.0}}, {"verdict": "missing_physics"}
+        tree = deepcopy(setup.tree)
+        size = tree["components"][0]["size"]
+        tree["components"][0]["size"] = [round(size[0] / 1.1, 4), *size[1:]]
+        answer = {
+            "verdict": "unexplained",
+            "accepted": ["unexplained", "adequate"],
+            "note": "the scene's box is 10 % too long",
+        }
+        return replace(setup, true_tree=tree), {}, answer
+    if words[0] == "ggx":
+        setup = at[words[1]](rng)
+        _, maker, first, limits = RECIPES[words[2]]
+        make = maker(rng)
+        setup, concealed = make(sized(setup, make, first, limits, 20.0), setup)
+        rough = {
+            material: {
+                "model": "ggx", "alpha": round(float(np.sqrt(2.0 / (v["n"] + 2.0))), 4), "f0": v["r_spec"],
+                "r_diff": v["r_diff"],
+            }
+            for material, v in setup.materials.items()
+        }  # fmt: skip
+        return replace(setup, true_materials=rough), concealed, {
+            "verdict": "missing_physics",
+            "note": "every surface is a rough conductor (GGX) over a Lambert base",
+            "family": [[words[2], "lobe_tail"]],
+        }  # fmt: skip
+    if words[0] == "outside":
+        return outside(words[1], at, rng)
+    kind, maker, first, limits = RECIPES[words[0]]
+    if len(words) > 2:
+        kind = words[2]
+    setup, make = at[kind](rng), maker(rng)
+    if words[0] == "interreflection":
+        setup = with_effects(farther_wings(5.0, setup)[0], ["self_shadowing"])
+    size = first if words[1] == "as_is" else sized(setup, make, first, limits, SIZES[words[1]])
+    setup, concealed = make(size, setup)
+    concealed = {k: {a: b for a, b in v.items() if a != "unused"} for k, v in concealed.items()}
+    answer: dict[str, Any] = {"verdict": "missing_physics"}
+    if words[1] == "small":
+        answer["accepted"] = ["missing_physics", "adequate"]
+    return setup, concealed, answer
+
+
+def outside(what: str, at: Mapping[str, Kind], rng: Rng) -> tuple[Setup, Concealed, dict[str, Any]]:
+    """Truths that no effect of the library describes."""
+    answer = {"verdict": "unexplained", "accepted": ["unexplained"], "note": "outside the library"}
+    if what == "flash":
+        flash = {"period_min": draw(rng, 17.0, 40.0), "fraction": 0.8, "width": 0.04}
+        return at["wing"](rng), {"flash": flash}, answer
+    if what == "jump":
+        setup = at["geo"](rng)
+        return setup, {"attitude_jump": {"y": 1.5, "x": 0.7, "time": round(_middle(setup, 0.55), 3)}}, answer
+    if what == "cloud":
+        setup = at["meo"](rng)
+        answer["accepted"] = ["unexplained", "noise_model"]
+        return setup, {"cloud": {"mag": 0.25, "minutes": 12.0, "time": round(_middle(setup, 0.4), 3)}}, answer
+    return at["geo"](rng), {"wing_split": {"deg": 3.0}}, answer
+
+
+def listed(setup: Setup, concealed: Concealed, rng: Rng) -> Setup:
+    """The scene's ``effects`` list: empty, some known physics, or no key at all, never what is concealed."""
+    if setup.tree["model"].get("effects"):
+        return setup
+    chance = rng.random()
+    if chance < 0.55:
+        return setup
+    some = [e for e in ("sun_distance", "light_time") if e not in concealed]
+    if chance < 0.85 or set(concealed) & set(DEFAULT_EFFECTS):
+        return with_effects(setup, some)
+    return with_effects(setup, None)
+
+
+# ------------------------------------------------------------------------------------------ rivals
+
+
+def probes(setup: Setup, taken: set[str]) -> Iterator[tuple[str, list[Concealed]]]:
+    """Small doses of every rival: members of a list may be mixed; an effect may come twice."""
+    moving = any("tracks" in c for c in setup.tree["components"])
+    spinning = "spin_rate" in setup.tree["attitude"]
+    mid = [_middle(setup, s) for s in (0.15, 0.3, 0.5, 0.7, 0.85)]
+    several = len(setup.tree["components"]) > 1
+    yield "time_offset", [{"time_offset": {"s": 0.5}}]
+    yield "along_track_offset", [{"along_track_offset": {"deg": 0.02}}]
+    yield "attitude_offset", [{"attitude_offset": {axis: 0.1}} for axis in "xyz"]
+    if moving:
+        yield "panel_offset", [{"panel_offset": {"deg": 0.1}}]
+        yield "panel_cant", [{"panel_cant": {"deg": 0.1}}]
+    if spinning:
+        yield "spin_rate_offset", [{"spin_rate_offset": {"rev_per_hour": 1e-4}}]
+    yield "extinction_residual", [{"extinction_residual": {"mag_per_airmass": 0.01}}]
+    yield "zero_point_drift", [{"zero_point_drift": {"mag_per_hour": 0.01}}]
+    yield "background", [{"background": {"fraction": 0.02}}]
+    yield "saturation", [{"saturation": {"q": 0.02}}]
+    for when in mid:
+        yield "zero_point_step", [{"zero_point_step": {"mag": 0.02, "time": when}}]
+    for component in (c["name"] for c in setup.tree["components"]):
+        if several:
+            yield "color_term", [{"color_term": {"mag": 0.02, "component": component}}]
+        if component.startswith("panel"):
+            yield "back_transmission", [{"back_transmission": {"t_d": 0.01, "component": component}}]
+    for material in setup.materials:
+        yield "normal_dispersion", [{"normal_dispersion": {"deg": 2.0, "material": material}}]
+        for g in (1.5, 3.0):
+            yield "lobe_tail", [{"lobe_tail": {"g": g, "material": material}}]
+        for h in (0.03, 0.15):
+            yield "opposition_surge", [{"opposition_surge": {"b0": 0.1, "h": h, "material": material}}]
+        for n in (4.0, 30.0, 250.0, 2500.0, 50000.0):
+            second = {"weight": 0.03, "n": n, "material": material}
+            yield (
+                "second_material",
+                [
+                    {"second_material": {**second, "r_spec": 0.3, "r_diff": 0.0}},
+                    {"second_material": {**second, "r_spec": 0.0, "r_diff": 0.5}},
+                ],
+            )
+    plate = {"area": 0.05, "n": 30.0}
+    for k in range(60):
+        z = 1.0 - (2 * k + 1) / 60.0
+        way = {"lon": (k * 137.50776) % 360.0, "lat": float(np.rad2deg(np.arcsin(z)))}
+        yield (
+            "appendage",
+            [
+                {"appendage": {**plate, **way, "r_spec": 0.3, "r_diff": 0.0}},
+                {"appendage": {**plate, **way, "r_spec": 0.0, "r_diff": 0.5}},
+            ],
+        )
+    known = [e for e in (*DEFAULT_EFFECTS, "interreflection", "earthshine") if e not in taken]
+    for effect in known:
+        yield effect, [{effect: {}}]
+
+
+def rivals(
+    baseline: Baseline, theta: sky.Array, model: sky.Array, target: sky.Array, truth: set[str]
+) -> dict[str, float]:
+    """Least chi2 that each effect leaves of target - model after its own and the materials' linear refit."""
+    tangents = baseline.tangents(theta)
+    still = baseline.curve(theta, {})
+    change = baseline.projected((target - model) / baseline.sigma, tangents)
+    left: dict[str, float] = {}
+    taken = set(baseline.effects)
+    for effect, doses in probes(baseline.setup, taken):
+        if effect in taken or effect in truth:
+            continue
+        columns = []
+        for dose in doses:
+            curve = baseline.curve(theta, dose)
+            if not np.isfinite(curve).all():
+                continue
+            columns.append(baseline.projected((curve - still) / baseline.sigma, tangents))
+        if not columns:
+            continue
+        matrix = np.array(columns).T
+        whole = effect in DEFAULT_EFFECTS  # takes no dose
+        part = matrix[:, 0] if whole else matrix @ np.linalg.lstsq(matrix, change, rcond=1e-9)[0]
+        left[effect] = min(left.get(effect, np.inf), float(((change - part) ** 2).sum()))
+    return dict(sorted(left.items(), key=lambda item: item[1]))
+
+
+# ------------------------------------------------------------------------------------------ writing
+
+
+def shares(with_it: Any, without: Any, sigma_flux: sky.Array, rows: sky.Mask) -> list[dict[str, Any]]:
+    """Components by their share of the sum of |change of flux|/sigma over the rows."""
+    total = {}
+    for name in with_it.components:
+        mine = with_it.component_flux[:, with_it.components.index(name)]
+        other = (
+            without.component_flux[:, without.components.index(name)] if name in without.components else 0.0
+        )
+        total[name] = float((np.abs(mine - other) / sigma_flux)[rows].sum())
+    whole = sum(total.values())
+    return (
+        [{"name": k, "share": round(v / whole, 3)} for k, v in sorted(total.items(), key=lambda i: -i[1])]
+        if whole
+        else []
+    )
+
+
+def write_case(name: str, folder: Path, number: int, seed: int) -> str:
+    """Makes one case; returns a line about it."""
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    setup, concealed, said = compose(name, number, rng)
+    setup = listed(setup, concealed, rng)
+    physics = {k: v for k, v in concealed.items() if k not in NOISE}
+    curve, mag = truth_of(setup, physics, seed=seed)
+    keep = np.isfinite(mag) & (mag < 17.0)
+    setup = replace(setup, t=setup.t[keep])
+    curve, mag = truth_of(setup, physics, seed=seed)
+    error = observe.errors(mag, setup.floor)
+    recorded = mag + observe.noise(setup.t, error, concealed, rng)
+
+    plain, plain_mag = truth_of(setup, {}, seed=seed)
+    other_law = bool(setup.true_tree or setup.true_materials)
+    as_listed = replace(setup, true_tree=None, true_materials=None)
+    baseline = Baseline(setup, error, truth_of(as_listed, {}, seed=seed)[1])
+    start = baseline.best_refit(recorded)
+    left, theta, model = min(
+        (baseline.refit(mag, at) for at in (start[1], baseline.truth)), key=lambda result: result[0]
+    )
+    family, competing = [], {}
+    if physics and said.get("note") != "outside the library":
+        family = [sorted(physics), *said.get("family", [])]
+        if len(physics) == 1 and not other_law:
+            competing = rivals(baseline, theta, model, mag, set(physics))
+            family += [[effect] for effect, chi2 in competing.items() if chi2 < 4.0]
+    elif set(concealed) - set(physics):
+        family = [sorted(concealed)]
+    changed = np.abs(mag - model) > 2.0 * error
+    effect_rows = np.abs(mag - plain_mag) > 2.0 * error
+    flux_error = error * curve.flux
+    answer = {
+        "key": name,
+        "kind": setup.kind,
+        "baseline": sorted(baseline.effects),
+        "effects": sorted(concealed),
+        "parameters": concealed,
+        "verdict": said["verdict"],
+        "verdicts_accepted": said.get("accepted", [said["verdict"]]),
+        "note": said.get("note", ""),
+        "family": family,
+        "gain": round(float(np.sqrt(left)), 2),
+        "where": {
+            "intervals": observe.intervals(setup.t, changed),
+            "effect_intervals": observe.intervals(setup.t, effect_rows),
+            "rows_flagged": int(changed.sum()),
+            "components": shares(curve, plain, flux_error, changed) if physics else [],
+        }
+        if said["verdict"] != "adequate"
+        else None,
+        "chi2": {
+            "baseline_refit": round(start[0], 1),
+            "truth": round(float((((recorded - mag) / error) ** 2).sum()), 1),
+            "dof": len(mag) - len(baseline.free),
+        },
+        "largest_raw_change_mag": round(float(np.abs(mag - plain_mag).max()), 4),
+        "rivals_chi2": {k: round(v, 2) for k, v in list(competing.items())[:8]},
+        "materials": setup.true_materials or setup.materials,
+        "materials_baseline_refit": {
+            f"{m}.{k}": round(float(np.exp(v)) if k == "n" else float(v), 5)
+            for (m, k, _), v in zip(baseline.free, start[1], strict=True)
+        },
+        "recording": {
+            "rows": len(mag),
+            "mag": [round(float(mag.min()), 2), round(float(mag.max()), 2)],
+            "phase": [round(float(curve.phase_deg.min()), 1), round(float(curve.phase_deg.max()), 1)],
+            "airmass": [round(float(curve.airmass.min()), 2), round(float(curve.airmass.max()), 2)],
+            "rows_in_shadow": int((curve.sunlit < 1).sum()),
+        },
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.toml").write_text(toml(setup.tree))
+    rows = len(mag)
+    observe.write_recording(
+        folder / "recording.ecsv",
+        setup.t,
+        recorded,
+        error,
+        np.full(rows, setup.exptime),
+        np.full(rows, setup.station),
+    )
+    observe.write_answer(folder / "answer.json", answer)
+    return (
+        f"{name}: {setup.kind}, {rows} rows, gain {answer['gain']}, "
+        f"chi2 {answer['chi2']['baseline_refit']} -> {answer['chi2']['truth']}, family {family}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description="Write concealed-effect cases made by the brute-force reference."
+    )
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    options = parser.parse_args()
+    for number, name in enumerate(names(), 70001):
+        if options.only in name:
+            print(write_case(name, options.out / name, number, options.seed), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -239,7 +239,7 @@ class Scorer:
             r, m, _ = self._whitened(refit, noise, rest)
             m = m[:, keep]
             system = precision + m.T @ m
-            factor = torch.linalg.cholesky(system)
+            factor = stable_cholesky(system)
             x = torch.cholesky_solve((m.T @ r + precision @ shift)[:, None], factor)[:, 0]
             rb, mb, log_det = self._whitened(refit, noise, rows)
             mb = mb[:, keep]
@@ -259,6 +259,18 @@ class Scorer:
         return torch.stack([torch.as_tensor(score, dtype=refit.delta.dtype) for score in scores])
 
 
+def stable_cholesky(system: Tensor) -> Tensor:
+    """Lower factor of a positive matrix whose scales may differ by many decades: factored at unit diagonal, a ridge of 1e-12 and, if that
+    does not do, of 1e-8 added there."""
+    root = torch.sqrt(torch.diagonal(system).clamp(min=1e-300))
+    scaled = system / root[:, None] / root[None]
+    eye = torch.eye(len(system), dtype=system.dtype)
+    factor, info = torch.linalg.cholesky_ex(scaled + 1e-12 * eye)
+    if int(info) != 0:
+        factor = torch.linalg.cholesky(scaled + 1e-8 * eye)
+    return factor * root[:, None]
+
+
 def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
     """log of the integral over x of exp(-|r - m x|^2 / 2) N(x; mu - y, V), held coordinates left out."""
     keep = torch.nonzero(~refit.held)[:, 0]
@@ -266,7 +278,7 @@ def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
     shift = (refit.prior_mean - refit.y)[keep]
     precision = refit.prior_precision[keep]
     system = torch.diag(precision) + m.T @ m
-    factor = torch.linalg.cholesky(system)
+    factor = stable_cholesky(system)
     b = m.T @ r + precision * shift
     root = torch.linalg.solve_triangular(factor, b[:, None], upper=False)[:, 0]
     quadratic = r @ r + (precision * shift * shift).sum() - root @ root

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.gate import Gate
+from torchlc.diagnose.plan import Option
 from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.search import Found, Probe
 from torchlc.diagnose.where import Where, as_json
@@ -39,6 +40,8 @@ class Diagnosis:
     quick: bool
     seed: int
     seconds: float
+    nights: Sequence[Option] = ()
+    next_observation: str = ""
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.verdict}, named={list(self.named)}, global_p={self.gate.global_p:.2g})"
@@ -60,7 +63,8 @@ class Diagnosis:
                 "improvement": self.improvement(),
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
-                "next_observation": "",
+                "next_observation": self.next_observation,
+                "nights": [vars(night) for night in self.nights[:8]],
                 "seconds": self.seconds,
             }
         )

@@ -12,6 +12,7 @@ from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
 from torchlc.diagnose.gate import Battery, Gate, gate
+from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import Found, Probe, candidate_entries, nameable, probe, search
@@ -93,10 +94,31 @@ def diagnose(
         where = locate(start.refit, final.refit, found_coordinates)
     else:
         where = _windows(start.refit, first_gate, found_coordinates)
+    nights, advice = _next(verdict, final, [*first, *others], groups, scene)
     return Diagnosis(
-        verdict=verdict, final=final, named=tuple(named), families=tuple(tuple(one) for one in groups),
+        verdict=verdict, final=final, nights=nights, next_observation=advice, named=tuple(named), families=tuple(tuple(one) for one in groups),
         first=tuple(first), where=where, final_gate=after, seconds=time.monotonic() - began, **common,
     )  # fmt: skip
+
+
+def _next(
+    verdict: str, final: Found, made: Sequence[Found], groups: Sequence[Sequence[str]], scene: Scene
+) -> tuple[list[Option], str]:
+    """Candidate nights for the first tied family, and the advice in a sentence."""
+    tied = next((group for group in groups if len(group) > 1), None) if verdict == "missing_physics" else None
+    if tied is None:
+        return [], ""
+    own = next(entry for entry in final.hypothesis.added if entry.partition("[")[0] == tied[0])
+    others = frozenset(final.hypothesis.added) - {own}
+    rival = next(
+        found
+        for found in made
+        if others <= frozenset(found.hypothesis.added)
+        and len(found.hypothesis.added) == len(final.hypothesis.added)
+        and tied[1] in found.hypothesis.names
+    )
+    options = next_nights(final, rival)
+    return options, sentence(options, tied[0], tied[1], scene.orbit.tle is not None)
 
 
 def _gate(

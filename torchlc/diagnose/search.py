@@ -24,8 +24,9 @@ BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
 MOST_GROWN = 10
+MOST_GROWN_BESIDE = 4
 WEAK_SHARE = 0.05
-"""In later rounds at most MOST_GROWN effects are refitted, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
+"""In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others of the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def search(
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
             strongest = max((one.score for one in again.values()), default=0.0)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
-                weak = number >= MOST_GROWN or again[entry].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
+                weak = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE) or again[entry].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
                 if weak and not (again[entry].psi.shape[-1] == 0 and again[entry].score > 1.0):
                     continue
                 grown.append(extended(bench, scorer, [stem.refit], entry, again[entry], seed + number, starts=8))

@@ -1,0 +1,134 @@
+"""What to observe next: the night, station and cadence that would separate the members of a tied family best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from astropy.time import Time, TimeDelta
+from torch import Tensor
+
+from torchlc.assemble import assemble
+from torchlc.diagnose.refit import Refit
+from torchlc.diagnose.search import Found
+from torchlc.effects.base import Effect
+from torchlc.errors import TorchlcError
+from torchlc.least_squares import differences
+from torchlc.model import LightCurve
+from torchlc.orbit import above_horizon, make_track
+from torchlc.orbit.grid import observation_grid
+from torchlc.recording import Recording
+from torchlc.scene import Scene
+
+NIGHTS = (1, 3, 7, 14, 30, 60, 91, 182)
+"""Days after the recording at which a repeat of its hours is tried."""
+ROWS = 120
+ENOUGH = 10.0
+
+
+@dataclass(frozen=True)
+class Option:
+    """A candidate night: its first instant, station, seconds between exposures, and the log-likelihood margin it is expected to give."""
+
+    start: str
+    station: str
+    hours: float
+    cadence_s: float
+    margin: float
+
+
+def next_nights(first: Found, second: Found) -> list[Option]:
+    """Candidate nights in order of the expected margin between two refits; empty where the orbit cannot be carried to another night."""
+    model = first.refit.model
+    scene, recording = model.scene, model.recording
+    if scene.orbit.tle is None:
+        return []
+    hours = float(recording.seconds[-1] - recording.seconds[0]) / 3600
+    hours = min(max(hours, 0.5), 10.0)
+    error = float(torch.median(first.refit.sigma / first.refit.scale))
+    options = []
+    for station in scene.stations:
+        for days in NIGHTS:
+            start = recording.time[0] + TimeDelta(days, format="jd")
+            grid = _grid(scene, start, hours, station.id, error)
+            if grid is None:
+                continue
+            margin = _margin(first.refit, second.refit, scene, grid)
+            if margin is not None:
+                options.append(Option(start.isot[:16], station.id, hours, hours * 3600 / ROWS, margin))
+    return sorted(options, key=lambda one: -one.margin)
+
+
+def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -> Recording | None:
+    """Rows of one night above the horizon with errors like the recording's; None if there are too few."""
+    try:
+        grid = observation_grid(scene, start.isot, hours, hours * 3600 / ROWS, station)
+        grid = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
+    except TorchlcError:
+        return None
+    if len(grid.seconds) < 10:
+        return None
+    rows = len(grid.seconds)
+    return replace(
+        grid, observed=np.zeros(rows), error=np.full(rows, error), exptime=np.zeros(rows), kind="mag"
+    )
+
+
+def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float | None:
+    """Half the squared distance between the two predictions, less what the uncertainty of either's parameters could absorb."""
+    try:
+        a, slopes_a = _prediction(first, scene, grid)
+        b, slopes_b = _prediction(second, scene, grid)
+    except TorchlcError:
+        return None
+    usable = torch.isfinite(a) & torch.isfinite(b)
+    if int(usable.sum()) < 10:
+        return None
+    sigma = torch.as_tensor(grid.error)[usable]
+    difference = (a - b)[usable] / sigma
+    slopes = [slope[usable] / sigma[:, None] for slope in (slopes_a, slopes_b)]
+    spread = torch.eye(len(difference), dtype=difference.dtype)
+    for slope, refit in zip(slopes, (first, second), strict=True):
+        spread = spread + slope @ refit.covariance() @ slope.T
+    return 0.5 * float(difference @ torch.linalg.solve(spread, difference))
+
+
+def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
+    """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another night."""
+    entries = [_entry(effect) for effect in refit.model.effects if effect.stage != "noise"]
+    model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
+    parameters = model.parameter_set
+    if parameters.names != refit.names:
+        raise TorchlcError("the night has other parameters than the recording")
+    low, high = parameters.flat_bounds()
+    with torch.no_grad():
+        magnitude = model(refit.theta)
+        slopes = differences(lambda y: model(parameters.from_flat(y)), refit.y[None], low, high)[0]
+    return magnitude, torch.where(refit.held, 0.0, slopes)
+
+
+def _entry(effect: Effect) -> str:
+    return effect.name + (f"[{effect.target}]" if effect.target else "")
+
+
+def sentence(options: Sequence[Option], first: str, second: str, fixed_orbit: bool) -> str:
+    """One sentence for the analyst."""
+    if not fixed_orbit:
+        return (
+            f"{first} and {second} do as well here, and without orbital elements no other night can be computed: "
+            "repeat the object at another phase angle and compare their predictions."
+        )
+    if not options:
+        return f"{first} and {second} do as well here, and no night within half a year puts the object above the horizon."
+    best = options[0]
+    if best.margin < ENOUGH:
+        return (
+            f"{first} and {second} do as well here, and no single night of the next half year would separate them: "
+            f"the best, {best.start} UTC from {best.station}, is expected to give {best.margin:.1f} in log-likelihood."
+        )
+    return (
+        f"To tell {first} from {second}, observe from {best.station} on {best.start} UTC for {best.hours:.1f} h at one exposure "
+        f"every {best.cadence_s:.0f} s: the expected margin in log-likelihood is {best.margin:.0f}."
+    )

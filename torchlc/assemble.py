@@ -14,7 +14,7 @@ from torchlc.attitude import Attitude
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
 from torchlc.effects import GEOMETRY_STAGES, registry
-from torchlc.effects.base import Context, Effect
+from torchlc.effects.base import Context, Effect, Entry
 from torchlc.errors import InputError
 from torchlc.orbit import Track, make_track
 from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
@@ -227,17 +227,20 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         return tuple(effect.prepared(context) for effect in standard if effect.missing(context) is None)
     found: list[Effect] = []
     for entry in wanted:
-        name, _, target = entry.partition("[")
+        parsed = Entry.parse(entry)
+        name, target = parsed.name, parsed.target
         if name not in known:
             raise InputError(scene.source, "model.effects", f"{entry!r} is no effect", f"one of {', '.join(known)}")
         cls = known[name]
-        targets = [target.rstrip("]")] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
+        targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
             reason = effect.missing(context)
             if reason is not None:
                 raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
-            found.append(effect.prepared(context))
+            effect = effect.prepared(context)
+            effect.by, effect.width = parsed.per, parsed.width
+            found.append(effect)
     order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
@@ -310,6 +313,14 @@ def _parameters(
     for effect in effects:
         for quantity in effect.quantities:
             name = effect.full_name(quantity.name)
+            if effect.by is not None:
+                centre = quantity.off or 0.0
+                prior = Prior("normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0)
+                free += [
+                    Free(f"{name}[{one}]", prior, centre, quantity.unit, quantity.meaning)
+                    for one in row_index[effect.by][1]
+                ]
+                continue
             number = given.get(name, given.get(f"{effect.name}.{quantity.name}"))
             add(name, number, quantity)
     simplex = [

@@ -151,7 +151,8 @@ def polish(
             natural = parameters.from_flat(y)
             return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)], -1)
 
-        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations)
+        colours = likelihood.colours(prior_rows=True)
+        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations, colours=colours)
 
 
 def whitener(

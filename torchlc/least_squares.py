@@ -32,6 +32,7 @@ def minimise(
     *,
     iterations: int = 60,
     tolerance: float = 1e-7,
+    colours: Colours | None = None,
 ) -> Minimum:
     """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to (B, R).
 
@@ -41,7 +42,7 @@ def minimise(
     y = torch.minimum(torch.maximum(start, low), high)
     r = residual(y)
     cost = _finite(r.square().sum(-1))
-    jac = differences(residual, y, low, high, r)
+    jac = differences(residual, y, low, high, r, colours)
     damping = torch.full_like(cost, 1e-2)
     scale = torch.zeros_like(y)
     converged = torch.zeros_like(cost, dtype=torch.bool)
@@ -71,14 +72,28 @@ def minimise(
         converged = converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
         damping = torch.where(better, (damping / 6).clamp(min=1e-9), damping * 5)
         if bool(better.any()):
-            jac = differences(residual, y, low, high, r)
+            jac = differences(residual, y, low, high, r, colours)
         if bool(converged.all()):
             break
     return Minimum(y, cost, jac, r, converged, step)
 
 
+@dataclass(frozen=True)
+class Colours:
+    """Columns of a Jacobian that touch different rows and so share one difference: ``groups`` of column indices, and for each column the
+    rows (P, R) that it may touch."""
+
+    groups: tuple[tuple[int, ...], ...]
+    touched: Tensor
+
+
 def differences(
-    residual: Callable[[Tensor], Tensor], y: Tensor, low: Tensor, high: Tensor, at: Tensor | None = None
+    residual: Callable[[Tensor], Tensor],
+    y: Tensor,
+    low: Tensor,
+    high: Tensor,
+    at: Tensor | None = None,
+    colours: Colours | None = None,
 ) -> Tensor:
     """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched call, no tracing of the model.
 
@@ -90,11 +105,17 @@ def differences(
     step = 1e-6 * torch.minimum(torch.ones_like(span), span) * torch.ones_like(y)
     moved = torch.where(y + step <= high, y + step, y - step)
     eye = torch.eye(dimensions, dtype=torch.bool, device=y.device)
+    if colours is not None:
+        eye = torch.stack([eye[list(group)].any(0) for group in colours.groups])
     points = torch.where(eye, moved[:, None], y[:, None]).reshape(-1, dimensions)
     base = residual(y) if at is None else at
-    found = residual(points).reshape(starts, dimensions, -1)
-    slope = (found - base[:, None]) / (moved - y)[..., None]
-    return torch.nan_to_num(slope).transpose(-1, -2)
+    change = residual(points).reshape(starts, len(eye), -1) - base[:, None]
+    if colours is not None:
+        group = torch.empty(dimensions, dtype=torch.long)
+        for number, members in enumerate(colours.groups):
+            group[list(members)] = number
+        change = torch.where(colours.touched, change[:, group], 0.0)
+    return torch.nan_to_num(change / (moved - y)[..., None]).transpose(-1, -2)
 
 
 def _finite(cost: Tensor) -> Tensor:

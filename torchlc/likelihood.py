@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.base import Noise
+from torchlc.least_squares import Colours
 from torchlc.model import LightCurve
 
 MAG_PER_LN = 2.5 / math.log(10)
@@ -65,6 +66,33 @@ class Likelihood:
     def degrees_of_freedom(self) -> int:
         """Rows less free parameters less gains."""
         return self.rows - len(self.model.names) - self.gains
+
+    def colours(self, prior_rows: bool) -> Colours | None:
+        """Columns of the Jacobian that belong to single curves, stations or nights, grouped by parameter; None if there are none.
+
+        A curve with a profiled gain ties its rows together, so a division that cuts through curves is left as it is. ``prior_rows``
+        appends a row for each peaked prior, in the order of :meth:`ParameterSet.prior_residuals`.
+        """
+        names = self.model.names
+        groups: dict[str, list[int]] = {}
+        rows = torch.ones(len(names), self.rows, dtype=torch.bool)
+        for index, ids in self.model.assembly.row_index.values():
+            if self.gains and not all(len(set(index[self.curve == c].tolist())) == 1 for c in range(self.curves)):
+                continue
+            for column, name in enumerate(names):
+                stem, _, one = name.partition("[")
+                if one and one.rstrip("]") in ids and all(f"{stem}[{other}]" in names for other in ids):
+                    groups.setdefault(stem, []).append(column)
+                    rows[column] = index == list(ids).index(one.rstrip("]"))
+        if not any(len(group) > 1 for group in groups.values()):
+            return None
+        grouped = {column for group in groups.values() for column in group}
+        every = [tuple(group) for group in groups.values()] + [(c,) for c in range(len(names)) if c not in grouped]
+        if prior_rows:
+            peaked = [i for i, free in enumerate(self.model.parameter_set.free) if free.prior.peaked]
+            own = torch.tensor([[i == column or column not in grouped for i in peaked] for column in range(len(names))])
+            rows = torch.cat([rows, own.reshape(len(names), len(peaked))], 1)
+        return Colours(tuple(every), rows)
 
     # ------------------------------------------------------------------ residuals
 

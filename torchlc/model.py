@@ -13,9 +13,10 @@ from functools import partial
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from torchlc.assemble import Assembly, assemble
-from torchlc.brdf.base import Incidence, incidence
+from torchlc.brdf.base import Brdf, Incidence, incidence
 from torchlc.effects.base import GEOMETRY_STAGES, Brightness, Effect, Light, Nodes, Noise, Patch, Reflect, Request, Scatter, Sky, Surface, View
 from torchlc.parameters import ParameterSet
 from torchlc.recording import Recording
@@ -23,13 +24,23 @@ from torchlc.scene import Scene
 from torchlc.shape import tracking_pose
 from torchlc.shape.part import like
 
-PAIRS_PER_CHUNK = 4_000_000
-"""Facet-epoch pairs held at once while a table is made: about 0.5 GiB with its intermediates."""
+PAIRS_PER_CHUNK = 200_000
+"""Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the cache."""
+MOST_COMPARED = 64
+"""Slots up to which equal pairs are looked for."""
 RECENT_TABLES = 48
 """Compact tables of past geometries that a model keeps."""
+NODES = 9
+CLOCK_TURN_DEG = 3.0
+MOST_TRACED_PAIRS = 1_000_000
+"""Facet-row pairs of a mesh beyond which a clock offset is interpolated; 3 deg between nodes keep the cubic within 2e-4."""
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
+MOST_CONDENSED = 1_000_000
+"""Pairs in all up to which that is done: the tabulation costs as much as 60 calls."""
 ANGLES = len(fields(Incidence))
+EMPTY = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+"""What a slot without a pair holds: the fields of :class:`Incidence`, a spread, a weight (the last two alike, for either may end)."""
 VALUES_PER_CHUNK = 8_000_000
 """Exponentials held at once in a batched call: 64 MiB a buffer."""
 
@@ -74,6 +85,8 @@ class LightCurve(nn.Module):
             self._keys.append((owner, short))
         shared = sibling is not None and sibling.tables_key == self.tables_key
         self._tables: dict[bool, Tables] = sibling._tables if shared and sibling is not None else {}
+        self._nodes: list[Tables] = []
+        self._node_step = 1.0
         self._recent: dict[tuple[bool, bytes], Tables] = {}
 
     # ------------------------------------------------------------------ parameters
@@ -175,6 +188,8 @@ class LightCurve(nn.Module):
     def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) that share their geometric parameters share one compact table; None where almost none do, so that a
         vectorised call is better. Recent tables are kept: an optimiser comes back to the point it stepped from."""
+        if self._only_clock():
+            return self._interpolated(flat, shares)
         moving = flat[:, self.assembly.geometry_columns]
         distinct, member = torch.unique(moving, dim=0, return_inverse=True)
         slow = any(effect.name == "self_shadowing" for effect in self.effects)
@@ -196,6 +211,51 @@ class LightCurve(nn.Module):
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
+
+    def _only_clock(self) -> bool:
+        """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the offset."""
+        moved = {self.names[column].partition("[")[0] for column in self.assembly.geometry_columns}
+        plain = all(self.assembly.models[one].additive for one in self.scene.materials)
+        return moved == {"time_offset.s"} and plain and self.assembly.pairs > MOST_TRACED_PAIRS
+
+    def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
+        """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a turn apart, by cubics
+        through four of them; offsets beyond the outermost are taken there."""
+        values = self.parameter_set.values(flat[0])
+        detail = shares or self.assembly.needs_shares
+        half = NODES // 2
+        if not self._nodes:
+            still = {**values, **{name: torch.zeros_like(v) for name, v in values.items() if name.startswith("time_offset.s")}}
+            later = {**values, **{name: torch.ones_like(v) for name, v in values.items() if name.startswith("time_offset.s")}}
+            state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
+            first, second = (self.assembly.attitude.rotation(one, values) for one in state)
+            turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
+            self._node_step = float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
+            for k in range(-half, half + 1):
+                moved = {name: still[name] + k * self._node_step * (later[name] - still[name]) for name in values}
+                self._nodes.append(self.make_tables(self.view(moved), moved, detail, compact=True))
+        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / self._node_step
+        place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
+        first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
+        x = place - first_node
+        weights = torch.stack(
+            [
+                -(x - 1) * (x - 2) * (x - 3) / 6, x * (x - 2) * (x - 3) / 2,
+                -x * (x - 1) * (x - 3) / 2, x * (x - 1) * (x - 2) / 6,
+            ]
+        )  # fmt: skip
+        column = torch.arange(self.assembly.T)
+        surfaces = []
+        for number, surface in enumerate(self._nodes[0].surfaces):
+            table = {}
+            for name in surface.table:
+                stack = torch.stack([node.surfaces[number].table[name] for node in self._nodes])
+                table[name] = sum(
+                    (weights[k] * stack[first_node + k, column] for k in range(4)), start=torch.zeros_like(place)
+                )
+            surfaces.append(replace(surface, table=table))
+        tables = replace(self._nodes[0], surfaces=tuple(surfaces))
+        return self.shine(tables, self.parameter_set.values(flat), shares)
 
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
         values = self.parameter_set.values(theta)
@@ -286,7 +346,9 @@ class LightCurve(nn.Module):
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
         shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
         reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
-        if pairs <= MOST_SLOTS or not shared or reshaped or "spread" in table or not hasattr(surface.model, "condense"):
+        if not MOST_SLOTS < pairs < MOST_CONDENSED / self.assembly.T or not shared or reshaped:
+            return surface
+        if not hasattr(surface.model, "condense"):
             return surface
         return replace(surface, table=surface.model.condense(table))
 
@@ -389,57 +451,112 @@ def _table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, 
     """The material's table of all facets, lights and instants of some patches of one material; None if none is lit and seen.
 
     The weight of a pair is area x visible fraction x irradiance x share of the exposure / range^2 if lit and seen and 0 elsewhere.
-    With ``compact`` the pairs of each row are moved up into as few slots as the busiest row needs, and equal pairs (wings that share
-    a normal) are counted once. Models without a lobe are summed over facets piece by piece, so that a mesh needs little memory.
+    With ``compact`` only the pairs that are lit and seen are worked out, in as few slots as the busiest row needs, and equal pairs
+    (wings that share a normal) are counted once. Models without a lobe are summed over facets a few rows at a time, so that a mesh
+    needs little memory.
     """
     model = patches[0].model
-    sums: dict[str, Tensor] | None = None
-    found: list[tuple[Tensor, ...]] = []
+    if not compact:
+        columns = tuple(torch.cat(column) for column in zip(*(_columns(view, one) for one in patches), strict=True))
+        return _tabulated(model, columns)
+    instants = view.to_observer.shape[0]
+    lights = sum(light.irradiance.shape[0] for light in view.lights)
+    facets = sum(len(patch.area) for patch in patches)
+    size = max(1, PAIRS_PER_CHUNK // (instants * lights * facets))
+    rows = range(0, view.to_observer.shape[1], size)
+    if model.additive:
+        sums = [_summed(view, patches, slice(start, start + size)) for start in rows]
+        return {name: torch.cat([table[name] for table in sums], -1) for name in sums[0]}
+    pieces = [_packed(view, patches, slice(start, start + size)) for start in rows]
+    slots = max(len(piece[-1]) for piece in pieces)
+    if slots == 0:
+        return None
+    columns = tuple(
+        torch.cat([pad(column, (0, 0, 0, slots - len(column)), value=empty) for column in columns], -1)
+        for columns, empty in zip(zip(*pieces, strict=True), EMPTY, strict=False)
+    )
+    return _tabulated(model, _deduplicated(columns))
+
+
+def _summed(view: View, patches: Sequence[Patch], rows: slice) -> dict[str, Tensor]:
+    """The table of a model without a lobe, which asks for the cosines alone, of a few rows."""
+    model = patches[0].model
+    total: dict[str, Tensor] = {}
     for patch in patches:
-        facets = len(patch.area)
-        instants = view.to_observer.shape[0] * view.to_observer.shape[1]
-        lights = sum(light.irradiance.shape[0] for light in view.lights)
-        size = max(1, PAIRS_PER_CHUNK // max(instants * lights, 1)) if compact else facets
-        for start in range(0, facets, size):
-            columns = _columns(view, patch, slice(start, start + size))
-            if model.additive:
-                table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
-                sums = table if sums is None else {key: sums[key] + table[key] for key in table}
-                continue
-            compacted = _compacted(columns) if compact else columns
-            if compacted is not None:
-                found.append(compacted)
-    if model.additive or not found:
-        return sums
-    columns = tuple(torch.cat(column) for column in zip(*found, strict=True))
-    if compact and len(found) > 1:
-        columns = _compacted(_deduplicated(columns)) or columns
+        pose = None if patch.pose is None else patch.pose[..., rows, :, :]
+        observer = _into(pose, view.to_observer[:, rows])
+        for light in view.lights:
+            source = _into(pose, light.direction[:, :, rows])
+            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+            weight = _weight(view, patch, light, cos_i, cos_r, rows)
+            shape = (-1, weight.shape[-1])
+            one = torch.zeros_like(weight[0, 0, 0])
+            angles = Incidence(cos_i.reshape(shape), cos_r.expand_as(weight).reshape(shape), one, one, one)
+            for name, table in model.tabulate(angles, weight.reshape(shape)).items():
+                total[name] = total[name] + table if name in total else table
+    return total
+
+
+def _tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tensor]:
     table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
-    return table if len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
+    return table if model.additive or len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
 
 
-def _columns(view: View, patch: Patch, cut: slice) -> tuple[Tensor, ...]:
-    """The fields of :class:`Incidence`, what each source adds to the variance of n.h if any has an extent, and the weight
-    of a cut of a patch's facets, each (K, T)."""
-    rows: list[tuple[Tensor, ...]] = []
-    normal, u, area = patch.normal[cut], patch.u[cut], patch.area[cut]
+def _columns(view: View, patch: Patch) -> tuple[Tensor, ...]:
+    """The fields of :class:`Incidence`, the least variance of the lobe if a source has an extent, and the weight of a patch's
+    facets, each (K, T)."""
+    found: list[tuple[Tensor, ...]] = []
     observer = _into(patch.pose, view.to_observer)
     for light in view.lights:
         source = _into(patch.pose, light.direction)
         angles = incidence(
-            normal[:, None, :], u[:, None, :], source[:, :, None], observer[None, :, None]
+            patch.normal[:, None, :], patch.u[:, None, :], source[:, :, None], observer[None, :, None]
         )  # (L, Q, F, T)
-        lit = (angles.cos_i > 0) & (angles.cos_r > 0)
-        gain = light.irradiance * view.nodes.weight / view.range_m**2
-        weight = gain[:, :, None] * area[:, None]
-        visible = patch.visible if light.primary else patch.seen
-        if visible is not None:
-            weight = weight * visible[..., cut].transpose(-1, -2)
-        weight = torch.where(lit, weight, 0.0)
+        weight = _weight(view, patch, light, angles.cos_i, angles.cos_r, slice(None))
         spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
         values = (*vars(angles).values(), *spread, weight)
-        rows.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
-    return tuple(torch.cat(column) for column in zip(*rows, strict=True))
+        found.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
+    return tuple(torch.cat(column) for column in zip(*found, strict=True))
+
+
+def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, ...]:
+    """The columns of :func:`_columns` for a few rows, without the pairs of no weight: (slots of the busiest row, rows)."""
+    found: list[tuple[Tensor, ...]] = []
+    for patch in patches:
+        pose = None if patch.pose is None else patch.pose[..., rows, :, :]
+        observer = _into(pose, view.to_observer[:, rows])
+        for light in view.lights:
+            source = _into(pose, light.direction[:, :, rows])
+            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+            weight = _weight(view, patch, light, cos_i, cos_r, rows)
+            row, line, instant, facet = weight.permute(3, 0, 1, 2).nonzero(as_tuple=True)
+            angles = incidence(patch.normal[facet], patch.u[facet], source[line, instant, row], observer[instant, row])
+            spread = [] if light.spread is None else [0.25 * light.spread[:, :, rows][line, instant, row]]
+            found.append((row, *vars(angles).values(), *spread, weight[line, instant, facet, row]))
+    row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
+    return _slotted(row, columns, view.range_m[:, rows].shape[1])
+
+
+def _slotted(row: Tensor, columns: Sequence[Tensor], rows: int) -> tuple[Tensor, ...]:
+    """Values (N,) of pairs that belong to a row (N,) each, side by side: (slots of the busiest row, rows)."""
+    row, order = torch.sort(row, stable=True)
+    count = torch.bincount(row, minlength=rows)
+    slot = torch.arange(len(row), device=row.device) - (count.cumsum(0) - count)[row]
+    shape = (int(count.max()), rows)
+    return tuple(
+        torch.full(shape, empty, dtype=column.dtype, device=column.device).index_put((slot, row), column[order])
+        for column, empty in zip(columns, EMPTY, strict=False)
+    )
+
+
+def _weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor, rows: slice) -> Tensor:
+    """What a facet turned to both Sun and observer counts, (L, Q, F, rows); 0 if it is not."""
+    gain = light.irradiance[..., rows] * view.nodes.weight.expand(view.range_m.shape)[:, rows] / view.range_m[:, rows] ** 2
+    weight = gain[:, :, None] * patch.area[:, None]
+    visible = patch.visible if light.primary else patch.seen
+    if visible is not None:
+        weight = weight * visible[:, rows].mT
+    return torch.where((cos_i > 0) & (cos_r > 0), weight, 0.0)
 
 
 def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
@@ -449,19 +566,10 @@ def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
     return torch.einsum("...ij,...i->...j", pose, direction)
 
 
-def _compacted(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...] | None:
-    weight = columns[-1]
-    slots = int((weight > 0).sum(0).max()) if weight.numel() else 0
-    if slots == 0:
-        return None
-    order = torch.sort((weight > 0).to(torch.int8), dim=0, descending=True, stable=True).indices[:slots]
-    return tuple(torch.gather(field, 0, order) for field in columns)
-
-
 def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """Merge the weight of a slot into an earlier one of the same row with the same angles (to 1e-13)."""
     weight = columns[-1].clone()
-    if len(weight) > 64:
+    if not 1 < len(weight) <= MOST_COMPARED:
         return columns
     angles = torch.stack(columns[:-1])
     for first in range(len(weight)):
@@ -469,7 +577,8 @@ def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
             same = ((angles[:, first] - angles[:, second]).abs().amax(0) < 1e-13) & (weight[first] > 0)
             weight[first] += torch.where(same, weight[second], 0.0)
             weight[second] = torch.where(same, 0.0, weight[second])
-    return (*columns[:-1], weight)
+    slot, row = weight.nonzero(as_tuple=True)
+    return _slotted(row, [column[slot, row] for column in (*columns[:-1], weight)], weight.shape[1])
 
 
 def degrees_between(a: Tensor, b: Tensor) -> Tensor:

@@ -53,6 +53,11 @@ class Prior:
     sigma: float = 1.0
 
     @property
+    def peaked(self) -> bool:
+        """True if the prior pulls towards a centre."""
+        return self.kind in ("normal", "lognormal", "halfnormal")
+
+    @property
     def logarithmic(self) -> bool:
         return self.kind in ("loguniform", "lognormal")
 

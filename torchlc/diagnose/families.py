@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from torchlc.effects.base import Entry
 from torchlc.diagnose.search import Found, nameable
 
 TIED_EVIDENCE = 4.0
@@ -14,18 +15,18 @@ TIED_DISTANCE = 6.0
 
 def families(final: Found, made: Sequence[Found], named: Sequence[str]) -> list[list[str]]:
     """For each named effect, itself and those that do as well in its place beside the other named effects, best first."""
-    entries = list(final.hypothesis.added)
+    entries = list(final.hypothesis.plain)
     groups = []
     for name in named:
-        own = next(entry for entry in entries if entry.partition("[")[0] == name)
+        own = next(entry for entry in entries if Entry.parse(entry).name == name)
         others = frozenset(entries) - {own}
         rivals = []
         for found in made:
-            members = frozenset(found.hypothesis.added)
+            members = frozenset(found.hypothesis.plain)
             if len(members) != len(entries) or not others <= members:
                 continue
             (rival,) = members - others
-            short = rival.partition("[")[0]
+            short = Entry.parse(rival).name
             if short == name or short in named or not nameable(found):
                 continue
             margin = final.log_evidence - found.log_evidence

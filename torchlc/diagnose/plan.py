@@ -13,7 +13,7 @@ from torch import Tensor
 from torchlc.assemble import assemble
 from torchlc.diagnose.refit import Refit
 from torchlc.diagnose.search import Found
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Entry
 from torchlc.errors import TorchlcError
 from torchlc.least_squares import differences
 from torchlc.model import LightCurve
@@ -97,7 +97,9 @@ def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float
 
 def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
     """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another night."""
-    entries = [_entry(effect) for effect in refit.model.effects if effect.stage != "noise"]
+    entries = [
+        str(Entry(one.name, one.target, one.by, one.width)) for one in refit.model.effects if one.stage != "noise"
+    ]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
     parameters = model.parameter_set
     if parameters.names != refit.names:
@@ -107,10 +109,6 @@ def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Te
         magnitude = model(refit.theta)
         slopes = differences(lambda y: model(parameters.from_flat(y)), refit.y[None], low, high)[0]
     return magnitude, torch.where(refit.held, 0.0, slopes)
-
-
-def _entry(effect: Effect) -> str:
-    return effect.name + (f"[{effect.target}]" if effect.target else "")
 
 
 def sentence(options: Sequence[Option], first: str, second: str, fixed_orbit: bool) -> str:

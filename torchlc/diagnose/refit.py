@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchlc.assemble import Assembly, assemble
 from torchlc.effects import registry
+from torchlc.effects.base import Entry
 from torchlc.fit import polish
 from torchlc.least_squares import differences
 from torchlc.likelihood import Likelihood
@@ -26,7 +27,12 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(entry.partition("[")[0] for entry in self.added)
+        return tuple(Entry.parse(entry).name for entry in self.added)
+
+    @property
+    def plain(self) -> tuple[str, ...]:
+        """The entries without the widths of divided offsets."""
+        return tuple(Entry.parse(entry).plain for entry in self.added)
 
     def with_effect(self, entry: str) -> Hypothesis:
         return Hypothesis((*self.added, entry))
@@ -89,7 +95,7 @@ class Workbench:
     def _model(self, hypothesis: Hypothesis) -> LightCurve:
         if not hypothesis.added:
             return LightCurve(self.base.scene, self.base.recording, assembly=self.base)
-        own = [effect.name + (f"[{effect.target}]" if effect.target else "") for effect in self.base.effects]
+        own = [str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in self.base.effects]
         assembly = assemble(
             self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base
         )
@@ -150,8 +156,9 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
         held = (y <= low + near) | (y >= high - near)
         if parameters.names:
             slopes = -differences(
-                lambda point: likelihood.residuals(parameters.from_flat(point)).delta, y[None], low, high
-            )[0]
+                lambda point: likelihood.residuals(parameters.from_flat(point)).delta,
+                y[None], low, high, colours=likelihood.colours(prior_rows=False),
+            )[0]  # fmt: skip
         else:
             slopes = found.delta.new_zeros(len(found.delta), 0)
         mean, precision = gaussian_prior(parameters)
@@ -184,28 +191,25 @@ def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
     return mean, precision
 
 
-def effect_starts(
-    likelihood: Likelihood, effect: str, count: int, generator: torch.Generator, span_s: float
-) -> Tensor:
-    """Values (count, k) for the parameters of one effect to start from: both signs and sizes 0.3 to 3 of the typical, directions and
-    other wide quantities from their priors. k = 0 for an effect without parameters."""
-    name = effect.partition("[")[0]
-    quantities = {q.name: q for q in registry()[name].quantities}
+def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: torch.Generator) -> Tensor:
+    """Values (count, k) for the parameters of one effect entry to start from: both signs and sizes 0.3 to 3 of the typical, directions
+    and other wide quantities from their priors; offsets of single curves start at none. k = 0 for an effect without parameters."""
+    entry = Entry.parse(effect)
+    quantities = {q.name: q for q in registry()[entry.name].quantities}
     parameters = likelihood.model.parameter_set
     columns = []
-    for entry in parameters.free:
-        owner, _, short = entry.name.partition(".")
-        short = short.partition("[")[0]
-        if owner != name or (effect.find("[") >= 0 and not entry.name.endswith(effect[effect.index("[") :])):
-            continue
-        quantity = quantities[short]
+    for column in effect_columns(parameters, effect):
+        free = parameters.free[column]
+        quantity = quantities[free.name.partition(".")[2].partition("[")[0]]
         u = torch.rand(count, generator=generator, dtype=torch.float64)
-        draw = entry.prior.quantile(0.02 + 0.96 * u)
-        if quantity.off is not None and quantity.typical is not None and math.isfinite(quantity.off):
+        draw = free.prior.quantile(0.02 + 0.96 * u)
+        if entry.per is not None:
+            draw = torch.full_like(draw, free.start)
+        elif quantity.off is not None and quantity.typical is not None and math.isfinite(quantity.off):
             size = abs(quantity.typical - quantity.off)
             factors = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
             ladder = quantity.off + size * factors[torch.arange(count) % len(factors)]
-            inside = (ladder > entry.prior.low) & (ladder < entry.prior.high)
+            inside = (ladder > free.prior.low) & (ladder < free.prior.high)
             draw = torch.where(inside, ladder, draw)
         columns.append(draw)
     return torch.stack(columns, -1) if columns else torch.zeros(count, 0, dtype=torch.float64)
@@ -213,12 +217,12 @@ def effect_starts(
 
 def effect_columns(parameters: ParameterSet, effect: str) -> list[int]:
     """Indices in theta of the parameters of one effect entry."""
-    name, _, target = effect.partition("[")
-    target = f"[{target}" if target else ""
+    entry = Entry.parse(effect)
+    target = f"[{entry.target}]" if entry.target else ""
     return [
         index
         for index, one in enumerate(parameters.names)
-        if one.partition(".")[0] == name and (not target or one.endswith(target))
+        if one.partition(".")[0] == entry.name and (not target or one.endswith(target))
     ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchlc.effects.base import Entry
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.gate import Gate
 from torchlc.diagnose.plan import Option
@@ -74,13 +75,13 @@ class Diagnosis:
         rows = []
         base = self.baseline
         for found in self.first:
-            (entry,) = found.hypothesis.added
+            (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
             rows.append(
                 {
-                    "effect": entry.partition("[")[0],
-                    "target": entry.partition("[")[2].rstrip("]") or None,
-                    "score": self.probes[entry].score,
-                    "p": self.gate.marginal.get(f"signature {entry}"),
+                    "effect": Entry.parse(entry).name,
+                    "target": Entry.parse(entry).target,
+                    "score": self.probes[plain].score,
+                    "p": self.gate.marginal.get(f"signature {plain}"),
                     "delta_log_evidence": found.log_evidence - base.log_evidence,
                     "heldout_delta_log_likelihood": found.score.heldout_total - base.score.heldout_total,
                     "parameters": effect_parameters(found.refit, entry),
@@ -98,12 +99,12 @@ class Diagnosis:
                     }
                 )  # fmt: skip
         rows.sort(key=lambda row: -row["delta_log_evidence"])
-        tried = {found.hypothesis.added[0] for found in self.first}
+        tried = {found.hypothesis.plain[0] for found in self.first}
         for entry in sorted(self.probes, key=lambda one: -self.probes[one].score):
             if entry not in tried:
                 rows.append(
                     {
-                        "effect": entry.partition("[")[0], "target": entry.partition("[")[2].rstrip("]") or None,
+                        "effect": Entry.parse(entry).name, "target": Entry.parse(entry).target,
                         "score": self.probes[entry].score, "p": self.gate.marginal.get(f"signature {entry}"),
                         "delta_log_evidence": None, "heldout_delta_log_likelihood": None, "parameters": {},
                         "chi2_after": None,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 
 from torchlc.assemble import assemble
+from torchlc.effects.base import Entry
 from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
@@ -108,12 +109,12 @@ def _next(
     tied = next((group for group in groups if len(group) > 1), None) if verdict == "missing_physics" else None
     if tied is None:
         return [], ""
-    own = next(entry for entry in final.hypothesis.added if entry.partition("[")[0] == tied[0])
-    others = frozenset(final.hypothesis.added) - {own}
+    own = next(entry for entry in final.hypothesis.plain if Entry.parse(entry).name == tied[0])
+    others = frozenset(final.hypothesis.plain) - {own}
     rival = next(
         found
         for found in made
-        if others <= frozenset(found.hypothesis.added)
+        if others <= frozenset(found.hypothesis.plain)
         and len(found.hypothesis.added) == len(final.hypothesis.added)
         and tied[1] in found.hypothesis.names
     )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from torchlc.effects.base import Entry
 from torchlc.diagnose.evidence import Score, Scorer
 from torchlc.diagnose.gate import residual_projection
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
@@ -69,8 +70,20 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
             continue
         for target in cls.targets(bench.base.context):
             if cls(target).missing(bench.base.context) is None:
-                entries.append(f"{name}[{target}]" if target else name)
+                entries.append(str(Entry(name, target)))
+                entries += [str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())]
     return entries
+
+
+def divisions(bench: Workbench) -> list[str]:
+    """What an offset may be divided by in this recording: curves, and nights where they are not the curves."""
+    recording = bench.base.recording
+    curves, nights = len(recording.curve_ids), len(recording.night_ids)
+    pairs = len(set(zip(recording.curve.tolist(), recording.night.tolist(), strict=True)))
+    found = ["curve"] if curves > 1 else []
+    if nights > 1 and not (pairs == curves == nights):
+        found.append("night")
+    return found
 
 
 def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
@@ -83,7 +96,7 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
     if is_slow(likelihood.model):
         count = min(count, 16)
     generator = torch.Generator().manual_seed(seed)
-    psi = effect_starts(likelihood, entry, count, generator, 0.0)
+    psi = effect_starts(likelihood, entry, count, generator)
     theta = bench.start(hypothesis, at.theta[None].expand(count, -1), at.names)
     theta[:, columns] = psi
     with torch.no_grad():
@@ -106,6 +119,8 @@ def extended(
     bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int, *, starts: int = STARTS
 ) -> Found:
     """Refit of one hypothesis with ``entry`` added: from its minima ``at``, from other materials, and from the best probed values."""
+    if Entry.parse(entry).per is not None and Entry.parse(entry).width is None:
+        return _divided(bench, scorer, at, entry, found, seed)
     hypothesis = at[0].hypothesis.with_effect(entry)
     likelihood = bench.likelihood(hypothesis)
     parameters = likelihood.model.parameter_set
@@ -123,12 +138,36 @@ def extended(
     if columns and len(found.psi):
         ranked = found.psi[torch.argsort(found.scores, descending=True)]
         best = ranked[: max(starts // 2, 1)]
-        spread = effect_starts(likelihood, entry, starts, generator, 0.0)
+        spread = effect_starts(likelihood, entry, starts, generator)
         spread[: len(best)] = best
         theta[:, columns] = spread
     elif columns:
-        theta[:, columns] = effect_starts(likelihood, entry, starts, generator, 0.0)
+        theta[:, columns] = effect_starts(likelihood, entry, starts, generator)
     fitted = refit(likelihood, hypothesis, theta)
+    return Found(fitted, scorer.score(fitted))
+
+
+def _divided(
+    bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int
+) -> Found:
+    """An offset that every curve (or night) has for itself, the spread of its values learnt from them: begun wide, narrowed to their root
+    mean square."""
+    parsed = Entry.parse(entry)
+    (quantity,) = registry()[parsed.name].quantities
+    width = min(10 * (quantity.sigma or 1.0), quantity.high / 3)
+    hypothesis, theta, names = at[0].hypothesis, at[0].theta, at[0].names
+    for _ in range(3):
+        wide = hypothesis.with_effect(str(replace(parsed, width=width)))
+        likelihood = bench.likelihood(wide)
+        fitted = refit(likelihood, wide, bench.start(wide, theta[None], names))
+        columns = effect_columns(likelihood.model.parameter_set, wide.added[-1])
+        values = fitted.theta[columns] - (quantity.off or 0.0)
+        variance = torch.diagonal(fitted.covariance())[columns]
+        theta, names = fitted.theta, fitted.names
+        new = float(f"{max(float(torch.sqrt((values**2 + variance).mean())), 1e-3 * (quantity.sigma or 1.0)):.3g}")
+        if abs(new - width) < 0.05 * width:
+            break
+        width = new
     return Found(fitted, scorer.score(fitted))
 
 
@@ -136,7 +175,7 @@ def nameable(found: Found) -> bool:
     """The parameters of every added effect are inside their bounds."""
     parameters = found.refit.model.parameter_set
     for entry in found.hypothesis.added:
-        quantities = {q.name: q for q in registry()[entry.partition("[")[0]].quantities}
+        quantities = {q.name: q for q in registry()[Entry.parse(entry).name].quantities}
         for column in effect_columns(parameters, entry):
             short = parameters.names[column].partition(".")[2].partition("[")[0]
             quantity = quantities[short]
@@ -191,8 +230,8 @@ def search(
         for place, stem in enumerate(beam):
             again = {}
             for number, entry in enumerate(entries):
-                names = (*stem.hypothesis.names, entry.partition("[")[0])
-                made = any(set(one.hypothesis.added) == {*stem.hypothesis.added, entry} for one in grown)
+                names = (*stem.hypothesis.names, Entry.parse(entry).name)
+                made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
                 if len(set(names)) == len(names) and not made:
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
             strongest = max((one.score for one in again.values()), default=0.0)
@@ -206,7 +245,7 @@ def search(
         others += grown
         grown = [found for found in grown if nameable(found)]
         grown.sort(key=lambda found: -found.log_evidence)
-        known = {frozenset(found.hypothesis.added): found for found in [null, *first, *others]}
+        known = {frozenset(found.hypothesis.plain): found for found in [null, *first, *others]}
         accepted = [found for found in grown if _all_needed(found, known, best, excess)]
         if not accepted:
             break
@@ -221,7 +260,7 @@ def _all_needed(
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given the others."""
     if not better(found, best, excess, gain=0.0):
         return False
-    members = frozenset(found.hypothesis.added)
+    members = frozenset(found.hypothesis.plain)
     for entry in members:
         without = known.get(members - {entry})
         if without is not None and (

@@ -27,6 +27,7 @@ class Background(Effect):
 
     name = "background"
     stage = "detector"
+    divisible = True
     quantities = (
         Quantity(
             "fraction", "", -0.9, 3.0, "constant light over the median flux of the model",

@@ -230,11 +230,38 @@ Scatter = Callable[[Reflector, Parameters], Mapping[str, Tensor]]
 """Further sunlight (..., T) by component, from what materials and an effect's parameters are at present."""
 
 
+@dataclass(frozen=True)
+class Entry:
+    """One item of a list of effects: ``name``, ``name[target]``, and, where the diagnosis divides an offset, ``name@curve`` (or ``@night``,
+    ``@station``): a value for each, drawn from a normal of standard deviation ``width`` (``name@curve~width``)."""
+
+    name: str
+    target: str | None = None
+    per: str | None = None
+    width: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Entry:
+        plain, _, width = text.partition("~")
+        plain, _, per = plain.partition("@")
+        name, _, target = plain.partition("[")
+        return cls(name, target.rstrip("]") or None, per or None, float(width) if width else None)
+
+    @property
+    def plain(self) -> str:
+        """The entry without the width."""
+        return self.name + (f"[{self.target}]" if self.target else "") + (f"@{self.per}" if self.per else "")
+
+    def __str__(self) -> str:
+        return self.plain + (f"~{self.width:.3g}" if self.width is not None else "")
+
+
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities`` and override the method
     of their stage; ``per`` gives each material or component its own set of parameters; ``known`` switches it on by default; ``nodes`` is by
     how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds; ``linear`` marks an effect of
-    the geometry whose parameters only scale its light; ``unable`` says why what is not among its targets cannot be one."""
+    the geometry whose parameters only scale its light; ``divisible`` an offset that each curve or night may have for itself
+    (``by`` names the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its targets cannot be one."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -246,6 +273,9 @@ class Effect:
     nodes: int = 1
     brdf: ClassVar[type[Brdf] | None] = None
     linear: ClassVar[bool] = False
+    divisible: ClassVar[bool] = False
+    by: str | None = None
+    width: float | None = None
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:

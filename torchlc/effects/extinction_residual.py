@@ -19,6 +19,7 @@ class ExtinctionResidual(Effect):
 
     name = "extinction_residual"
     stage = "detector"
+    divisible = True
     order = 2
     quantities = (
         Quantity(

@@ -16,6 +16,7 @@ class TimeOffset(Effect):
 
     name = "time_offset"
     stage = "clock"
+    divisible = True
     quantities = (
         Quantity(
             "s", "s", -3600.0, 3600.0, "true time less stamped time",

@@ -27,6 +27,7 @@ class ZeroPointDrift(Effect):
 
     name = "zero_point_drift"
     stage = "detector"
+    divisible = True
     order = 2
     quantities = (
         Quantity(

@@ -1,4 +1,5 @@
-"""From a scene and a recording to everything a light curve needs: track, attitude, shape, effects and the parameter set."""
+"""From a scene and a recording to everything a light curve needs: track, attitude, shape, effects and the
+parameter set."""
 
 from __future__ import annotations
 
@@ -25,15 +26,27 @@ from torchlc.shape import Shape
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
-"""Smooth shapes are cut finely enough for exponents up to here (or up to a smaller upper bound); a larger fit is warned of."""
+"""Smooth shapes are cut finely enough for exponents up to here (or up to a smaller upper bound); a larger
+fit is warned of."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
-COMPONENT_SIZES = ("size_x", "size_y", "size_z", "size_u", "size_v", "radius", "radius_top", "length", "depth")
+COMPONENT_SIZES = (
+    "size_x",
+    "size_y",
+    "size_z",
+    "size_u",
+    "size_v",
+    "radius",
+    "radius_top",
+    "length",
+    "depth",
+)
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """Everything fixed about a model; built once by :func:`assemble` and shared between models that differ in their effects."""
+    """Everything fixed about a model; built once by :func:`assemble` and shared between models that differ
+    in their effects."""
 
     scene: Scene
     recording: Recording
@@ -51,13 +64,15 @@ class Assembly:
     device: str = "cpu"
 
     @property
-    def T(self) -> int:  # noqa: N802 (the letter of the row axis)
+    def T(self) -> int:
         return len(self.context.seconds)
 
     @property
     def components(self) -> list[str]:
         names = [part.name for part in self.shape.parts]
-        return names + [effect.name for effect in self.effects if effect.stage == "surface" and effect.quantities]
+        return names + [
+            effect.name for effect in self.effects if effect.stage == "surface" and effect.quantities
+        ]
 
     @property
     def needs_shares(self) -> bool:
@@ -65,7 +80,8 @@ class Assembly:
 
     @property
     def pairs(self) -> int:
-        """Facet-row pairs of one evaluation, with the instants and lights that the effects bring; sizes the batches."""
+        """Facet-row pairs of one evaluation, with the instants and lights that the effects bring; sizes the
+        batches."""
         facets = sum(len(part.faces) for part in self.shape.parts)
         return facets * self.T * max(1, math.prod(effect.nodes for effect in self.effects))
 
@@ -76,13 +92,20 @@ class Assembly:
         for part in self.shape.parts:
             names = np.array(part.materials)
             groups = dict.fromkeys(part.materials)
-            found.append([(m, torch.as_tensor(np.flatnonzero(names == m), device=self.device)) for m in groups])
+            found.append(
+                [(m, torch.as_tensor(np.flatnonzero(names == m), device=self.device)) for m in groups]
+            )
         return found
 
     @property
     def geometry_columns(self) -> list[int]:
-        """Places in theta of the parameters that move the geometry: the attitude's, sizes, and those of effects before the shade stage."""
-        owners = {effect.name: effect for effect in self.effects if effect.stage in GEOMETRY_STAGES and not effect.linear}
+        """Places in theta of the parameters that move the geometry: the attitude's, sizes, and those of
+        effects before the shade stage."""
+        owners = {
+            effect.name: effect
+            for effect in self.effects
+            if effect.stage in GEOMETRY_STAGES and not effect.linear
+        }
         found = []
         for column, name in enumerate(self.parameters.names):
             owner, _, short = name.rpartition(".")
@@ -102,7 +125,10 @@ class Assembly:
 
     def own(self, effect: Effect, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """An effect's parameters by short name, each (..., 1) or (..., T)."""
-        return {quantity.name: self.rows(values, effect.full_name(quantity.name)) for quantity in effect.quantities}
+        return {
+            quantity.name: self.rows(values, effect.full_name(quantity.name))
+            for quantity in effect.quantities
+        }
 
     def rows(self, values: Mapping[str, Tensor], name: str) -> Tensor:
         """A parameter (..., 1), or (..., T) if it has a value for each curve, station or night."""
@@ -114,13 +140,18 @@ class Assembly:
                 return torch.stack(torch.broadcast_tensors(*[values[key] for key in keys]), -1)[..., index]
         raise KeyError(name)
 
-    def material_values(self, material: str, model: type[Brdf], values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Values of one material by the short names its model uses; a shared name appears under each name it stands for."""
+    def material_values(
+        self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
+    ) -> dict[str, Tensor]:
+        """Values of one material by the short names its model uses; a shared name appears under each name it
+        stands for."""
         found = {}
         for quantity in model.quantities:
             name = f"{material}.{quantity.name}"
             if name not in values:
-                name = next(f"{material}.{short}" for short, long in model.shared.items() if quantity.name in long)
+                name = next(
+                    f"{material}.{short}" for short, long in model.shared.items() if quantity.name in long
+                )
             found[quantity.name] = values[name]
         return found
 
@@ -135,7 +166,8 @@ def assemble(
 ) -> Assembly:
     """Bring scene and recording together under a list of effects (default: the scene's own).
 
-    An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends its track, attitude and
+    An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base``
+    lends its track, attitude and
     shape; ``pinned`` fixes parameters at given values whatever the scene says of them.
     """
     if base is None:
@@ -158,9 +190,19 @@ def assemble(
     parameters = _parameters(scene, chosen, models, row_index, pinned or {})
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
-        scene, recording, track, attitude, shape, chosen, parameters, models, context,
-        torch.as_tensor(sun, dtype=torch.float64), row_index, tuple(dict.fromkeys(notes)),
-    )  # fmt: skip
+        scene,
+        recording,
+        track,
+        attitude,
+        shape,
+        chosen,
+        parameters,
+        models,
+        context,
+        torch.as_tensor(sun, dtype=torch.float64),
+        row_index,
+        tuple(dict.fromkeys(notes)),
+    )
 
 
 def _is_material(model: type[Brdf], short: str) -> bool:
@@ -230,7 +272,9 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
         if name not in known:
-            raise InputError(scene.source, "model.effects", f"{entry!r} is no effect", f"one of {', '.join(known)}")
+            raise InputError(
+                scene.source, "model.effects", f"{entry!r} is no effect", f"one of {', '.join(known)}"
+            )
         cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
@@ -246,10 +290,13 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
-    """Targets that [model.parameters] names in brackets for an effect that has one set of parameters for each."""
+    """Targets that [model.parameters] names in brackets for an effect that has one set of parameters for
+    each."""
     if cls.per is None:
         return []
-    marked = [key.partition("[")[2].rstrip("]") for key in scene.model.parameters if key.startswith(f"{cls.name}.")]
+    marked = [
+        key.partition("[")[2].rstrip("]") for key in scene.model.parameters if key.startswith(f"{cls.name}.")
+    ]
     return [target for target in dict.fromkeys(marked) if target]
 
 
@@ -259,12 +306,17 @@ def _sun_magnitude(scene: Scene, recording: Recording) -> tuple[np.ndarray, list
     if isinstance(given, Mapping):
         if recording.band is None:
             raise InputError(
-                scene.source, "model.parameters.band_sun_magnitude", "a table by band, but the recording has no band column",
-                "one number, or a band column", None,
-            )  # fmt: skip
+                scene.source,
+                "model.parameters.band_sun_magnitude",
+                "a table by band, but the recording has no band column",
+                "one number, or a band column",
+                None,
+            )
         unknown = sorted(set(recording.band) - set(given))
         if unknown:
-            raise InputError(scene.source, "model.parameters.band_sun_magnitude", f"no value for band {unknown[0]!r}")
+            raise InputError(
+                scene.source, "model.parameters.band_sun_magnitude", f"no value for band {unknown[0]!r}"
+            )
         return np.array([given[band] for band in recording.band]), []
     if given is None:
         warning = f"band_sun_magnitude is not given: {DEFAULT_SUN_MAGNITUDE} is taken"
@@ -315,7 +367,9 @@ def _parameters(
             name = effect.full_name(quantity.name)
             if effect.by is not None:
                 centre = quantity.off or 0.0
-                prior = Prior("normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0)
+                prior = Prior(
+                    "normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0
+                )
                 free += [
                     Free(f"{name}[{one}]", prior, centre, quantity.unit, quantity.meaning)
                     for one in row_index[effect.by][1]

@@ -1,7 +1,10 @@
-"""Maximum a posteriori: Adam on chi-square from many starts in one batch, then a Levenberg-Marquardt polish of the best.
+"""Maximum a posteriori: Adam on chi-square from many starts in one batch, then a Levenberg-Marquardt polish
+of the best.
 
-The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add nothing: it is the least chi-square,
-peaked priors counted as further rows. Noise parameters (jitter, red noise, outliers) are fitted in turn with the rest.
+The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add
+nothing: it is the least chi-square,
+peaked priors counted as further rows. Noise parameters (jitter, red noise, outliers) are fitted in turn with
+the rest.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Mode:
-    """A minimum: natural values theta (P,), its objective (chi-square with the priors' rows, plus 2 ln of the noise's scale), and the
+    """A minimum: natural values theta (P,), its objective (chi-square with the priors' rows, plus 2 ln of
+    the noise's scale), and the
     Laplace covariance (P, P) in flat coordinates; columns at a bound have no variance."""
 
     theta: Tensor
@@ -38,7 +42,8 @@ class Mode:
 
 @dataclass(frozen=True)
 class Fit:
-    """The best mode and what is needed to judge it; ``converged`` with its ``reason`` in words, ``history`` the best chi-square of Adam."""
+    """The best mode and what is needed to judge it; ``converged`` with its ``reason`` in words, ``history``
+    the best chi-square of Adam."""
 
     likelihood: Likelihood
     modes: Sequence[Mode]
@@ -69,7 +74,11 @@ class Fit:
 
 def chi2_tail(chi2: float, dof: float) -> float:
     """Upper tail of the chi-square distribution."""
-    return float(torch.special.gammaincc(torch.tensor(dof / 2, dtype=torch.float64), torch.tensor(chi2 / 2, dtype=torch.float64)))
+    return float(
+        torch.special.gammaincc(
+            torch.tensor(dof / 2, dtype=torch.float64), torch.tensor(chi2 / 2, dtype=torch.float64)
+        )
+    )
 
 
 def find_modes(
@@ -81,7 +90,8 @@ def find_modes(
     extra_starts: Tensor | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[Mode], list[float], Minimum | None]:
-    """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural values added to the
+    """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural
+    values added to the
     scene's own and the prior's draws."""
     model = likelihood.model
     parameters = model.parameter_set
@@ -90,7 +100,9 @@ def find_modes(
     generator = torch.Generator().manual_seed(seed)
     draws = parameters.sample_prior(max(starts - 1, 0), generator)
     draws = _crowded(parameters.names, draws, generator)
-    points = torch.cat([parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else []))
+    points = torch.cat(
+        [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
+    )
     theta, history = adam(likelihood, points, adam_steps, progress)
     best = polish(likelihood, theta, model.noise(parameters.start()))
     if model.assembly.stage("noise") or likelihood.fitted_errors:
@@ -102,8 +114,10 @@ def find_modes(
 def adam(
     likelihood: Likelihood, theta: Tensor, steps: int, progress: Progress | None = None, rate: float = 0.08
 ) -> tuple[Tensor, list[float]]:
-    """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns the last points and the best
-    chi-square at each step. The rate falls to a tenth along a cosine. Kingma and Ba's update, written out: importing ``torch.optim``
+    """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns
+    the last points and the best
+    chi-square at each step. The rate falls to a tenth along a cosine. Kingma and Ba's update, written out:
+    importing ``torch.optim``
     costs seconds, for its compiler."""
     parameters = likelihood.model.parameter_set
     z = parameters.to_unconstrained(theta).detach().clone()
@@ -135,8 +149,10 @@ def polish(
     level_at: Tensor | None = None,
     iterations: int = 60,
 ) -> Minimum:
-    """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the rows, prior rows follow.
-    Noise levels of curves without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay."""
+    """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the
+    rows, prior rows follow.
+    Noise levels of curves without errors are those of the residuals at ``level_at`` (P,), where noise
+    parameters then stay."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
@@ -152,13 +168,16 @@ def polish(
             return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)], -1)
 
         colours = likelihood.colours(prior_rows=True)
-        return minimise(residual, parameters.to_flat(theta), low, high, iterations=iterations, colours=colours)
+        return minimise(
+            residual, parameters.to_flat(theta), low, high, iterations=iterations, colours=colours
+        )
 
 
 def whitener(
     likelihood: Likelihood, at: Residuals, noise: Noise | None, *, fitted: bool = False
 ) -> Callable[[Residuals], Tensor]:
-    """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the residuals ``at``."""
+    """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the
+    residuals ``at``."""
     sigma = at.sigma.expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
         red = noise is not None and noise.red is not None
@@ -205,7 +224,8 @@ def noise_columns(likelihood: Likelihood) -> list[int]:
 def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, steps: int = 40) -> Tensor:
     """The noise parameters of theta (P,) at their best for the residuals of its other parameters.
 
-    Newton's method in unconstrained coordinates, from theta or, with ``search``, the best of a cloud; by differences
+    Newton's method in unconstrained coordinates, from theta or, with ``search``, the best of a cloud; by
+    differences
     of one batched call a step, and every step is kept only if it improves.
     """
     index = noise_columns(likelihood)
@@ -239,7 +259,8 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, ste
 
 
 def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
-    """Flat coordinates (S, P) of the best minima that differ by more than a thousandth in what is not ``noise``."""
+    """Flat coordinates (S, P) of the best minima that differ by more than a thousandth in what is not
+    ``noise``."""
     kept: list[Tensor] = []
     apart = torch.ones(found.y.shape[-1], dtype=torch.bool, device=found.y.device)
     apart[list(noise)] = False
@@ -255,7 +276,8 @@ def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
 def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
     """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
-    Their costs are -2 ln of the density, less that of rows of unit variance, so that minima with different noise
+    Their costs are -2 ln of the density, less that of rows of unit variance, so that minima with different
+    noise
     compare; the curvature of the noise is among the rows of the slopes.
     """
     parameters = likelihood.model.parameter_set
@@ -283,16 +305,20 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
             curvature, axes = torch.linalg.eigh(hessian)
             extra[number][:, index] = torch.sqrt(curvature.clamp(min=0))[:, None] * axes.T
     return Minimum(
-        torch.cat([one.y for one in found]), cost, torch.cat([jacobian, extra], 1),
+        torch.cat([one.y for one in found]),
+        cost,
+        torch.cat([jacobian, extra], 1),
         torch.cat([residual, residual.new_zeros(len(theta), len(index))], 1),
-        torch.cat([one.converged for one in found]), max(one.iterations for one in found),
-    )  # fmt: skip
+        torch.cat([one.converged for one in found]),
+        max(one.iterations for one in found),
+    )
 
 
 def _noise_objective(
     likelihood: Likelihood, theta: Tensor, natural: Callable[[Tensor], Tensor]
 ) -> Callable[[Tensor], Tensor]:
-    """Minus the log posterior (B,) of coordinates (B, P), which ``natural`` turns into theta, with the residuals
+    """Minus the log posterior (B,) of coordinates (B, P), which ``natural`` turns into theta, with the
+    residuals
     held at those of theta (P,).
     """
     parameters = likelihood.model.parameter_set
@@ -333,7 +359,8 @@ def _inside(y: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
 def _differences(
     function: Callable[[Tensor], Tensor], at: Tensor, step: Tensor | float
 ) -> tuple[Tensor, Tensor]:
-    """Gradient (k,) and Hessian (k, k) at a point (k,) by central differences, all in one call of (B, k) -> (B,)."""
+    """Gradient (k,) and Hessian (k, k) at a point (k,) by central differences, all in one call of (B, k) ->
+    (B,)."""
     k = len(at)
     axes = torch.eye(k, dtype=at.dtype, device=at.device) * step
     pairs = [(i, j) for i in range(k) for j in range(i)]
@@ -359,7 +386,8 @@ def _crowded(names: Sequence[str], draws: Tensor, generator: torch.Generator) ->
 
 
 def _distinct(likelihood: Likelihood, found: Minimum) -> list[Mode]:
-    """Minima within DISTINCT_CHI2 of the best that differ by more than 2 standard deviations in some parameter."""
+    """Minima within DISTINCT_CHI2 of the best that differ by more than 2 standard deviations in some
+    parameter."""
     low, high = likelihood.model.parameter_set.flat_bounds()
     modes: list[Mode] = []
     kept: list[Tensor] = []
@@ -378,9 +406,11 @@ def _distinct(likelihood: Likelihood, found: Minimum) -> list[Mode]:
 
 
 def laplace(jacobian: Tensor, y: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
-    """Covariance (P, P) in flat coordinates from the Jacobian (R, P) of the normalised rows, and which coordinates are held by a bound.
+    """Covariance (P, P) in flat coordinates from the Jacobian (R, P) of the normalised rows, and which
+    coordinates are held by a bound.
 
-    A flat direction gets the variance of its bounded range, so that the covariance is that of likelihood and prior together.
+    A flat direction gets the variance of its bounded range, so that the covariance is that of likelihood and
+    prior together.
     """
     span = torch.where(torch.isfinite(high - low), high - low, torch.inf)
     near = 1e-6 * torch.where(torch.isfinite(span), span, 0.0)
@@ -399,7 +429,9 @@ def laplace(jacobian: Tensor, y: Tensor, low: Tensor, high: Tensor) -> tuple[Ten
 def _evaluated(likelihood: Likelihood) -> Mode:
     theta = likelihood.model.parameter_set.start()
     with torch.no_grad():
-        return Mode(theta, float(likelihood.chi2(theta)), theta.new_zeros(0, 0), torch.zeros(0, dtype=torch.bool))
+        return Mode(
+            theta, float(likelihood.chi2(theta)), theta.new_zeros(0, 0), torch.zeros(0, dtype=torch.bool)
+        )
 
 
 def fit_map(

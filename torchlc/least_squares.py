@@ -14,7 +14,8 @@ LARGEST_STEP = 0.25
 
 @dataclass(frozen=True)
 class Minimum:
-    """State of S starts: points y (S, P), costs |r|^2 (S,), Jacobians (S, R, P), residuals (S, R), which have converged (S,)."""
+    """State of S starts: points y (S, P), costs |r|^2 (S,), Jacobians (S, R, P), residuals (S, R), which
+    have converged (S,)."""
 
     y: Tensor
     cost: Tensor
@@ -34,10 +35,13 @@ def minimise(
     tolerance: float = 1e-7,
     colours: Colours | None = None,
 ) -> Minimum:
-    """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to (B, R).
+    """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to
+    (B, R).
 
-    Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where they lower the cost, so every
-    start descends monotonically. A start has converged when a step gains less than ``tolerance`` of its cost (plus 1).
+    Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where
+    they lower the cost, so every
+    start descends monotonically. A start has converged when a step gains less than ``tolerance`` of its cost
+    (plus 1).
     """
     y = torch.minimum(torch.maximum(start, low), high)
     r = residual(y)
@@ -48,8 +52,9 @@ def minimise(
     converged = torch.zeros_like(cost, dtype=torch.bool)
     cap = torch.where(torch.isfinite(high - low), LARGEST_STEP * (high - low), torch.inf)
     margin = torch.where(torch.isfinite(high - low), 1e-12 * (high - low), 0.0)
-    step = 0
-    for step in range(1, iterations + 1):
+    done = 0
+    while done < iterations and not bool(converged.all()):
+        done += 1
         gradient = torch.einsum("srp,sr->sp", jac, torch.nan_to_num(r))
         normal = torch.einsum("srp,srq->spq", jac, jac)
         scale = torch.maximum(scale * 0.9, torch.diagonal(normal, dim1=-2, dim2=-1).clamp(min=1e-12))
@@ -69,18 +74,19 @@ def minimise(
         y = torch.where(better[:, None], trial, y)
         r = torch.where(better[:, None], trial_r, r)
         cost = torch.where(better, trial_cost, cost)
-        converged = converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
+        converged = (
+            converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
+        )
         damping = torch.where(better, (damping / 6).clamp(min=1e-9), damping * 5)
         if bool(better.any()):
             jac = differences(residual, y, low, high, r, colours)
-        if bool(converged.all()):
-            break
-    return Minimum(y, cost, jac, r, converged, step)
+    return Minimum(y, cost, jac, r, converged, done)
 
 
 @dataclass(frozen=True)
 class Colours:
-    """Columns of a Jacobian that touch different rows and so share one difference: ``groups`` of column indices, and for each column the
+    """Columns of a Jacobian that touch different rows and so share one difference: ``groups`` of column
+    indices, and for each column the
     rows (P, R) that it may touch."""
 
     groups: tuple[tuple[int, ...], ...]
@@ -95,9 +101,11 @@ def differences(
     at: Tensor | None = None,
     colours: Colours | None = None,
 ) -> Tensor:
-    """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched call, no tracing of the model.
+    """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched
+    call, no tracing of the model.
 
-    ``at`` (S, R) is residual(y) where it is known already. The step is 1e-6 of the coordinate's scale, the relative error of a slope
+    ``at`` (S, R) is residual(y) where it is known already. The step is 1e-6 of the coordinate's scale, the
+    relative error of a slope
     of the order of 1e-6 as well.
     """
     starts, dimensions = y.shape

@@ -1,8 +1,11 @@
 """How probable a recording is under a model: residuals, gains, noise, priors.
 
-Magnitudes are compared as magnitudes while the model is within 5 mag of the datum and linearly in flux below, so that a dark model
-(flux 0 in eclipse) has a finite residual and slope. Relative flux has the gain of each curve profiled, sum(f m / s2) / sum(m2 / s2). Without
-an error column each curve has its own noise level, log-uniform, integrated out in closed form. Letters: B batch, T rows, P parameters.
+Magnitudes are compared as magnitudes while the model is within 5 mag of the datum and linearly in flux
+below, so that a dark model
+(flux 0 in eclipse) has a finite residual and slope. Relative flux has the gain of each curve profiled, sum(f
+m / s2) / sum(m2 / s2). Without
+an error column each curve has its own noise level, log-uniform, integrated out in closed form. Letters: B
+batch, T rows, P parameters.
 """
 
 from __future__ import annotations
@@ -25,8 +28,10 @@ FAINTEST_RATIO = 1e-2
 
 @dataclass(frozen=True)
 class Residuals:
-    """Datum minus model, (..., T), with the standard deviation of each row, (..., T) or (T,), in the recording's own unit (mag or
-    relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit; ``gain`` (..., number of curves) for flux."""
+    """Datum minus model, (..., T), with the standard deviation of each row, (..., T) or (T,), in the
+    recording's own unit (mag or
+    relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit; ``gain`` (..., number of
+    curves) for flux."""
 
     delta: Tensor
     sigma: Tensor
@@ -35,9 +40,11 @@ class Residuals:
 
 
 class Likelihood:
-    """Log-likelihood, prior and posterior of a :class:`LightCurve` for its recording; batched over theta (..., P).
+    """Log-likelihood, prior and posterior of a :class:`LightCurve` for its recording; batched over theta
+    (..., P).
 
-    ``noise_level`` (number of curves,) is the starting noise of curves without errors, in the recording's unit.
+    ``noise_level`` (number of curves,) is the starting noise of curves without errors, in the recording's
+    unit.
     """
 
     def __init__(self, model: LightCurve) -> None:
@@ -50,9 +57,13 @@ class Likelihood:
         self.curves = len(recording.curve_ids)
         self.count = torch.bincount(self.curve, minlength=self.curves).to(like)
         self.fitted_errors = recording.error is None
-        self.noise_level = _successive(recording.observed, recording.curve, self.curves, recording.kind).to(like)
+        self.noise_level = _successive(recording.observed, recording.curve, self.curves, recording.kind).to(
+            like
+        )
         self.error = (
-            self.noise_level[self.curve] if recording.error is None else torch.as_tensor(recording.error).to(like)
+            self.noise_level[self.curve]
+            if recording.error is None
+            else torch.as_tensor(recording.error).to(like)
         )
         self.limit = torch.as_tensor(recording.upper_limit)
         self.measured = ~self.limit
@@ -68,16 +79,20 @@ class Likelihood:
         return self.rows - len(self.model.names) - self.gains
 
     def colours(self, prior_rows: bool) -> Colours | None:
-        """Columns of the Jacobian that belong to single curves, stations or nights, grouped by parameter; None if there are none.
+        """Columns of the Jacobian that belong to single curves, stations or nights, grouped by parameter;
+        None if there are none.
 
-        A curve with a profiled gain ties its rows together, so a division that cuts through curves is left as it is. ``prior_rows``
+        A curve with a profiled gain ties its rows together, so a division that cuts through curves is left
+        as it is. ``prior_rows``
         appends a row for each peaked prior, in the order of :meth:`ParameterSet.prior_residuals`.
         """
         names = self.model.names
         groups: dict[str, list[int]] = {}
         rows = torch.ones(len(names), self.rows, dtype=torch.bool)
         for index, ids in self.model.assembly.row_index.values():
-            if self.gains and not all(len(set(index[self.curve == c].tolist())) == 1 for c in range(self.curves)):
+            if self.gains and not all(
+                len(set(index[self.curve == c].tolist())) == 1 for c in range(self.curves)
+            ):
                 continue
             for column, name in enumerate(names):
                 stem, _, one = name.partition("[")
@@ -87,10 +102,14 @@ class Likelihood:
         if not any(len(group) > 1 for group in groups.values()):
             return None
         grouped = {column for group in groups.values() for column in group}
-        every = [tuple(group) for group in groups.values()] + [(c,) for c in range(len(names)) if c not in grouped]
+        every = [tuple(group) for group in groups.values()] + [
+            (c,) for c in range(len(names)) if c not in grouped
+        ]
         if prior_rows:
             peaked = [i for i, free in enumerate(self.model.parameter_set.free) if free.prior.peaked]
-            own = torch.tensor([[i == column or column not in grouped for i in peaked] for column in range(len(names))])
+            own = torch.tensor(
+                [[i == column or column not in grouped for i in peaked] for column in range(len(names))]
+            )
             rows = torch.cat([rows, own.reshape(len(names), len(peaked))], 1)
         return Colours(tuple(every), rows)
 
@@ -109,7 +128,9 @@ class Likelihood:
         gain = self.profile_gain(flux)
         prediction = gain[..., self.curve] * flux
         floor = 0.25 * self.observed.abs().median()
-        return Residuals(self.observed - prediction, self.error, torch.clamp(prediction, min=floor) / MAG_PER_LN, gain)
+        return Residuals(
+            self.observed - prediction, self.error, torch.clamp(prediction, min=floor) / MAG_PER_LN, gain
+        )
 
     def profile_gain(self, flux: Tensor) -> Tensor:
         """Best scale of each curve, (..., curves), of model flux (..., T)."""
@@ -127,7 +148,8 @@ class Likelihood:
     # ------------------------------------------------------------------ probability
 
     def chi2(self, theta: Tensor) -> Tensor:
-        """Sum of squared residuals over the quoted errors, (...); over each curve's fitted level where errors are fitted."""
+        """Sum of squared residuals over the quoted errors, (...); over each curve's fitted level where
+        errors are fitted."""
         found = self.residuals(theta)
         if self.fitted_errors:
             level = self.fitted_levels(found.delta)
@@ -135,13 +157,17 @@ class Likelihood:
         return (self.normalised(found) ** 2).sum(-1)
 
     def fitted_levels(self, delta: Tensor) -> Tensor:
-        """Noise level of each curve, (..., curves), from the residuals delta (..., T) of a model fitted to them."""
-        share = (len(self.model.names) * self.count / self.rows + (1 if self.gains else 0)).clamp(max=self.count - 1)
+        """Noise level of each curve, (..., curves), from the residuals delta (..., T) of a model fitted to
+        them."""
+        share = (len(self.model.names) * self.count / self.rows + (1 if self.gains else 0)).clamp(
+            max=self.count - 1
+        )
         level = torch.sqrt(self._by_curve(delta**2) / (self.count - share).clamp(min=1.0))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
     def white_levels(self, delta: Tensor) -> Tensor:
-        """Noise level of each curve, (..., curves), from the steps between successive residuals delta (..., T), which red noise
+        """Noise level of each curve, (..., curves), from the steps between successive residuals delta (...,
+        T), which red noise
         hardly changes: their root mean square over sqrt 2."""
         order = torch.argsort(self.curve, stable=True)
         step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
@@ -169,11 +195,15 @@ class Likelihood:
         if noise.jitter is not None:
             sigma = torch.sqrt(sigma**2 + (noise.jitter * found.scale) ** 2)
         if noise.red is not None:
-            return correlated_log_density(found, sigma, noise, self.model.assembly.context.seconds, self.curve)
+            return correlated_log_density(
+                found, sigma, noise, self.model.assembly.context.seconds, self.curve
+            )
         u = found.delta / sigma
         normal = -0.5 * u * u - torch.log(sigma) - 0.5 * math.log(2 * math.pi)
         if noise.outliers is not None and noise.width is not None:
-            wide = -0.5 * (u / noise.width) ** 2 - torch.log(sigma * noise.width) - 0.5 * math.log(2 * math.pi)
+            wide = (
+                -0.5 * (u / noise.width) ** 2 - torch.log(sigma * noise.width) - 0.5 * math.log(2 * math.pi)
+            )
             normal = torch.logaddexp(torch.log1p(-noise.outliers) + normal, torch.log(noise.outliers) + wide)
         if bool(self.limit.any()):
             censored = torch.special.log_ndtr(torch.where(self.limit, -u, 0.0))
@@ -181,10 +211,13 @@ class Likelihood:
         return normal.sum(-1)
 
     def _integrated_level(self, found: Residuals, noise: Noise) -> Tensor:
-        """A level s of each curve under d ln s: Gamma(N/2) / 2 (pi S)^(-N/2) with S the sum of squares and N less the gain."""
+        """A level s of each curve under d ln s: Gamma(N/2) / 2 (pi S)^(-N/2) with S the sum of squares and N
+        less the gain."""
         if noise.red is not None:
             white = self.white_levels(found.delta)[..., self.curve]
-            return correlated_log_density(found, white, noise, self.model.assembly.context.seconds, self.curve)
+            return correlated_log_density(
+                found, white, noise, self.model.assembly.context.seconds, self.curve
+            )
         squares = self._by_curve(found.delta**2) + self.count * (1e-3 * self.noise_level) ** 2
         if noise.outliers is not None and noise.width is not None:
             level = torch.sqrt(squares / self.count)[..., self.curve]
@@ -199,7 +232,8 @@ class Likelihood:
         return (constant - half * torch.log(squares)).sum(-1)
 
     def log_prob(self, theta: Tensor) -> Tensor:
-        """Log posterior density (...), up to the evidence, of natural theta (..., P); -inf out of bounds, never NaN."""
+        """Log posterior density (...), up to the evidence, of natural theta (..., P); -inf out of bounds,
+        never NaN."""
         prior = self.model.parameter_set.log_prior(theta)
         inside = torch.isfinite(prior)
         safe = torch.where(inside[..., None], theta, self.model.parameter_set.start())
@@ -208,7 +242,8 @@ class Likelihood:
 
 
 def magnitude_difference(ratio: Tensor) -> Tensor:
-    """-2.5 log10 of model over datum flux; below FAINTEST_RATIO the tangent, linear in flux, so that a dark model stays finite."""
+    """-2.5 log10 of model over datum flux; below FAINTEST_RATIO the tangent, linear in flux, so that a dark
+    model stays finite."""
     bright = ratio > FAINTEST_RATIO
     safe = torch.where(bright, ratio, 1.0)
     dark = torch.where(bright, 0.0, ratio)
@@ -216,8 +251,11 @@ def magnitude_difference(ratio: Tensor) -> Tensor:
     return -MAG_PER_LN * log
 
 
-def correlated_log_density(found: Residuals, sigma: Tensor, noise: Noise, seconds: Tensor, group: Tensor) -> Tensor:
-    """Log density of residuals with a Matern-3/2 process of ``noise.red`` mag and ``noise.tau`` min, independent between groups."""
+def correlated_log_density(
+    found: Residuals, sigma: Tensor, noise: Noise, seconds: Tensor, group: Tensor
+) -> Tensor:
+    """Log density of residuals with a Matern-3/2 process of ``noise.red`` mag and ``noise.tau`` min,
+    independent between groups."""
     assert noise.red is not None and noise.tau is not None  # both come from one effect
     total = torch.zeros(found.delta.shape[:-1], dtype=found.delta.dtype, device=found.delta.device)
     red = noise.red * found.scale
@@ -241,7 +279,8 @@ def matern32(gap_min: Tensor, tau_min: Tensor) -> Tensor:
 
 
 def _successive(observed: np.ndarray, curve: np.ndarray, curves: int, kind: str) -> Tensor:
-    """1.4826 median |successive difference| / sqrt 2 of each curve, (curves,); at least 1e-4 mag or 1e-4 of the mean."""
+    """1.4826 median |successive difference| / sqrt 2 of each curve, (curves,); at least 1e-4 mag or 1e-4 of
+    the mean."""
     level = np.empty(curves)
     for one in range(curves):
         values = observed[curve == one]

@@ -1,8 +1,12 @@
-"""Parameters: what each number means, its prior, and the map between natural values and the unconstrained space of Adam.
+"""Parameters: what each number means, its prior, and the map between natural values and the unconstrained
+space of Adam.
 
-A :class:`ParameterSet` turns the scene's numbers (fixed or free) into one flat vector theta (..., P) of natural values and back,
-knows the prior density of theta, and maps theta to unconstrained coordinates z (..., P) by ``torch.distributions`` transforms.
-The two reflectances of one material are kept on the triangle r_spec + r_diff <= 1: the second is mapped to what the first leaves.
+A :class:`ParameterSet` turns the scene's numbers (fixed or free) into one flat vector theta (..., P) of
+natural values and back,
+knows the prior density of theta, and maps theta to unconstrained coordinates z (..., P) by
+``torch.distributions`` transforms.
+The two reflectances of one material are kept on the triangle r_spec + r_diff <= 1: the second is mapped to
+what the first leaves.
 """
 
 from __future__ import annotations
@@ -22,8 +26,10 @@ PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
 class Quantity:
     """A physical parameter, declared once beside its physics.
 
-    ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all, ``typical`` the size
-    worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is the default, with ``mean`` and ``sigma``.
+    ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
+    ``typical`` the size
+    worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is the default, with
+    ``mean`` and ``sigma``.
     """
 
     name: str
@@ -42,7 +48,8 @@ class Quantity:
 class Prior:
     """Prior of one scalar: kind, bounds (may be infinite), and for the peaked kinds the centre and width.
 
-    ``centre`` and ``sigma`` are mean and standard deviation (normal), median and standard deviation of the logarithm (lognormal),
+    ``centre`` and ``sigma`` are mean and standard deviation (normal), median and standard deviation of the
+    logarithm (lognormal),
     lower end and scale (halfnormal). Every kind is truncated to [low, high] and normalised there.
     """
 
@@ -76,11 +83,14 @@ class Prior:
         else:
             centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
             u = (y - centre) / self.sigma
-            density = jacobian - 0.5 * u * u - math.log(self.sigma * math.sqrt(2 * math.pi)) - self._log_mass()
+            density = (
+                jacobian - 0.5 * u * u - math.log(self.sigma * math.sqrt(2 * math.pi)) - self._log_mass()
+            )
         return torch.where(inside, density, -math.inf)
 
     def quantile(self, p: Tensor) -> Tensor:
-        """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw from the prior."""
+        """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a
+        draw from the prior."""
         if self.kind in ("uniform", "loguniform"):
             low, high = self._range()
             y = low + (high - low) * p
@@ -92,10 +102,15 @@ class Prior:
         return y.exp() if self.logarithmic else y
 
     def transform(self) -> transforms.Transform:
-        """Bijection from the real line onto (low, high); z = 0 is the middle of the prior and z of order 1 its width."""
+        """Bijection from the real line onto (low, high); z = 0 is the middle of the prior and z of order 1
+        its width."""
         low, high = self._range()
         flat = self.kind in ("uniform", "loguniform")
-        middle = 0.5 * (low + high) if flat else (math.log(self.centre) if self.kind == "lognormal" else self.centre)
+        middle = (
+            0.5 * (low + high)
+            if flat
+            else (math.log(self.centre) if self.kind == "lognormal" else self.centre)
+        )
         if self.kind == "halfnormal":
             middle = low + 0.7 * self.sigma
         steps: list[transforms.Transform]
@@ -175,7 +190,8 @@ def prior_of(quantity: Quantity) -> Prior:
 class ParameterSet:
     """The free parameters in order, the fixed ones beside them.
 
-    ``simplex`` lists pairs (first, second) of names whose sum may not exceed 1; a pair with one member fixed narrows the other.
+    ``simplex`` lists pairs (first, second) of names whose sum may not exceed 1; a pair with one member fixed
+    narrows the other.
     """
 
     def __init__(
@@ -221,7 +237,7 @@ class ParameterSet:
         """Natural values theta (..., P) of unconstrained coordinates z (..., P)."""
         columns: list[Tensor] = []
         for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
-            value = self._transforms[index](column)
+            value: Tensor = self._transforms[index](column)  # pyright: ignore[reportAssignmentType]
             if index in self._second:
                 value = self._squeeze(entry.prior, value, columns[self._second[index]])
             columns.append(value)
@@ -245,7 +261,7 @@ class ParameterSet:
                 value = value.clamp(min=prior.low + 1e-9 * prior.sigma)
             elif math.isfinite(prior.high):
                 value = value.clamp(max=prior.high - 1e-9 * prior.sigma)
-            columns.append(self._transforms[index].inv(value))
+            columns.append(self._transforms[index].inv(value))  # pyright: ignore[reportArgumentType]
         return torch.stack(columns, -1) if columns else theta.clone()
 
     def log_abs_det(self, z: Tensor) -> Tensor:
@@ -262,7 +278,8 @@ class ParameterSet:
         return total
 
     def log_prior(self, theta: Tensor) -> Tensor:
-        """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle; normalised on each pair's
+        """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle;
+        normalised on each pair's
         triangle where both are uniform, else up to the constant that the triangle cuts off."""
         total = torch.zeros(theta.shape[:-1], dtype=theta.dtype, device=theta.device)
         for entry, column in zip(self.free, theta.unbind(-1), strict=True):
@@ -282,7 +299,8 @@ class ParameterSet:
         return self.start().new_tensor(low), self.start().new_tensor(high)
 
     def to_flat(self, theta: Tensor) -> Tensor:
-        """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: logarithms of log-scaled parameters, and the
+        """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: logarithms of
+        log-scaled parameters, and the
         second reflectance of a pair as its share of what the first leaves."""
         columns = []
         natural = theta.unbind(-1)
@@ -310,7 +328,8 @@ class ParameterSet:
         return torch.stack(columns, -1) if columns else y.clone()
 
     def prior_residuals(self, theta: Tensor) -> Tensor:
-        """Peaked priors as rows of a least-squares problem: (..., number of peaked priors), zero at each prior's centre."""
+        """Peaked priors as rows of a least-squares problem: (..., number of peaked priors), zero at each
+        prior's centre."""
         rows = []
         for entry, value in zip(self.free, theta.unbind(-1), strict=True):
             prior = entry.prior
@@ -327,7 +346,9 @@ class ParameterSet:
 
         def draw(number: int) -> Tensor:
             u = torch.rand(number, len(self.free), generator=generator, dtype=self.dtype, device=self.device)
-            return torch.stack([e.prior.quantile(c) for e, c in zip(self.free, u.unbind(-1), strict=True)], -1)
+            return torch.stack(
+                [e.prior.quantile(c) for e, c in zip(self.free, u.unbind(-1), strict=True)], -1
+            )
 
         theta = draw(count)
         for first, second in self.pairs:
@@ -347,7 +368,8 @@ class ParameterSet:
         return prior.low + (value - prior.low) * (prior.high - prior.low) / room.clamp(min=1e-12)
 
     def _log_triangle(self, first: int, second: int) -> float:
-        """Minus the log of the share of the pair's rectangle that lies under the line sum = 1 (0 unless both are uniform)."""
+        """Minus the log of the share of the pair's rectangle that lies under the line sum = 1 (0 unless both
+        are uniform)."""
         a, b = self.free[first].prior, self.free[second].prior
         if a.kind != "uniform" or b.kind != "uniform":
             return 0.0

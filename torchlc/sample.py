@@ -1,17 +1,20 @@
 """The posterior by emcee, with the same module that Adam trained, in batches without gradients.
 
-The ensemble moves in the unconstrained coordinates of :class:`~torchlc.parameters.ParameterSet`, where no prior has a wall; densities carry
-the Jacobian, so the draws are those of the natural parameters. The chain lives in memory and is put on disk whole, in emcee's HDF5
-layout, each time it has grown by a quarter: a killed run resumes from there with the random state it had, to the same result.
+The ensemble moves in the unconstrained coordinates of :class:`~torchlc.parameters.ParameterSet`, where no
+prior has a wall; densities carry
+the Jacobian, so the draws are those of the natural parameters. The chain lives in memory and is put on disk
+whole, in emcee's HDF5
+layout, each time it has grown by a quarter: a killed run resumes from there with the random state it had, to
+the same result.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import emcee
 import h5py
@@ -33,7 +36,8 @@ BACKEND_NAME = "mcmc"
 class Posterior:
     """Draws after burn-in and thinning, theta (W walkers, N draws, P) natural, with log_prob (W, N).
 
-    ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all, ``burn`` and ``thin`` applied;
+    ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all,
+    ``burn`` and ``thin`` applied;
     ``converged`` with its ``reason`` in words.
     """
 
@@ -59,7 +63,8 @@ class Posterior:
         return kept / np.maximum(self.tau, 1.0)
 
     def rhat(self) -> np.ndarray:
-        """Split R-hat of each parameter over four groups of walkers, halved in time: near 1 if groups and halves agree.
+        """Split R-hat of each parameter over four groups of walkers, halved in time: near 1 if groups and
+        halves agree.
 
         Single walkers are too short to be chains of their own, and an ensemble's walkers lean on one another.
         """
@@ -69,8 +74,8 @@ class Posterior:
             return np.full(len(self.names), np.nan)
         groups = []
         for part in np.array_split(np.arange(walkers), 4):
-            for piece in (self.theta[part, :half], self.theta[part, half : 2 * half]):
-                groups.append(piece.reshape(-1, len(self.names)).numpy())
+            halves = (self.theta[part, :half], self.theta[part, half : 2 * half])
+            groups += [piece.reshape(-1, len(self.names)).numpy() for piece in halves]
         means = np.array([g.mean(0) for g in groups])
         within = np.array([g.var(0, ddof=1) for g in groups]).mean(0)
         effective = np.maximum(self.effective() / len(groups), 2.0)
@@ -79,7 +84,8 @@ class Posterior:
 
 
 def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
-    """What emcee calls: unconstrained z (W, P) to log posterior densities (W,), batched, without gradients, never NaN."""
+    """What emcee calls: unconstrained z (W, P) to log posterior densities (W,), batched, without gradients,
+    never NaN."""
     parameters = likelihood.model.parameter_set
 
     def call(z: np.ndarray) -> np.ndarray:
@@ -92,7 +98,8 @@ def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
-    """Starting points z (W, P) from the Laplace covariances of the modes, each mode with a share by its Laplace evidence."""
+    """Starting points z (W, P) from the Laplace covariances of the modes, each mode with a share by its
+    Laplace evidence."""
     likelihood = fit.likelihood
     parameters = likelihood.model.parameter_set
     generator = torch.Generator().manual_seed(seed)
@@ -104,7 +111,9 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
         log_det = float(torch.linalg.slogdet(block)[1]) if len(block) else 0.0
         weights.append(-0.5 * mode.objective + 0.5 * log_det)
     share = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0).clamp(min=0.05)
-    counts = torch.multinomial(share, walkers, replacement=True, generator=generator).bincount(minlength=len(fit.modes))
+    counts = torch.multinomial(share, walkers, replacement=True, generator=generator).bincount(
+        minlength=len(fit.modes)
+    )
     points = []
     for mode, count in zip(fit.modes, counts.tolist(), strict=True):
         y0 = parameters.to_flat(mode.theta)
@@ -132,7 +141,8 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
 
 
 def moves() -> list[tuple[emcee.moves.Move, float]]:
-    """Differential evolution along bananas, its jumps between modes (gamma 1), snooker steps across, stretches for the rest."""
+    """Differential evolution along bananas, its jumps between modes (gamma 1), snooker steps across,
+    stretches for the rest."""
     return [
         (emcee.moves.DEMove(), 0.55),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
@@ -154,7 +164,8 @@ def sample(
 ) -> Posterior:
     """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time, or for ``steps``.
 
-    ``walkers`` defaults to 6 a parameter, at least 32. Raises InputError if ``resume`` finds a chain of another problem.
+    ``walkers`` defaults to 6 a parameter, at least 32. Raises InputError if ``resume`` finds a chain of
+    another problem.
     """
     likelihood = fit.likelihood
     names = likelihood.model.names
@@ -162,7 +173,12 @@ def sample(
     count = walkers if walkers is not None else max(32, 6 * dimensions)
     count += count % 2
     if count < 2 * dimensions + 2:
-        raise InputError(None, "--walkers", f"{count} walkers", f"at least {2 * dimensions + 2} for {dimensions} parameters")
+        raise InputError(
+            None,
+            "--walkers",
+            f"{count} walkers",
+            f"at least {2 * dimensions + 2} for {dimensions} parameters",
+        )
     backend = emcee.backends.Backend()
     sampler = emcee.EnsembleSampler(
         count, dimensions, log_density(likelihood), moves=moves(), vectorize=True, backend=backend
@@ -198,34 +214,42 @@ def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -
     disk.reset(walkers, dimensions)
     disk.grow(backend.iteration, None)
     with h5py.File(partial, "r+") as file:
-        group = file[BACKEND_NAME]
+        group: Any = file[BACKEND_NAME]
         group["chain"][...] = backend.chain[: backend.iteration]
         group["log_prob"][...] = backend.log_prob[: backend.iteration]
         group["accepted"][...] = backend.accepted
         group.attrs["iteration"] = backend.iteration
         group.attrs["parameters"] = names
-        for index, part in enumerate(backend.random_state):
+        for index, part in enumerate(backend.random_state or ()):
             group.attrs[f"random_state_{index}"] = part
         file.flush()
-    os.replace(partial, path)
+    partial.replace(path)
 
 
-def _resumed(path: Path, backend: emcee.backends.Backend, names: list[str], walkers: int) -> emcee.State | None:
+def _resumed(
+    path: Path, backend: emcee.backends.Backend, names: list[str], walkers: int
+) -> emcee.State | None:
     """Fill the in-memory backend from a chain on disk; None if there is none."""
     if not path.exists():
         return None
     try:
-        disk = emcee.backends.HDFBackend(str(path), name=BACKEND_NAME, read_only=True)
+        disk: Any = emcee.backends.HDFBackend(str(path), name=BACKEND_NAME, read_only=True)
         with h5py.File(path, "r") as file:
-            stored = list(file[BACKEND_NAME].attrs["parameters"])
+            attributes: Any = file[BACKEND_NAME].attrs
+            stored = list(attributes["parameters"])
         shape = disk.shape
     except (OSError, KeyError) as error:
-        raise InputError(path, None, f"cannot be read as a chain ({error})", hint="Remove it to start anew") from error
+        raise InputError(
+            path, None, f"cannot be read as a chain ({error})", hint="Remove it to start anew"
+        ) from error
     if stored != names or shape != (walkers, len(names)):
         raise InputError(
-            path, None, f"a chain of {shape[0]} walkers over {', '.join(stored)}", f"{walkers} walkers over {', '.join(names)}",
+            path,
+            None,
+            f"a chain of {shape[0]} walkers over {', '.join(stored)}",
+            f"{walkers} walkers over {', '.join(names)}",
             "Remove it to start anew, or give the scene and --walkers it was made with",
-        )  # fmt: skip
+        )
     backend.reset(*shape)
     backend.grow(disk.iteration, None)
     backend.chain[:] = disk.get_chain()
@@ -238,7 +262,9 @@ def _resumed(path: Path, backend: emcee.backends.Backend, names: list[str], walk
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
     chain = backend.get_chain(discard=backend.iteration // 4)
-    return np.nan_to_num(emcee.autocorr.integrated_time(chain, tol=0, quiet=True), nan=float(backend.iteration))
+    return np.nan_to_num(
+        emcee.autocorr.integrated_time(chain, tol=0, quiet=True), nan=float(backend.iteration)
+    )
 
 
 def _long_enough(backend: emcee.backends.Backend) -> bool:
@@ -251,9 +277,7 @@ def _done(backend: emcee.backends.Backend, limit: int, fixed: bool) -> float:
     return min(0.99, 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend)))))
 
 
-def _posterior(
-    likelihood: Likelihood, backend: emcee.backends.Backend, names: list[str], steps: int | None
-) -> Posterior:
+def _posterior(likelihood: Likelihood, backend: Any, names: list[str], steps: int | None) -> Posterior:
     tau = _tau(backend)
     longest = float(np.max(tau))
     burn = min(int(max(3 * longest, backend.iteration // 4)), backend.iteration // 2)
@@ -262,10 +286,14 @@ def _posterior(
     log_prob = torch.as_tensor(backend.get_log_prob(discard=burn, thin=thin).copy())
     kept = (backend.iteration - burn) / longest
     converged = kept >= LONG_ENOUGH * 0.9
-    reason = f"{backend.iteration} steps, {kept:.0f} autocorrelation times of {longest:.0f} steps after burn-in"
+    reason = (
+        f"{backend.iteration} steps, {kept:.0f} autocorrelation times of {longest:.0f} steps after burn-in"
+    )
     if not converged:
         reason += f"; {LONG_ENOUGH} are wanted: run on with --resume and more --steps"
     accepted = float(np.mean(backend.accepted / max(backend.iteration, 1)))
     with torch.no_grad():
         theta = likelihood.model.parameter_set.to_natural(chain).transpose(0, 1).contiguous()
-    return Posterior(names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin, converged, reason)
+    return Posterior(
+        names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin, converged, reason
+    )

@@ -1,1 +1,2 @@
-"""Diagnosis: locate the mismatch between model and recording, name the missing physics, model it, prove it."""
+"""Diagnosis: locate the mismatch between model and recording, name the missing physics, model it, prove
+it."""

@@ -10,11 +10,13 @@ from torchlc.model import LightCurve
 from torchlc.orbit.track import angle_between
 
 MOST_FACES = 8
-"""Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to name."""
+"""Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
+name."""
 
 
 def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
-    """Every coordinate of FORMATS by name, each (T,), at natural values theta; those the data do not know are left out."""
+    """Every coordinate of FORMATS by name, each (T,), at natural values theta; those the data do not know
+    are left out."""
     with torch.no_grad():
         values = model.values(theta)
         view = model.view(values)
@@ -45,7 +47,8 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
 
 
 def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]:
-    """Angle between normal and bisector of Sun and observer, and of incidence, degrees, for each face of the plain components."""
+    """Angle between normal and bisector of Sun and observer, and of incidence, degrees, for each face of the
+    plain components."""
     found = {}
     for number, part in enumerate(model.assembly.shape.parts):
         if len(part.faces) > MOST_FACES:
@@ -62,13 +65,16 @@ def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]
             seen = (normal * to_observer).sum(-1) > 0
             if not bool((lit & seen).any()):
                 continue
-            found[f"glint_angle_deg[{part.name}/{face}]"] = torch.rad2deg(angle_between(normal, to_sun + to_observer))
+            found[f"glint_angle_deg[{part.name}/{face}]"] = torch.rad2deg(
+                angle_between(normal, to_sun + to_observer)
+            )
             found[f"incidence_deg[{part.name}/{face}]"] = torch.rad2deg(angle_between(normal, to_sun))
     return found
 
 
 def shadow_coordinate(view: View, middle: int) -> Tensor:
-    """(c - b) / a of physics B2, (T,): -1 where the umbra begins, 1 where the penumbra ends; large in full sunlight."""
+    """(c - b) / a of physics B2, (T,): -1 where the umbra begins, 1 where the penumbra ends; large in full
+    sunlight."""
     assert view.state.position is not None  # asked only where the position is known
     position = view.state.position.expand(*view.to_sun.shape)[middle]
     sun = view.state.sun.expand(*view.to_sun.shape)[middle]

@@ -1,7 +1,10 @@
-"""Evidence and held-out prediction of a refit under white noise, jitter, red noise or outliers, in closed form.
+"""Evidence and held-out prediction of a refit under white noise, jitter, red noise or outliers, in closed
+form.
 
-About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - y, V) a priori and C the noise. With one factorisation of C the
-log evidence log N(r; M (mu - y), C + M V M') and the predictive density of every held-out block given the rest follow. Blocks are longer
+About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - y, V) a priori and C the
+noise. With one factorisation of C the
+log evidence log N(r; M (mu - y), C + M V M') and the predictive density of every held-out block given the
+rest follow. Blocks are longer
 than three correlation times, with a gap of one, so that a process has forgotten and physics has not.
 """
 
@@ -10,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -62,7 +66,8 @@ class Blocks:
 
 
 def make_blocks(seconds: Tensor, group: Tensor, count: int = 8) -> Blocks:
-    """Whole groups (curves or nights) if there are at least four, dealt into at most ``count`` blocks; else runs of rows of equal
+    """Whole groups (curves or nights) if there are at least four, dealt into at most ``count`` blocks; else
+    runs of rows of equal
     number, with a gap of 5 % of the rows on either side."""
     ids = torch.unique(group)
     if len(ids) >= 4:
@@ -74,13 +79,14 @@ def make_blocks(seconds: Tensor, group: Tensor, count: int = 8) -> Blocks:
     folds = min(count, max(2, total // 4))
     edges = [round(total * k / folds) for k in range(folds + 1)]
     gap = max(1, round(0.025 * total))
-    rows = [order[a:b] for a, b in zip(edges, edges[1:], strict=False)]
-    removed = [order[max(0, a - gap) : min(total, b + gap)] for a, b in zip(edges, edges[1:], strict=False)]
+    rows = [order[a:b] for a, b in pairwise(edges)]
+    removed = [order[max(0, a - gap) : min(total, b + gap)] for a, b in pairwise(edges)]
     return Blocks(rows, removed)
 
 
 class Scorer:
-    """Scores refits of one recording: its blocks, and the groups (curves) within which noise is correlated."""
+    """Scores refits of one recording: its blocks, and the groups (curves) within which noise is
+    correlated."""
 
     def __init__(self, seconds: Tensor, curve: Tensor, blocks: Blocks, fitted_errors: bool) -> None:
         self.seconds, self.blocks, self.fitted_errors = seconds, blocks, fitted_errors
@@ -90,15 +96,20 @@ class Scorer:
         cadence_min = float(steps.median()) / 60 if len(steps) else 1.0
         longest = min(LONGEST_TAU_MIN, span_min / 4)
         shortest = max(2 * cadence_min, 1e-3)
-        self.taus = [] if longest <= shortest else torch.logspace(
-            math.log10(shortest), math.log10(longest), 5, dtype=torch.float64
-        ).tolist()  # fmt: skip
+        self.taus = (
+            []
+            if longest <= shortest
+            else torch.logspace(math.log10(shortest), math.log10(longest), 5, dtype=torch.float64).tolist()
+        )
         self._kernels: dict[tuple[int, float], Tensor] = {}
 
     # ------------------------------------------------------------------ noise models
 
-    def score(self, refit: Refit, kinds: Sequence[str] = ("white", "jitter", "red_noise", "outliers")) -> Score:
-        """Evidence under each noise model at its best parameters, and the held-out density under the best of them."""
+    def score(
+        self, refit: Refit, kinds: Sequence[str] = ("white", "jitter", "red_noise", "outliers")
+    ) -> Score:
+        """Evidence under each noise model at its best parameters, and the held-out density under the best of
+        them."""
         found: dict[str, tuple[NoiseModel, float]] = {}
         for kind in kinds:
             if kind == "jitter" and self.fitted_errors:
@@ -107,7 +118,9 @@ class Scorer:
             if noise is not None:
                 found[kind] = (noise, self.log_evidence(refit, noise) - noise.penalty)
         best = max(found.values(), key=lambda item: item[1])
-        by_kind = {kind: (value, float(self.heldout(refit, noise).sum())) for kind, (noise, value) in found.items()}
+        by_kind = {
+            kind: (value, float(self.heldout(refit, noise).sum())) for kind, (noise, value) in found.items()
+        }
         return Score(best[0], best[1], self.heldout(refit, best[0]), by_kind)
 
     def _fitted(self, refit: Refit, kind: str) -> NoiseModel | None:
@@ -124,15 +137,22 @@ class Scorer:
                 return None
             spread = max(float((refit.delta / refit.scale).std()), 0.3 * sigma)
             rough = [
-                NoiseModel("red_noise", red=spread * f, tau_min=tau) for tau in self.taus for f in (0.25, 0.7, 1.3)
+                NoiseModel("red_noise", red=spread * f, tau_min=tau)
+                for tau in self.taus
+                for f in (0.25, 0.7, 1.3)
             ]
             first = self._best(refit, rough)
             around = [
-                NoiseModel("red_noise", red=first.red * f, tau_min=first.tau_min) for f in (0.6, 0.8, 1.0, 1.25, 1.6)
+                NoiseModel("red_noise", red=first.red * f, tau_min=first.tau_min)
+                for f in (0.6, 0.8, 1.0, 1.25, 1.6)
             ]
             return self._best(refit, around)
         u = refit.delta / refit.sigma
-        trials = [NoiseModel("outliers", fraction=f, width=w) for f in (0.01, 0.03, 0.1, 0.2) for w in (3.0, 6.0, 15.0)]
+        trials = [
+            NoiseModel("outliers", fraction=f, width=w)
+            for f in (0.01, 0.03, 0.1, 0.2)
+            for w in (3.0, 6.0, 15.0)
+        ]
         values = [self._mixture(u, noise).sum() for noise in trials]
         return trials[int(torch.stack(values).argmax())]
 
@@ -147,7 +167,8 @@ class Scorer:
     # ------------------------------------------------------------------ linear-Gaussian algebra
 
     def _weights(self, refit: Refit, noise: NoiseModel) -> Tensor:
-        """Effective standard deviation of each row; outliers as the width their posterior membership implies."""
+        """Effective standard deviation of each row; outliers as the width their posterior membership
+        implies."""
         if noise.kind == "jitter":
             return torch.sqrt(refit.sigma**2 + (noise.jitter * refit.scale) ** 2)
         if noise.kind == "outliers":
@@ -158,7 +179,9 @@ class Scorer:
             return refit.sigma / torch.sqrt(1 - member + member / noise.width**2)
         return refit.sigma
 
-    def _whitened(self, refit: Refit, noise: NoiseModel, rows: Tensor | None = None) -> tuple[Tensor, Tensor, float]:
+    def _whitened(
+        self, refit: Refit, noise: NoiseModel, rows: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, float]:
         """Rows (delta, slopes) divided by the root of C, and log det C / 2, of all rows or some."""
         sigma = self._weights(refit, noise)
         columns = torch.cat([refit.delta[:, None], refit.slopes], 1)
@@ -167,9 +190,11 @@ class Scorer:
             white = columns[pick] / sigma[pick, None]
             return white[:, 0], white[:, 1:], float(torch.log(sigma[pick]).sum())
         pieces, log_det = [], 0.0
-        inside = torch.ones(len(refit.delta), dtype=torch.bool) if rows is None else torch.zeros(
-            len(refit.delta), dtype=torch.bool
-        ).index_fill(0, rows, True)  # fmt: skip
+        inside = (
+            torch.ones(len(refit.delta), dtype=torch.bool)
+            if rows is None
+            else torch.zeros(len(refit.delta), dtype=torch.bool).index_fill(0, rows, True)
+        )
         for number, group in enumerate(self.groups):
             mask = inside[group]
             if not bool(mask.any()):
@@ -185,7 +210,8 @@ class Scorer:
         return white[:, 0], white[:, 1:], log_det
 
     def whitened(self, refit: Refit, noise: NoiseModel) -> Refit:
-        """The refit with rows of unit variance under a noise model, in place of its own; rows keep their order."""
+        """The refit with rows of unit variance under a noise model, in place of its own; rows keep their
+        order."""
         r, m, _ = self._whitened(refit, noise)
         if noise.kind == "red_noise":
             order = torch.argsort(torch.cat(self.groups))
@@ -218,7 +244,8 @@ class Scorer:
         return self._kernels[key]
 
     def log_evidence(self, refit: Refit, noise: NoiseModel) -> float:
-        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's own density."""
+        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's
+        own density."""
         r, m, log_det = self._whitened(refit, noise)
         gaussian = _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
         if noise.kind != "outliers":
@@ -228,7 +255,8 @@ class Scorer:
         return mixture + (_log_marginal(r, m, refit) + 0.5 * float((r * r).sum()))
 
     def heldout(self, refit: Refit, noise: NoiseModel) -> Tensor:
-        """Log predictive density of each block given the rest (less the gap): parameters from the rest, the process forgotten."""
+        """Log predictive density of each block given the rest (less the gap): parameters from the rest, the
+        process forgotten."""
         scores = []
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
@@ -252,7 +280,9 @@ class Scorer:
             half = torch.log(torch.diagonal(inner)).sum() if len(keep) else 0.0
             if noise.kind == "outliers":
                 u = (refit.delta[rows] - refit.slopes[rows][:, keep] @ x) / refit.sigma[rows]
-                density = (self._mixture(u, noise) - torch.log(refit.sigma[rows])).sum() - 0.5 * len(rows) * LOG_2PI
+                density = (self._mixture(u, noise) - torch.log(refit.sigma[rows])).sum() - 0.5 * len(
+                    rows
+                ) * LOG_2PI
                 scores.append(density - half + 0.5 * projected @ projected)
             else:
                 scores.append(-0.5 * quadratic - half - log_det - 0.5 * len(rows) * LOG_2PI)
@@ -260,7 +290,8 @@ class Scorer:
 
 
 def stable_cholesky(system: Tensor) -> Tensor:
-    """Lower factor of a positive matrix whose scales may differ by many decades: factored at unit diagonal, a ridge of 1e-12 and, if that
+    """Lower factor of a positive matrix whose scales may differ by many decades: factored at unit diagonal,
+    a ridge of 1e-12 and, if that
     does not do, of 1e-8 added there."""
     root = torch.sqrt(torch.diagonal(system).clamp(min=1e-300))
     scaled = system / root[:, None] / root[None]
@@ -282,4 +313,6 @@ def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
     b = m.T @ r + precision * shift
     root = torch.linalg.solve_triangular(factor, b[:, None], upper=False)[:, 0]
     quadratic = r @ r + (precision * shift * shift).sum() - root @ root
-    return float(-0.5 * quadratic - torch.log(torch.diagonal(factor)).sum() + 0.5 * torch.log(precision).sum())
+    return float(
+        -0.5 * quadratic - torch.log(torch.diagonal(factor)).sum() + 0.5 * torch.log(precision).sum()
+    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchlc.effects.base import Entry
 from torchlc.diagnose.search import Found, nameable
+from torchlc.effects.base import Entry
 
 TIED_EVIDENCE = 4.0
 """Margin of log evidence within which another effect in the same place is a member of the family."""
@@ -14,7 +14,8 @@ TIED_DISTANCE = 6.0
 
 
 def families(final: Found, made: Sequence[Found], named: Sequence[str]) -> list[list[str]]:
-    """For each named effect, itself and those that do as well in its place beside the other named effects, best first."""
+    """For each named effect, itself and those that do as well in its place beside the other named effects,
+    best first."""
     entries = list(final.hypothesis.plain)
     groups = []
     for name in named:

@@ -1,7 +1,9 @@
 """Is anything missing? One calibrated p-value from a battery of statistics on the residuals of the baseline.
 
-Under "nothing missing" the whitened residuals (prior rows included) are R z with z standard normal and R the projection off everything the
-baseline can absorb. The battery's null is drawn from that, every statistic gets a marginal p with an exponential tail beyond the draws, and
+Under "nothing missing" the whitened residuals (prior rows included) are R z with z standard normal and R the
+projection off everything the
+baseline can absorb. The battery's null is drawn from that, every statistic gets a marginal p with an
+exponential tail beyond the draws, and
 the smallest of them is referred to its own null, so the look-elsewhere effect is paid once and in full.
 """
 
@@ -10,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -24,7 +27,8 @@ BINS = 16
 
 @dataclass(frozen=True)
 class Gate:
-    """``global_p``, the marginal p of each statistic, and the windows (start, stop, p) of rows in time order whose sum of squares or of
+    """``global_p``, the marginal p of each statistic, and the windows (start, stop, p) of rows in time order
+    whose sum of squares or of
     residuals is beyond the family-wise 95 %."""
 
     global_p: float
@@ -33,7 +37,8 @@ class Gate:
 
 
 class Battery:
-    """Statistics of normalised residuals u (B, T), fixed for one recording: time order and curves, coordinates, signatures."""
+    """Statistics of normalised residuals u (B, T), fixed for one recording: time order and curves,
+    coordinates, signatures."""
 
     def __init__(
         self,
@@ -45,7 +50,9 @@ class Battery:
     ) -> None:
         self.order = torch.argsort(curve.to(torch.float64) * (seconds.max() - seconds.min() + 1e6) + seconds)
         sorted_curve = curve[self.order]
-        self.same = {lag: (sorted_curve[lag:] == sorted_curve[:-lag]).to(seconds) for lag in LAGS if lag < len(curve)}
+        self.same = {
+            lag: (sorted_curve[lag:] == sorted_curve[:-lag]).to(seconds) for lag in LAGS if lag < len(curve)
+        }
         self.coordinates = {name: torch.argsort(value) for name, value in coordinates.items()}
         self.signatures = signatures
         self.with_chi2 = with_chi2
@@ -73,7 +80,8 @@ class Battery:
         return found
 
     def _windows(self, ordered: Tensor) -> tuple[Tensor, Tensor]:
-        """Largest over positions of (sum u)^2 / n and of (sum u^2 - n) / sqrt(2 n), for each length: (B, number of lengths)."""
+        """Largest over positions of (sum u)^2 / n and of (sum u^2 - n) / sqrt(2 n), for each length: (B,
+        number of lengths)."""
         zero = ordered.new_zeros(len(ordered), 1)
         total = torch.cat([zero, ordered.cumsum(-1)], -1)
         power = torch.cat([zero, (ordered * ordered).cumsum(-1)], -1)
@@ -84,7 +92,8 @@ class Battery:
         return torch.stack(sums, -1), torch.stack(squares, -1)
 
     def beyond(self, u: Tensor, null: Tensor) -> list[tuple[int, int, float]]:
-        """Windows (first, last row in time order, p) whose |sum| is beyond 95 % of the largest window sums of null draws (B, T)."""
+        """Windows (first, last row in time order, p) whose |sum| is beyond 95 % of the largest window sums
+        of null draws (B, T)."""
         if not self.lengths:
             return []
         limit = torch.quantile(self._windows(null[:, self.order])[0].amax(-1), 0.95)
@@ -103,8 +112,8 @@ def _binned(u: Tensor) -> Tensor:
     bins = min(BINS, max(2, u.shape[-1] // 8))
     edges = [round(u.shape[-1] * k / bins) for k in range(bins + 1)]
     total = torch.cat([u.new_zeros(len(u), 1), u.cumsum(-1)], -1)
-    sums = torch.stack([total[:, b] - total[:, a] for a, b in zip(edges, edges[1:], strict=False)], -1)
-    counts = torch.tensor([b - a for a, b in zip(edges, edges[1:], strict=False)], dtype=u.dtype)
+    sums = torch.stack([total[:, b] - total[:, a] for a, b in pairwise(edges)], -1)
+    counts = torch.tensor([b - a for a, b in pairwise(edges)], dtype=u.dtype)
     return (sums**2 / counts).sum(-1)
 
 
@@ -112,17 +121,26 @@ def runs(mask: Tensor) -> list[tuple[int, int]]:
     """First and last index of every run of True in a mask (T,)."""
     padded = torch.cat([mask.new_zeros(1), mask, mask.new_zeros(1)]).to(torch.int8)
     step = torch.diff(padded)
-    return list(zip(torch.nonzero(step == 1)[:, 0].tolist(), (torch.nonzero(step == -1)[:, 0] - 1).tolist(), strict=True))
+    return list(
+        zip(
+            torch.nonzero(step == 1)[:, 0].tolist(),
+            (torch.nonzero(step == -1)[:, 0] - 1).tolist(),
+            strict=True,
+        )
+    )
 
 
 def residual_projection(refit: Refit) -> tuple[Tensor, Tensor]:
-    """Orthonormal basis Q (T + n, P) of what the baseline can absorb, prior rows below the data, and which rows are prior rows.
+    """Orthonormal basis Q (T + n, P) of what the baseline can absorb, prior rows below the data, and which
+    rows are prior rows.
 
     Flat priors give no row; a peaked prior gives one.
     """
     parameters = refit.model.parameter_set
     peaked = [
-        i for i, entry in enumerate(parameters.free) if entry.prior.kind in ("normal", "lognormal", "halfnormal")
+        i
+        for i, entry in enumerate(parameters.free)
+        if entry.prior.kind in ("normal", "lognormal", "halfnormal")
     ]
     m = refit.slopes / refit.sigma[:, None]
     rows = torch.zeros(len(peaked), m.shape[1], dtype=m.dtype)
@@ -147,7 +165,8 @@ def gate(
     noise: NoiseModel | None = None,
     scorer: Scorer | None = None,
 ) -> Gate:
-    """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one is given."""
+    """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one
+    is given."""
     if noise is not None and scorer is not None and noise.kind != "white":
         refit = scorer.whitened(refit, noise)
     basis, peaked = residual_projection(refit)
@@ -159,7 +178,9 @@ def gate(
     prior = refit.model.parameter_set.prior_residuals(refit.theta)[None]
     null_u, null_prior = z[:, :rows], z[:, rows:]
     if refit.likelihood.fitted_errors:
-        u, null_u = (_studentised(one, refit.likelihood.curve, refit.likelihood.curves) for one in (u, null_u))
+        u, null_u = (
+            _studentised(one, refit.likelihood.curve, refit.likelihood.curves) for one in (u, null_u)
+        )
     observed = battery.statistics(u, prior)
     null = battery.statistics(null_u, null_prior)
     marginal, null_minimum = {}, torch.zeros(draws, dtype=u.dtype)
@@ -182,9 +203,11 @@ def _studentised(u: Tensor, curve: Tensor, curves: int) -> Tensor:
 
 
 def log_tail(ordered: Tensor, value: Tensor) -> Tensor:
-    """log p of each value (N,) against sorted null draws (B,): the rank below the top 5 %, an exponential fitted to the top 5 % beyond.
+    """log p of each value (N,) against sorted null draws (B,): the rank below the top 5 %, an exponential
+    fitted to the top 5 % beyond.
 
-    An exponential is heavier than every statistic's own tail here (squares of Gaussians), so p is not too small.
+    An exponential is heavier than every statistic's own tail here (squares of Gaussians), so p is not too
+    small.
     """
     draws = len(ordered)
     above = draws - torch.searchsorted(ordered, value.contiguous(), right=False)
@@ -192,4 +215,6 @@ def log_tail(ordered: Tensor, value: Tensor) -> Tensor:
     threshold = ordered[int(0.95 * draws)]
     mean_excess = (ordered[int(0.95 * draws) :] - threshold).mean().clamp(min=1e-12)
     tail = math.log(0.05) - (value - threshold) / mean_excess
-    return torch.where(value > threshold, torch.minimum(tail, torch.tensor(math.log(0.05), dtype=tail.dtype)), rank)
+    return torch.where(
+        value > threshold, torch.minimum(tail, torch.tensor(math.log(0.05), dtype=tail.dtype)), rank
+    )

@@ -1,4 +1,5 @@
-"""What to observe next: the night, station and cadence that would separate the members of a tied family best."""
+"""What to observe next: the night, station and cadence that would separate the members of a tied family
+best."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ ENOUGH = 10.0
 
 @dataclass(frozen=True)
 class Option:
-    """A candidate night: its first instant, station, seconds between exposures, and the log-likelihood margin it is expected to give."""
+    """A candidate night: its first instant, station, seconds between exposures, and the log-likelihood
+    margin it is expected to give."""
 
     start: str
     station: str
@@ -40,7 +42,8 @@ class Option:
 
 
 def next_nights(first: Found, second: Found) -> list[Option]:
-    """Candidate nights in order of the expected margin between two refits; empty where the orbit cannot be carried to another night."""
+    """Candidate nights in order of the expected margin between two refits; empty where the orbit cannot be
+    carried to another night."""
     model = first.refit.model
     scene, recording = model.scene, model.recording
     if scene.orbit.tle is None:
@@ -77,7 +80,8 @@ def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -
 
 
 def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float | None:
-    """Half the squared distance between the two predictions, less what the uncertainty of either's parameters could absorb."""
+    """Half the squared distance between the two predictions, less what the uncertainty of either's
+    parameters could absorb."""
     try:
         a, slopes_a = _prediction(first, scene, grid)
         b, slopes_b = _prediction(second, scene, grid)
@@ -96,9 +100,12 @@ def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float
 
 
 def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
-    """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another night."""
+    """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another
+    night."""
     entries = [
-        str(Entry(one.name, one.target, one.by, one.width)) for one in refit.model.effects if one.stage != "noise"
+        str(Entry(one.name, one.target, one.by, one.width))
+        for one in refit.model.effects
+        if one.stage != "noise"
     ]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
     parameters = model.parameter_set
@@ -113,20 +120,22 @@ def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Te
 
 def sentence(options: Sequence[Option], first: str, second: str, fixed_orbit: bool) -> str:
     """One sentence for the analyst."""
+    tied = f"{first} and {second} do as well here"
     if not fixed_orbit:
         return (
-            f"{first} and {second} do as well here, and without orbital elements no other night can be computed: "
+            f"{tied}, and without orbital elements no other night can be computed: "
             "repeat the object at another phase angle and compare their predictions."
         )
     if not options:
-        return f"{first} and {second} do as well here, and no night within half a year puts the object above the horizon."
+        return f"{tied}, and no night within half a year puts the object above the horizon."
     best = options[0]
     if best.margin < ENOUGH:
         return (
-            f"{first} and {second} do as well here, and no single night of the next half year would separate them: "
-            f"the best, {best.start} UTC from {best.station}, is expected to give {best.margin:.1f} in log-likelihood."
+            f"{tied}, and no single night of the next half year would separate them: the best, "
+            f"{best.start} UTC from {best.station}, is expected to give {best.margin:.1f} in log-likelihood."
         )
     return (
-        f"To tell {first} from {second}, observe from {best.station} on {best.start} UTC for {best.hours:.1f} h at one exposure "
-        f"every {best.cadence_s:.0f} s: the expected margin in log-likelihood is {best.margin:.0f}."
+        f"To tell {first} from {second}, observe from {best.station} on {best.start} UTC for "
+        f"{best.hours:.1f} h at one exposure every {best.cadence_s:.0f} s: the expected margin in "
+        f"log-likelihood is {best.margin:.0f}."
     )

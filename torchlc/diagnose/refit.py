@@ -1,4 +1,5 @@
-"""Fits of one hypothesis (a list of effects) and what they leave, in the linear form that evidence and held-out scores need."""
+"""Fits of one hypothesis (a list of effects) and what they leave, in the linear form that evidence and
+held-out scores need."""
 
 from __future__ import annotations
 
@@ -40,8 +41,10 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Refit:
-    """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model, slopes (T, P) =
-    d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y as a Gaussian (mean, precision).
+    """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model,
+    slopes (T, P) =
+    d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y as a Gaussian
+    (mean, precision).
 
     ``held`` marks coordinates at a bound, whose columns of slopes are zero.
     """
@@ -95,18 +98,21 @@ class Workbench:
     def _model(self, hypothesis: Hypothesis) -> LightCurve:
         if not hypothesis.added:
             return LightCurve(self.base.scene, self.base.recording, assembly=self.base)
-        own = [str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in self.base.effects]
-        assembly = assemble(
-            self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base
-        )
+        own = [
+            str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in self.base.effects
+        ]
+        assembly = assemble(self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base)
         model = LightCurve(self.base.scene, self.base.recording, assembly=assembly)
         for other in self._likelihoods.values():
             if other.model.tables_key == model.tables_key:
-                return LightCurve(self.base.scene, self.base.recording, assembly=assembly, sibling=other.model)
+                return LightCurve(
+                    self.base.scene, self.base.recording, assembly=assembly, sibling=other.model
+                )
         return model
 
     def start(self, hypothesis: Hypothesis, theta: Tensor, names: Sequence[str]) -> Tensor:
-        """Values of a smaller model's theta (S, P') carried over to a hypothesis; its further parameters at their starts."""
+        """Values of a smaller model's theta (S, P') carried over to a hypothesis; its further parameters at
+        their starts."""
         parameters = self.likelihood(hypothesis).model.parameter_set
         found = parameters.start().expand(len(theta), -1).clone()
         for column, name in enumerate(parameters.names):
@@ -120,8 +126,11 @@ def is_slow(model: LightCurve) -> bool:
     return model.geometry_free and any(effect.name == "self_shadowing" for effect in model.effects)
 
 
-def refit(likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10) -> Refit:
-    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3; 1 if slow) are brought to the
+def refit(
+    likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
+) -> Refit:
+    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3; 1
+    if slow) are brought to the
     end."""
     parameters = likelihood.model.parameter_set
     if is_slow(likelihood.model):
@@ -157,8 +166,11 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
         if parameters.names:
             slopes = -differences(
                 lambda point: likelihood.residuals(parameters.from_flat(point)).delta,
-                y[None], low, high, colours=likelihood.colours(prior_rows=False),
-            )[0]  # fmt: skip
+                y[None],
+                low,
+                high,
+                colours=likelihood.colours(prior_rows=False),
+            )[0]
         else:
             slopes = found.delta.new_zeros(len(found.delta), 0)
         mean, precision = gaussian_prior(parameters)
@@ -167,13 +179,25 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
         objective = float((u * u).sum() + (pull * pull).sum())
     slopes = torch.where(held, 0.0, slopes)
     return Refit(
-        hypothesis, likelihood, theta, y, found.delta, slopes, sigma, found.scale.expand(found.delta.shape),
-        mean, precision, held, float((u * u).sum()), objective,
-    )  # fmt: skip
+        hypothesis,
+        likelihood,
+        theta,
+        y,
+        found.delta,
+        slopes,
+        sigma,
+        found.scale.expand(found.delta.shape),
+        mean,
+        precision,
+        held,
+        float((u * u).sum()),
+        objective,
+    )
 
 
 def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
-    """Mean and precision (P,) of y: a flat prior of width w counts as a Gaussian of variance w^2 / 12 about its middle."""
+    """Mean and precision (P,) of y: a flat prior of width w counts as a Gaussian of variance w^2 / 12 about
+    its middle."""
     low, high = parameters.flat_bounds()
     mean, precision = torch.zeros_like(low), torch.zeros_like(low)
     for index, entry in enumerate(parameters.free):
@@ -192,8 +216,10 @@ def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
 
 
 def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: torch.Generator) -> Tensor:
-    """Values (count, k) for the parameters of one effect entry to start from: both signs and sizes 0.3 to 3 of the typical, directions
-    and other wide quantities from their priors; offsets of single curves start at none. k = 0 for an effect without parameters."""
+    """Values (count, k) for the parameters of one effect entry to start from: both signs and sizes 0.3 to 3
+    of the typical, directions
+    and other wide quantities from their priors; offsets of single curves start at none. k = 0 for an effect
+    without parameters."""
     entry = Entry.parse(effect)
     quantities = {q.name: q for q in registry()[entry.name].quantities}
     parameters = likelihood.model.parameter_set

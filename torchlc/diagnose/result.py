@@ -7,23 +7,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Entry
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.gate import Gate
 from torchlc.diagnose.plan import Option
 from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.search import Found, Probe
 from torchlc.diagnose.where import Where, as_json
+from torchlc.effects.base import Entry
 
 SCHEMA = "torchlc-diagnosis/1"
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """``verdict`` with what it rests on: ``gate`` of the baseline and ``final_gate`` of the final model, every first-round refit in
+    """``verdict`` with what it rests on: ``gate`` of the baseline and ``final_gate`` of the final model,
+    every first-round refit in
     ``first`` (best first), the ``named`` effects with their ``families``, and ``where`` they act."""
 
     verdict: str
@@ -50,8 +52,12 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
         recording = self.baseline.refit.model.recording
-        time = recording.time.isot
-        stations = [recording.station_ids[i] for i in recording.station] if recording.station_ids else [""] * len(time)
+        time = [str(one) for one in np.atleast_1d(recording.time.isot)]
+        stations = (
+            [recording.station_ids[i] for i in recording.station]
+            if recording.station_ids
+            else [""] * len(time)
+        )
         return _clean(
             {
                 "schema": SCHEMA,
@@ -60,7 +66,7 @@ class Diagnosis:
                 "named": list(self.named),
                 "families": [list(family) for family in self.families],
                 "candidates": self.candidates(),
-                "where": None if self.where is None else as_json(self.where, list(time), stations),
+                "where": None if self.where is None else as_json(self.where, time, stations),
                 "improvement": self.improvement(),
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
@@ -71,7 +77,8 @@ class Diagnosis:
         )
 
     def candidates(self) -> list[dict[str, Any]]:
-        """Every effect tried, best first: refitted ones by evidence, noise models among them, the rest by score."""
+        """Every effect tried, best first: refitted ones by evidence, noise models among them, the rest by
+        score."""
         rows = []
         base = self.baseline
         for found in self.first:
@@ -93,23 +100,32 @@ class Diagnosis:
             if kind != "white":
                 rows.append(
                     {
-                        "effect": kind, "target": None, "score": None, "p": None,
-                        "delta_log_evidence": value - white, "heldout_delta_log_likelihood": heldout - heldout_white,
-                        "parameters": {}, "chi2_after": base.refit.chi2,
+                        "effect": kind,
+                        "target": None,
+                        "score": None,
+                        "p": None,
+                        "delta_log_evidence": value - white,
+                        "heldout_delta_log_likelihood": heldout - heldout_white,
+                        "parameters": {},
+                        "chi2_after": base.refit.chi2,
                     }
-                )  # fmt: skip
+                )
         rows.sort(key=lambda row: -row["delta_log_evidence"])
         tried = {found.hypothesis.plain[0] for found in self.first}
-        for entry in sorted(self.probes, key=lambda one: -self.probes[one].score):
-            if entry not in tried:
-                rows.append(
-                    {
-                        "effect": Entry.parse(entry).name, "target": Entry.parse(entry).target,
-                        "score": self.probes[entry].score, "p": self.gate.marginal.get(f"signature {entry}"),
-                        "delta_log_evidence": None, "heldout_delta_log_likelihood": None, "parameters": {},
-                        "chi2_after": None,
-                    }
-                )  # fmt: skip
+        untried = [entry for entry in self.probes if entry not in tried]
+        rows += [
+            {
+                "effect": Entry.parse(entry).name,
+                "target": Entry.parse(entry).target,
+                "score": self.probes[entry].score,
+                "p": self.gate.marginal.get(f"signature {entry}"),
+                "delta_log_evidence": None,
+                "heldout_delta_log_likelihood": None,
+                "parameters": {},
+                "chi2_after": None,
+            }
+            for entry in sorted(untried, key=lambda one: -self.probes[one].score)
+        ]
         return rows
 
     def improvement(self) -> dict[str, Any]:
@@ -131,7 +147,10 @@ class Diagnosis:
             note = f"nothing that the data show: chi2 {chi2:.0f} for {dof} degrees of freedom"
         else:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
-            note = f"structure is left: chi2 {chi2:.0f} for {dof} degrees of freedom, strongest in the statistic '{worst}'"
+            note = (
+                f"structure is left: chi2 {chi2:.0f} for {dof} degrees of freedom, "
+                f"strongest in the statistic '{worst}'"
+            )
             kind = self.final.score.noise.kind
             if kind != "white":
                 note += f"; described by {kind}"
@@ -139,7 +158,8 @@ class Diagnosis:
 
 
 def materials(refit: Refit) -> dict[str, dict[str, float]]:
-    """Median, sd and 90 % interval of every free material parameter, from the linear posterior in flat coordinates."""
+    """Median, sd and 90 % interval of every free material parameter, from the linear posterior in flat
+    coordinates."""
     parameters = refit.model.parameter_set
     owners = set(refit.model.scene.materials)
     names = [i for i, name in enumerate(parameters.names) if name.rpartition(".")[0] in owners]

@@ -1,4 +1,5 @@
-"""Diagnosis from scene and recording to verdict: is anything missing, what is it, where, and what does it change."""
+"""Diagnosis from scene and recording to verdict: is anything missing, what is it, where, and what does it
+change."""
 
 from __future__ import annotations
 
@@ -8,7 +9,6 @@ from collections.abc import Callable, Sequence
 import torch
 
 from torchlc.assemble import assemble
-from torchlc.effects.base import Entry
 from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
@@ -19,6 +19,7 @@ from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import Found, Probe, candidate_entries, nameable, probe, search
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
 from torchlc.effects import registry
+from torchlc.effects.base import Entry
 from torchlc.errors import InputError
 from torchlc.fit import find_modes
 from torchlc.recording import Recording
@@ -43,7 +44,8 @@ def diagnose(
 ) -> Diagnosis:
     """What the scene's model leaves out of a recording.
 
-    ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS refits in the first round.
+    ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS
+    refits in the first round.
     Raises InputError for an unknown effect name.
     """
     began = time.monotonic()
@@ -60,7 +62,9 @@ def diagnose(
         progress("baseline", 0.05)
     context = base.context
     group = context.curve if len(recording.curve_ids) >= 4 else context.night
-    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors)
+    scorer = Scorer(
+        context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors
+    )
     found_coordinates = coordinates(likelihood.model, baseline[0].theta)
     entries = candidate_entries(bench, effects)
     probes = {}
@@ -72,24 +76,47 @@ def diagnose(
     first_gate = max(gates, key=lambda one: one.global_p)
     start = Found(baseline[0], scorer.score(baseline[0]))
     common = {
-        "scorer": scorer, "gate": first_gate, "probes": probes, "baseline": start, "coordinates": found_coordinates,
-        "quick": quick, "seed": seed,
-    }  # fmt: skip
+        "scorer": scorer,
+        "gate": first_gate,
+        "probes": probes,
+        "baseline": start,
+        "coordinates": found_coordinates,
+        "quick": quick,
+        "seed": seed,
+    }
     if first_gate.global_p >= ADEQUATE_P:
         return Diagnosis(
-            verdict="adequate", final=start, named=(), families=(), first=(), where=None, final_gate=first_gate,
-            seconds=time.monotonic() - began, **common,
-        )  # fmt: skip
+            verdict="adequate",
+            final=start,
+            named=(),
+            families=(),
+            first=(),
+            where=None,
+            final_gate=first_gate,
+            seconds=time.monotonic() - began,
+            **common,
+        )
 
     def is_clean(found: Found) -> bool:
         return _gate(found.refit, scorer, found_coordinates, {}, seed).global_p >= ADEQUATE_P
 
     final, first, others = search(
-        bench, scorer, baseline, probes, is_clean, seed=seed, most_refits=QUICK_REFITS if quick else None, progress=progress
+        bench,
+        scorer,
+        baseline,
+        probes,
+        is_clean,
+        seed=seed,
+        most_refits=QUICK_REFITS if quick else None,
+        progress=progress,
     )
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
     verdict, named = _verdict(start, final, scorer, found_coordinates, seed)
-    groups = families(final, [start, *first, *others], named) if verdict == "missing_physics" else [[n] for n in named]
+    groups = (
+        families(final, [start, *first, *others], named)
+        if verdict == "missing_physics"
+        else [[n] for n in named]
+    )
     where: Where | None
     if verdict == "missing_physics":
         where = locate(start.refit, final.refit, found_coordinates)
@@ -97,9 +124,18 @@ def diagnose(
         where = _windows(start.refit, first_gate, found_coordinates)
     nights, advice = _next(verdict, final, [*first, *others], groups, scene)
     return Diagnosis(
-        verdict=verdict, final=final, nights=nights, next_observation=advice, named=tuple(named), families=tuple(tuple(one) for one in groups),
-        first=tuple(first), where=where, final_gate=after, seconds=time.monotonic() - began, **common,
-    )  # fmt: skip
+        verdict=verdict,
+        final=final,
+        nights=nights,
+        next_observation=advice,
+        named=tuple(named),
+        families=tuple(tuple(one) for one in groups),
+        first=tuple(first),
+        where=where,
+        final_gate=after,
+        seconds=time.monotonic() - began,
+        **common,
+    )
 
 
 def _next(
@@ -123,14 +159,23 @@ def _next(
 
 
 def _gate(
-    refit: Refit, scorer: Scorer, found: dict[str, torch.Tensor], probes: dict[str, Probe], seed: int,
+    refit: Refit,
+    scorer: Scorer,
+    found: dict[str, torch.Tensor],
+    probes: dict[str, Probe],
+    seed: int,
     noise: NoiseModel | None = None,
-) -> Gate:  # fmt: skip
-    """The gate at the quoted errors, or after whitening by a noise model (then without chi-square, which the noise was fitted to)."""
+) -> Gate:
+    """The gate at the quoted errors, or after whitening by a noise model (then without chi-square, which the
+    noise was fitted to)."""
     likelihood = refit.likelihood
     signatures = {entry: one.signatures for entry, one in probes.items() if len(one.signatures)}
     battery = Battery(
-        scorer.seconds, likelihood.curve, found, signatures, with_chi2=not likelihood.fitted_errors and noise is None
+        scorer.seconds,
+        likelihood.curve,
+        found,
+        signatures,
+        with_chi2=not likelihood.fitted_errors and noise is None,
     )
     return gate(refit, battery, seed, noise=noise, scorer=scorer)
 

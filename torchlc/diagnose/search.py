@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Entry
 from torchlc.diagnose.evidence import Score, Scorer
 from torchlc.diagnose.gate import residual_projection
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
 from torchlc.effects import registry
+from torchlc.effects.base import Entry
 
 GRID = 24
 GRID_PER_DIMENSION = 24
@@ -27,12 +27,14 @@ LEAST_SCORE = 9.0
 MOST_GROWN = 10
 MOST_GROWN_BESIDE = 4
 WEAK_SHARE = 0.05
-"""In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others of the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
+"""In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others
+of the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures (G, T) off everything the
+    """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures
+    (G, T) off everything the
     refit can absorb, and the score (g'r)^2 / g'g of each (G,)."""
 
     entry: str
@@ -62,7 +64,8 @@ class Found:
 
 
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
-    """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or ``name[target]``."""
+    """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
+    ``name[target]``."""
     present = {effect.name for effect in bench.base.effects}
     entries = []
     for name, cls in registry().items():
@@ -71,12 +74,15 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
         for target in cls.targets(bench.base.context):
             if cls(target).missing(bench.base.context) is None:
                 entries.append(str(Entry(name, target)))
-                entries += [str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())]
+                entries += [
+                    str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())
+                ]
     return entries
 
 
 def divisions(bench: Workbench) -> list[str]:
-    """What an offset may be divided by in this recording: curves, and nights where they are not the curves."""
+    """What an offset may be divided by in this recording: curves, and nights where they are not the
+    curves."""
     recording = bench.base.recording
     curves, nights = len(recording.curve_ids), len(recording.night_ids)
     pairs = len(set(zip(recording.curve.tolist(), recording.night.tolist(), strict=True)))
@@ -116,9 +122,17 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
 
 
 def extended(
-    bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int, *, starts: int = STARTS
+    bench: Workbench,
+    scorer: Scorer,
+    at: Sequence[Refit],
+    entry: str,
+    found: Probe,
+    seed: int,
+    *,
+    starts: int = STARTS,
 ) -> Found:
-    """Refit of one hypothesis with ``entry`` added: from its minima ``at``, from other materials, and from the best probed values."""
+    """Refit of one hypothesis with ``entry`` added: from its minima ``at``, from other materials, and from
+    the best probed values."""
     if Entry.parse(entry).per is not None and Entry.parse(entry).width is None:
         return _divided(bench, scorer, at, entry, found, seed)
     hypothesis = at[0].hypothesis.with_effect(entry)
@@ -133,7 +147,9 @@ def extended(
         for added in at[0].hypothesis.added:
             kept = effect_columns(at[0].model.parameter_set, added)
             draws[:, kept] = at[0].theta[kept]
-    pool = torch.cat([minima.repeat(-(-(starts - len(draws)) // len(minima)), 1)[: starts - len(draws)], draws])
+    pool = torch.cat(
+        [minima.repeat(-(-(starts - len(draws)) // len(minima)), 1)[: starts - len(draws)], draws]
+    )
     theta = bench.start(hypothesis, pool, at[0].names)
     if columns and len(found.psi):
         ranked = found.psi[torch.argsort(found.scores, descending=True)]
@@ -150,7 +166,8 @@ def extended(
 def _divided(
     bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int
 ) -> Found:
-    """An offset that every curve (or night) has for itself, the spread of its values learnt from them: begun wide, narrowed to their root
+    """An offset that every curve (or night) has for itself, the spread of its values learnt from them: begun
+    wide, narrowed to their root
     mean square."""
     parsed = Entry.parse(entry)
     (quantity,) = registry()[parsed.name].quantities
@@ -164,7 +181,9 @@ def _divided(
         values = fitted.theta[columns] - (quantity.off or 0.0)
         variance = torch.diagonal(fitted.covariance())[columns]
         theta, names = fitted.theta, fitted.names
-        new = float(f"{max(float(torch.sqrt((values**2 + variance).mean())), 1e-3 * (quantity.sigma or 1.0)):.3g}")
+        new = float(
+            f"{max(float(torch.sqrt((values**2 + variance).mean())), 1e-3 * (quantity.sigma or 1.0)):.3g}"
+        )
         if abs(new - width) < 0.05 * width:
             break
         width = new
@@ -187,7 +206,8 @@ def nameable(found: Found) -> bool:
 
 
 def better(new: Found, old: Found, excess: float | None, gain: float = HELDOUT_GAIN) -> bool:
-    """Whether ``new`` earns its place over ``old``: evidence, held-out density and a share of the chi-square excess."""
+    """Whether ``new`` earns its place over ``old``: evidence, held-out density and a share of the chi-square
+    excess."""
     if new.log_evidence - old.log_evidence < EVIDENCE_GAIN:
         return False
     if new.score.heldout_total - old.score.heldout_total < gain:
@@ -236,10 +256,14 @@ def search(
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
             strongest = max((one.score for one in again.values()), default=0.0)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
-                weak = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE) or again[entry].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
+                weak = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE) or again[
+                    entry
+                ].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
                 if weak and not (again[entry].psi.shape[-1] == 0 and again[entry].score > 1.0):
                     continue
-                grown.append(extended(bench, scorer, [stem.refit], entry, again[entry], seed + number, starts=8))
+                grown.append(
+                    extended(bench, scorer, [stem.refit], entry, again[entry], seed + number, starts=8)
+                )
             if progress is not None:
                 progress("sets of effects", 0.6 + 0.3 * (place + 1) / len(beam))
         others += grown
@@ -254,10 +278,9 @@ def search(
     return best, first, others
 
 
-def _all_needed(
-    found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None
-) -> bool:
-    """A set is named only if it beats the best smaller set and each member improves held-out prediction given the others."""
+def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
+    """A set is named only if it beats the best smaller set and each member improves held-out prediction
+    given the others."""
     if not better(found, best, excess, gain=0.0):
         return False
     members = frozenset(found.hypothesis.plain)

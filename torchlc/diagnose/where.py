@@ -1,4 +1,5 @@
-"""Where the named effects act: intervals in time, components, and the coordinate along which their trace collapses."""
+"""Where the named effects act: intervals in time, components, and the coordinate along which their trace
+collapses."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ SEEN_SIGMA = 2.0
 
 @dataclass(frozen=True)
 class Where:
-    """``rows`` (T,) marked; intervals as (first row, last row, significance in sigma); shares by component; the best coordinate with its
+    """``rows`` (T,) marked; intervals as (first row, last row, significance in sigma); shares by component;
+    the best coordinate with its
     range, and the share of variance that each coordinate explains in held-out rows."""
 
     rows: Tensor
@@ -43,7 +45,8 @@ def locate(before: Refit, after: Refit, coordinates: Mapping[str, Tensor]) -> Wh
 
 
 def intervals(rows: Tensor, strength: Tensor, refit: Refit) -> list[tuple[int, int, float]]:
-    """Runs of marked rows in time order within each station, with the root sum of squares of their strength."""
+    """Runs of marked rows in time order within each station, with the root sum of squares of their
+    strength."""
     context = refit.model.assembly.context
     found = []
     for station in torch.unique(context.station).tolist():
@@ -62,9 +65,11 @@ def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[st
         with torch.no_grad():
             brightness = refit.model.brightness(refit.theta, shares=True)
         assert brightness.shares is not None  # asked for
-        gain = 1.0 if refit.likelihood.kind == "mag" else refit.likelihood.profile_gain(brightness.flux)[
-            refit.likelihood.curve
-        ]  # fmt: skip
+        gain = (
+            1.0
+            if refit.likelihood.kind == "mag"
+            else refit.likelihood.profile_gain(brightness.flux)[refit.likelihood.curve]
+        )
         flux = brightness.shares * brightness.flux * gain
         light.append(dict(zip(brightness.components, flux, strict=True)))
     with torch.no_grad():
@@ -74,7 +79,8 @@ def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[st
     pick = rows if bool(rows.any()) else torch.ones_like(rows)
     zero = torch.zeros_like(total)
     change = {
-        name: float(((light[1].get(name, zero) - light[0].get(name, zero)).abs() / sigma)[pick].sum()) for name in names
+        name: float(((light[1].get(name, zero) - light[0].get(name, zero)).abs() / sigma)[pick].sum())
+        for name in names
     }
     whole = sum(change.values()) or 1.0
     return sorted(((name, value / whole) for name, value in change.items()), key=lambda item: -item[1])
@@ -83,7 +89,8 @@ def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[st
 def best_coordinate(
     strength: Tensor, coordinates: Mapping[str, Tensor], rows: Tensor
 ) -> tuple[tuple[str, float, float] | None, dict[str, float]]:
-    """The coordinate whose piecewise-linear curve explains most of the variance in rows it has not seen, with the range in which the
+    """The coordinate whose piecewise-linear curve explains most of the variance in rows it has not seen,
+    with the range in which the
     marked rows lie."""
     ranking = {name: held_out_r2(strength, value) for name, value in coordinates.items()}
     if not ranking:
@@ -95,7 +102,8 @@ def best_coordinate(
 
 
 def held_out_r2(value: Tensor, coordinate: Tensor) -> float:
-    """Share of variance explained in held-out runs of rows by a piecewise-linear curve of the coordinate, at most 1."""
+    """Share of variance explained in held-out runs of rows by a piecewise-linear curve of the coordinate, at
+    most 1."""
     total = len(value)
     order = torch.argsort(coordinate)
     x = torch.empty(total, dtype=value.dtype)

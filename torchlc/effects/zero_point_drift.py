@@ -40,6 +40,10 @@ class ZeroPointDrift(Effect):
         hours = hours_from_mean(context.seconds, context.curve, context.night)
         return None if bool((hours != 0).any()) else "no two rows of a curve lie in the same night"
 
+    def prepared(self, context):
+        self.hours = hours_from_mean(context.seconds, context.curve, context.night)
+        return self
+
     def detector(self, brightness, p, context):
-        hours = hours_from_mean(context.seconds, context.curve, context.night).to(brightness.flux)
-        return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * p["mag_per_hour"] * hours))
+        fainter = p["mag_per_hour"] * self.hours.to(brightness.flux)
+        return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * fainter))

@@ -270,7 +270,7 @@ def test_earth_light_of_a_full_and_a_half_earth() -> None:
         sun = np.array([[np.cos(b), np.sin(b), 0.0]]) * sky.AU_KM
         _, weight = earth.earth_light(np.array([[r, 0.0, 0.0]]), sun, 20000, 0.3)
         closed = (
-            (2 / 3) * 0.3 * (sky.EARTH_RADIUS_KM / r) ** 2 * (np.sin(b) + (np.pi - b) * np.cos(b)) / np.pi
+            (2 / 3) * 0.3 * (earth.MEAN_RADIUS_KM / r) ** 2 * (np.sin(b) + (np.pi - b) * np.cos(b)) / np.pi
         )
         assert weight.sum() == pytest.approx(closed, rel=0.015)
 

@@ -529,7 +529,10 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
         "kind": setup.kind,
         "baseline": sorted(baseline.effects),
         "effects": sorted(concealed),
-        "parameters": concealed,
+        "parameters": {
+            effect: {k: sky.iso(v) if k == "time" else v for k, v in values.items()}
+            for effect, values in concealed.items()
+        },
         "verdict": said["verdict"],
         "verdicts_accepted": said.get("accepted", [said["verdict"]]),
         "note": said.get("note", ""),

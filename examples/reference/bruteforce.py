@@ -26,7 +26,7 @@ Conventions, where more than one reading is possible:
   p x axis, towards +axis. normal_dispersion: tilts of deg (standard deviation) about two axes in the face.
 - background is a fraction of the median flux; saturation divides by the largest flux; color_term adds mag
   times the component's share; zero_point_drift is relative to the mean time of the rows.
-- interreflection: one bounce, Sun's centre, mid-exposure; earthshine: Lambert sphere of 6378 km,
+- interreflection: one bounce, Sun's centre, mid-exposure; earthshine: Lambert sphere of 6371 km,
   mid-exposure. An ``appendage`` neither shadows nor is shadowed.
 """
 
@@ -45,7 +45,7 @@ from sampling import additive_sequence, disc_point, limb, tilted
 from sky import Array, apply, basis, unit
 from surface import reflected
 
-TILES = 2048  # of the Earth's disc
+TILES = 8192  # of the Earth's disc
 DEFAULTS: dict[str, dict[str, float]] = {
     "earth_shadow": {"h0": 20.0},
     "earthshine": {"albedo": 0.3},

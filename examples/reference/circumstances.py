@@ -412,8 +412,8 @@ def seen(setup: Setup, shadow: bool = False, least_range: float = 0.8) -> Setup 
 
 def found(make: Callable[[], Setup], shadow: bool = False, least_range: float = 0.8) -> Setup:
     """Draw circumstances until they can be observed."""
-    for _ in range(400):
+    for _ in range(4000):
         setup = seen(make(), shadow, least_range)
         if setup is not None:
             return setup
-    raise RuntimeError("no observable circumstances in 400 draws")
+    raise RuntimeError("no observable circumstances in 4000 draws")

@@ -7,6 +7,8 @@ import sky
 from sampling import additive_sequence, disc_point, limb
 from sky import Array, Mask, basis, unit
 
+MEAN_RADIUS_KM = 6371.0  # of the sphere of the Earth's volume
+
 
 def behind_earth(position: Array, direction: Array, h0_km: float) -> Mask:
     """Whether rays from position, km, along direction (..., 3; z is the Earth's axis) meet Earth plus h0."""
@@ -47,7 +49,7 @@ def earth_light(position: Array, sun: Array, samples: int, albedo: float) -> tup
     position, sun (B, 3) km from the geocentre; the disc is cut into equal solid angles.
     """
     radius = np.linalg.norm(position, axis=-1)
-    edge = np.sqrt(1.0 - (sky.EARTH_RADIUS_KM / radius) ** 2)
+    edge = np.sqrt(1.0 - (MEAN_RADIUS_KM / radius) ** 2)
     q = additive_sequence(samples, 2)
     cosine = 1.0 - q[:, 0] * (1.0 - edge[:, None])
     sine, angle = np.sqrt(1.0 - cosine**2), 2.0 * np.pi * q[:, 1]
@@ -58,7 +60,7 @@ def earth_light(position: Array, sun: Array, samples: int, albedo: float) -> tup
         + (sine * np.cos(angle))[..., None] * e1[:, None]
         + (sine * np.sin(angle))[..., None] * e2[:, None]
     )
-    half_chord2 = sky.EARTH_RADIUS_KM**2 - (radius[:, None] * sine) ** 2
+    half_chord2 = MEAN_RADIUS_KM**2 - (radius[:, None] * sine) ** 2
     reach = radius[:, None] * cosine - np.sqrt(np.maximum(half_chord2, 0.0))
     ground = unit(position[:, None] + reach[..., None] * direction)
     day = np.maximum((ground * unit(sun)[:, None]).sum(-1), 0.0)

@@ -1,6 +1,7 @@
 """Small scenes with known answers, and what every effect must obey.
 
-A ``still`` scene has no attitude but the frame's own: directions to the Sun and to the observer are those in the body.
+A ``still`` scene has no attitude but the frame's own: directions to the Sun and to the observer are those
+in the body.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def still(components: str, materials: str, model: str = "") -> Scene:
     return Scene.from_toml(
         'format = "torchlc-scene/1"\nname = "case"\n' + STILL + components + materials
         + "\n[model]\neffects = []\n[model.parameters]\nband_sun_magnitude = -26.7\n" + model,
-        Path("."), "case",
+        Path(), "case",
     )  # fmt: skip
 
 
@@ -64,11 +65,13 @@ def seen_from(
     scene: Scene, folder: Path, to_sun, to_observer, *, position=None, sun_km=AU_KM, range_km=RANGE_KM
 ):
     """Recording of the directions (T, 3) to Sun and observer, one row a second."""
-    to_sun, to_observer = np.broadcast_arrays(np.atleast_2d(to_sun), np.atleast_2d(to_observer))
+    to_sun, to_observer, place = np.broadcast_arrays(
+        *map(np.atleast_2d, (to_sun, to_observer, [0.0, 0.0, 0.0] if position is None else position))
+    )
     columns = [to_sun * np.reshape(sun_km, (-1, 1)), to_observer * np.reshape(range_km, (-1, 1))]
     names = ["sun_x", "sun_y", "sun_z", "obs_x", "obs_y", "obs_z"]
     if position is not None:
-        columns.append(np.broadcast_to(position, to_sun.shape))
+        columns.append(place)
         names += ["r_x", "r_y", "r_z"]
     start = np.datetime64("2021-03-20T12:00:00.000")
     lines = [",".join(["time", "mag", "mag_err", *names])]
@@ -93,7 +96,8 @@ def flux(scene: Scene, recording, effects=(), **values) -> np.ndarray:
 
 
 def check_contract(scene: Scene, recording, name: str) -> None:
-    """Off is no effect at all; gradients are finite at off, typical and the bounds, and right; a batch is its rows."""
+    """Off is no effect at all; gradients are finite at off, typical and the bounds, and right; a batch is
+    its rows."""
     bare = LightCurve(scene, recording, effects=[]).brightness().flux.detach()
     model = LightCurve(scene, recording, effects=[name])
     own = [i for i, key in enumerate(model.names) if key.startswith(f"{name}.")]

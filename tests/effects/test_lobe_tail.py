@@ -14,7 +14,8 @@ WIDTHS = [1.0, 30.0, 1e3, 1e6]
 
 
 def ratio(tmp_path, n, g, glint_deg):
-    """Tailed lobe over cosine power at glint angles: observer at the Sun, so all but the distribution cancels."""
+    """Tailed lobe over cosine power at glint angles: observer at the Sun, so all but the distribution
+    cancels."""
     scene = still(PLATE, material("white", n, 0.5, 0.0))
     direction = tilted(np.asarray(glint_deg))
     recording = seen_from(scene, tmp_path, direction, direction)

@@ -10,8 +10,9 @@ from tests.effects.cases import PLATE, check_contract, flux, material, seen_from
 
 @pytest.mark.parametrize(("n", "deg"), [(1000.0, 3.0), (50.0, 2.0), (1e5, 1.0)])
 def test_is_the_mean_over_tilted_normals(tmp_path, n, deg):
-    """Turning the plate by a tilt is turning Sun and observer back. 40 x 40 Gauss-Hermite tilts resolve the lobe; what
-    remains is the curvature of min(mu0, mu) and of Fresnel's factor, of the order of the variance (0.003 at 3 deg)."""
+    """Turning the plate by a tilt is turning Sun and observer back. 40 x 40 Gauss-Hermite tilts resolve the
+    lobe; what remains is the curvature of min(mu0, mu) and of Fresnel's factor, of the order of the
+    variance (0.003 at 3 deg)."""
     scene = still(PLATE, material("white", n, 0.5, 0.0))
     width = np.degrees(np.sqrt(1 / n + np.radians(deg) ** 2))
     glint = np.array([0.0, 0.5, 1.0, 1.5, 2.0]) * width

@@ -24,7 +24,7 @@ class LobeTail(Effect):
 
     At g = 2, -0.6 mag on the glint and 0.9 mag or more beyond 3 half widths. Anisotropic lobes take the
     width of each azimuth and the geometric mean of the two norms, as Ashikhmin and Shirley's own does: off
-    by a relative 1/n.
+    by a relative 1/n. Neglected: the masking that a tail meets at grazing light, 0.1 mag beyond 75 deg.
     """
 
     name = "lobe_tail"

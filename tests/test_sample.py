@@ -1,0 +1,216 @@
+"""The ensemble: against posteriors known in closed form or on a grid, and killed and resumed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+import torchlc
+from torchlc.errors import InputError
+from torchlc.fit import fit_map
+from torchlc.likelihood import Likelihood
+from torchlc.sample import Posterior, sample
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "examples" / "paper"))
+
+import setting  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch.func's own
+BODY = setting.TABLE_3[1]["body"]
+NIGHT = {"start": "2020-10-17T14:00:00", "hours": 7.0, "cadence": 1200.0}
+
+
+def night(scene, noise=0.02, seed=1):
+    """A recording of Object 1 with Table 3's materials."""
+    curve = torchlc.simulate(setting.object_1(), **NIGHT, noise=noise, seed=seed)
+    columns = {name: np.asarray(curve.columns[name]) for name in ("mag", "mag_err")}
+    return replace(curve.recording, observed=columns["mag"], error=columns["mag_err"])
+
+
+def independent(posterior: Posterior, column: int) -> np.ndarray:
+    """Draws about two autocorrelation times apart, so that they may be tested as independent."""
+    apart = max(1, int(np.ceil(2 * posterior.tau[column] / posterior.thin)))
+    return posterior.theta[:, ::apart, column].reshape(-1).numpy()
+
+
+def with_zero_point(scene: torchlc.Scene) -> torchlc.Scene:
+    line = "[model.parameters]\nzero_point = { value = 0.0, sigma = 0.05 }"
+    return torchlc.Scene.from_toml(scene.to_toml().replace("[model.parameters]", line))
+
+
+def test_a_zero_point_alone_has_a_normal_posterior():
+    scene = with_zero_point(setting.object_1())
+    recording = night(scene)
+    posterior = sample(fit_map(Likelihood(torchlc.LightCurve(scene, recording))), seed=0)
+    residual = recording.observed - torchlc.simulate(setting.object_1(), recording).mag
+    precision = (recording.error**-2).sum() + 0.05**-2
+    mean, sd = (residual / recording.error**2).sum() / precision, precision**-0.5
+    assert posterior.converged
+    draws = independent(posterior, 0)
+    assert len(draws) > 500
+    assert stats.kstest(draws, stats.norm(mean, sd).cdf).pvalue > 1e-3
+
+
+def test_two_reflectances_have_the_posterior_of_a_grid():
+    """r_spec and r_diff of the panel on a fine grid: density, triangle, Jacobian of its coordinates."""
+    panel = {"n": 154.244, "r_spec": setting.FREE["r_spec"], "r_diff": setting.FREE["r_diff"]}
+    scene = setting.object_1({"body": BODY, "panel": panel})
+    likelihood = Likelihood(torchlc.LightCurve(scene, night(scene, noise=0.5)))
+    posterior = sample(fit_map(likelihood), seed=0)
+    spec = torch.linspace(0, 0.1, 401, dtype=torch.float64)
+    diff = torch.linspace(0, 0.2, 401, dtype=torch.float64)
+    with torch.no_grad():
+        log = likelihood.log_prob(torch.cartesian_prod(spec, diff)).reshape(401, 401)
+    density = torch.exp(log - log.max())
+    assert float(density[-1].max()) < 1e-4 and float(density[:, -1].max()) < 1e-4  # all within the grid
+    for column, (axis, marginal) in enumerate([(spec, density.sum(1)), (diff, density.sum(0))]):
+        steps = 0.5 * (marginal[1:] + marginal[:-1])
+        cdf = np.concatenate([[0.0], torch.cumsum(steps, 0).numpy()]) / float(steps.sum())
+        draws = independent(posterior, column)
+        test = stats.kstest(draws, lambda x, axis=axis, cdf=cdf: np.interp(x, axis.numpy(), cdf))
+        assert len(draws) > 300 and test.pvalue > 1e-3
+
+
+def test_data_that_say_nothing_give_the_prior_back():
+    """Errors of 1000 mag: n is log-uniform, and the reflectances are uniform on their triangle."""
+    scene = setting.object_1({"body": BODY, "panel": setting.FREE})
+    recording = night(scene)
+    blind = replace(recording, error=np.full(len(recording), 1e3))
+    posterior = sample(fit_map(Likelihood(torchlc.LightCurve(scene, blind))), seed=0)
+    names = posterior.names
+    log_n = np.log10(independent(posterior, names.index("panel.n")))
+    assert stats.kstest(log_n, stats.uniform(0, 6).cdf).pvalue > 1e-3
+    for name in ("panel.r_spec", "panel.r_diff"):
+        draws = independent(posterior, names.index(name))
+        assert stats.kstest(draws, stats.beta(1, 2).cdf).pvalue > 1e-3
+
+
+def test_modes_are_all_visited_and_weighed():
+    """A cube turned by a quarter looks as before: the prior alone weighs the quarters."""
+    text = (
+        setting.cube(attitude=2, n=30.0)
+        .to_toml()
+        .replace("x_angle = 30.0", "x_angle = { value = 5.0, sigma = 40.0 }")
+    )
+    scene = torchlc.Scene.from_toml(text)
+    recording = night(scene)
+    likelihood = Likelihood(torchlc.LightCurve(scene, recording))
+    turned = torch.tensor(
+        [[40.0], [40.0 - 90.0]], dtype=torch.float64
+    )  # a cube: every quarter turn looks alike
+    with torch.no_grad():
+        same = likelihood.model(turned)
+    torch.testing.assert_close(same[0], same[1], rtol=1e-9, atol=0)
+    likelihood.observed = same[0] + 0.02 * torch.randn(
+        len(recording), generator=torch.Generator().manual_seed(1)
+    )
+    posterior = sample(fit_map(likelihood), steps=800, seed=0)
+    angle = posterior.flat[:, 0]
+    share = {k: float(((angle - 40.0 + 90.0 * k).abs() < 5).double().mean()) for k in range(3)}
+    prior = {k: stats.norm(5.0, 40.0).pdf(40.0 - 90.0 * k) for k in range(3)}
+    for k in range(3):
+        assert share[k] == pytest.approx(prior[k] / sum(prior.values()), abs=0.12)
+
+
+# ------------------------------------------------------------------ killed and resumed
+
+RUN = """
+import sys, torch
+torch.set_num_threads(1)
+sys.path.insert(0, {paper!r})
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+import setting, torchlc
+from test_sample import BODY, night
+from torchlc.fit import fit_map
+from torchlc.likelihood import Likelihood
+from torchlc.sample import sample
+scene = setting.object_1({{"body": BODY, "panel": setting.FREE}})
+found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))))
+sample(found, steps={steps}, walkers=32, seed=5, chain_file=Path({chain!r}), resume={resume})
+"""
+
+
+def program(chain: Path, steps: int, resume: bool) -> list[str]:
+    code = RUN.format(
+        paper=str(ROOT / "examples" / "paper"),
+        tests=str(ROOT / "tests"),
+        chain=str(chain),
+        steps=steps,
+        resume=resume,
+    )
+    return [sys.executable, "-W", "ignore", "-c", code]
+
+
+def chain_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    import emcee
+
+    backend = emcee.backends.HDFBackend(str(path), name="mcmc", read_only=True)
+    return backend.get_chain(), backend.get_log_prob()
+
+
+def test_a_killed_chain_resumes_to_the_same_end(tmp_path):
+    """SIGKILL once the first block is on disk; resumed, the chain is the undisturbed one to the bit."""
+    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
+    steps = 900
+    subprocess.run(program(whole, steps, resume=False), check=True)
+    run = subprocess.Popen(program(broken, steps, resume=False))
+    deadline = time.monotonic() + 120
+    while not broken.exists() and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(run.pid, signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+    assert 0 < len(chain_of(broken)[0]) < steps
+    subprocess.run(program(broken, steps, resume=True), check=True)
+    for one, other in zip(chain_of(whole), chain_of(broken), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_chain_of_another_problem_is_refused(tmp_path):
+    scene = with_zero_point(setting.object_1())
+    chain = tmp_path / "chain.h5"
+    sample(fit_map(Likelihood(torchlc.LightCurve(scene, night(scene)))), steps=200, chain_file=chain)
+    other = setting.object_1({"body": BODY, "panel": setting.FREE})
+    found = fit_map(Likelihood(torchlc.LightCurve(other, night(other))), starts=2, adam_steps=5)
+    with pytest.raises(InputError, match=r"chain of 32 walkers over zero_point"):
+        sample(found, steps=400, chain_file=chain, resume=True)
+
+
+def test_too_few_walkers_are_refused():
+    scene = setting.object_1({"body": BODY, "panel": setting.FREE})
+    found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))), starts=2, adam_steps=5)
+    with pytest.raises(InputError, match="at least 8 for 3 parameters"):
+        sample(found, walkers=4)
+
+
+def test_the_seed_decides_the_chain():
+    scene = with_zero_point(setting.object_1())
+    found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))))
+    first, second, other = (sample(found, steps=200, seed=seed).theta for seed in (1, 1, 2))
+    assert torch.equal(first, second) and not torch.equal(first, other)
+
+
+def test_rhat_sees_groups_that_disagree():
+    """Independent normal draws give 1; a shift of one standard deviation in half of the walkers does not."""
+    generator = torch.Generator().manual_seed(0)
+    draws = torch.randn(32, 400, 1, generator=generator, dtype=torch.float64)
+
+    def posterior(theta):
+        return Posterior(["x"], theta, theta[..., 0], np.ones(1), 0.3, 400, 0, 1, True, "")
+
+    assert posterior(draws).rhat()[0] == pytest.approx(1.0, abs=0.01)
+    shifted = draws.clone()
+    shifted[:16] += 1.0
+    assert posterior(shifted).rhat()[0] > 1.1
+    assert posterior(draws).effective()[0] == pytest.approx(32 * 400)

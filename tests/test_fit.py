@@ -70,7 +70,7 @@ def test_the_sampler_calls_the_module_that_adam_trains(demo):
         one = (
             -0.5 * residual.square().sum()
             + parameters.log_prior(natural)
-            + parameters.log_abs_det(z)
+            + parameters.natural_with_log_det(z)[1]
             + constant
         )
         (slope,) = torch.autograd.grad(one, z)

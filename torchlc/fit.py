@@ -25,6 +25,10 @@ DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""
 NOISE_VALUES = 10_000_000
 """Elements of the covariances held at once while noise is fitted: 80 MB."""
+LEADERS = 6
+LONG_POLISH = 300
+FLAT_ENOUGH = 1e-6
+"""Share of chi-square that a step must gain to go on: 3e-4 for a few hundred rows, far below what the data can see."""
 Progress = Callable[[str, float], None]
 
 
@@ -104,7 +108,11 @@ def find_modes(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
     theta, history = adam(likelihood, points, adam_steps, progress)
-    best = polish(likelihood, theta, model.noise(parameters.start()))
+    noise = model.noise(parameters.start())
+    best = polish(likelihood, theta, noise)
+    if not bool(best.converged[best.cost.argmin()]):
+        leading = best.y[torch.argsort(best.cost)[:LEADERS]]
+        best = polish(likelihood, parameters.from_flat(leading), noise, iterations=LONG_POLISH)
     if model.assembly.stage("noise") or likelihood.fitted_errors:
         best = _noise_in_turn(likelihood, parameters.from_flat(_leaders(best, noise_columns(likelihood))))
     modes = _distinct(likelihood, best)

@@ -219,6 +219,7 @@ class ParameterSet:
         self.names = order
         self._transforms = [parameter.prior.transform() for parameter in self.free]
         self._second = {second: first for first, second in self.pairs}
+        self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}
 
     def __len__(self) -> int:
         return len(self.free)
@@ -235,13 +236,23 @@ class ParameterSet:
 
     def to_natural(self, z: Tensor) -> Tensor:
         """Natural values theta (..., P) of unconstrained coordinates z (..., P)."""
+        return self.natural_with_log_det(z)[0]
+
+    def natural_with_log_det(self, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Natural values theta (..., P) and log |d theta / d z| (...), which turns a density of theta into one of z."""
         columns: list[Tensor] = []
+        total = torch.zeros(z.shape[:-1], dtype=z.dtype, device=z.device)
         for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
-            value: Tensor = self._transforms[index](column)  # pyright: ignore[reportAssignmentType]
+            transform = self._transforms[index]
+            value: Tensor = transform(column)  # pyright: ignore[reportAssignmentType]
+            total = total + transform.log_abs_det_jacobian(column, value)
             if index in self._second:
-                value = self._squeeze(entry.prior, value, columns[self._second[index]])
+                room = torch.clamp(1.0 - columns[self._second[index]], max=entry.prior.high) - entry.prior.low
+                width = entry.prior.high - entry.prior.low
+                total = total + torch.log(room / width)
+                value = entry.prior.low + (value - entry.prior.low) * room / width
             columns.append(value)
-        return torch.stack(columns, -1) if columns else z.clone()
+        return (torch.stack(columns, -1) if columns else z.clone()), total
 
     def to_unconstrained(self, theta: Tensor) -> Tensor:
         """Inverse of :meth:`to_natural`; values on a bound are taken a billionth of the range inside."""
@@ -264,19 +275,6 @@ class ParameterSet:
             columns.append(self._transforms[index].inv(value))  # pyright: ignore[reportArgumentType]
         return torch.stack(columns, -1) if columns else theta.clone()
 
-    def log_abs_det(self, z: Tensor) -> Tensor:
-        """log |d theta / d z|, (...), at unconstrained z (..., P): turns a density of theta into one of z."""
-        theta = self.to_natural(z)
-        total = torch.zeros(z.shape[:-1], dtype=z.dtype, device=z.device)
-        for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
-            transform = self._transforms[index]
-            total = total + transform.log_abs_det_jacobian(column, transform(column))
-            if index in self._second:
-                first = theta[..., self._second[index]]
-                room = torch.clamp(1.0 - first, max=entry.prior.high) - entry.prior.low
-                total = total + torch.log(room / (entry.prior.high - entry.prior.low))
-        return total
-
     def log_prior(self, theta: Tensor) -> Tensor:
         """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle;
         normalised on each pair's
@@ -285,7 +283,7 @@ class ParameterSet:
         for entry, column in zip(self.free, theta.unbind(-1), strict=True):
             total = total + entry.prior.log_density(column)
         for first, second in self.pairs:
-            total = total + self._log_triangle(first, second)
+            total = total + self._triangle[first, second]
             total = torch.where(theta[..., first] + theta[..., second] <= 1.0, total, -math.inf)
         return total
 
@@ -358,10 +356,6 @@ class ParameterSet:
                 theta[outside, first], theta[outside, second] = again[:, first], again[:, second]
                 outside = theta[:, first] + theta[:, second] > 1.0
         return theta
-
-    def _squeeze(self, prior: Prior, value: Tensor, first: Tensor) -> Tensor:
-        room = torch.clamp(1.0 - first, max=prior.high) - prior.low
-        return prior.low + (value - prior.low) * room / (prior.high - prior.low)
 
     def _unsqueeze(self, prior: Prior, value: Tensor, first: Tensor) -> Tensor:
         room = torch.clamp(1.0 - first, max=prior.high) - prior.low

@@ -91,7 +91,8 @@ def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
     def call(z: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             point = torch.as_tensor(np.atleast_2d(z), dtype=parameters.dtype, device=parameters.device)
-            total = likelihood.log_prob(parameters.to_natural(point)) + parameters.log_abs_det(point)
+            theta, log_det = parameters.natural_with_log_det(point)
+            total = likelihood.log_prob(theta) + log_det
             return torch.where(torch.isfinite(total), total, -math.inf).cpu().numpy()
 
     return call

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -52,7 +51,7 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
         recording = self.baseline.refit.model.recording
-        time = [str(one) for one in np.atleast_1d(recording.time.isot)]
+        time = [str(one) for one in cast(Any, recording.time.isot)]
         stations = (
             [recording.station_ids[i] for i in recording.station]
             if recording.station_ids

@@ -35,7 +35,7 @@ wheel: .venv/develop
 	$(BIN)/python -m build --quiet --wheel --outdir dist
 	rm -rf build .venv-wheel && $(PYTHON) -m venv .venv-wheel
 	.venv-wheel/bin/pip install --quiet --constraint constraints.txt dist/torchlc-*.whl
-	cd / && $(CURDIR)/.venv-wheel/bin/torchlc demo --quiet
+	cd "$$(mktemp -d)" && $(CURDIR)/.venv-wheel/bin/torchlc --version && $(CURDIR)/.venv-wheel/bin/torchlc demo --quiet
 
 minimum: constraints-minimum.txt
 	rm -rf .venv-minimum && $(PYTHON) -m venv .venv-minimum

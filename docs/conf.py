@@ -1,0 +1,92 @@
+"""Sphinx: pages in MyST Markdown, the public names from their docstrings, the effects from their registry."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import torchlc
+from torchlc.effects import registry
+from torchlc.listing import effects_listing
+
+project = "torchlc"
+author = "the torchlc authors"
+project_copyright = "2026, the torchlc authors"
+version = release = torchlc.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build", "effects/_library.md"]
+templates_path: list[str] = []
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+autodoc_typehints_description_target = "documented_params"
+html_theme = "furo"
+html_title = f"torchlc {version}"
+
+HERE = Path(__file__).parent
+STAGES = {
+    "clock": "When light is taken",
+    "orbit": "Where it is taken",
+    "spin": "Rotation",
+    "attitude": "Attitude",
+    "pointing": "Panels",
+    "light": "Sources of light",
+    "surface": "Shape and surfaces",
+    "shade": "Shadow on the whole object",
+    "scatter": "Light between surfaces",
+    "material": "Reflection",
+    "detector": "Calibration and detector",
+    "noise": "Noise",
+}
+
+
+def write_library(app: object) -> None:
+    """effects/_library.md: every effect, in the order of the stages."""
+    lines: list[str] = []
+    stage = ""
+    for effect in effects_listing():
+        if effect["stage"] != stage:
+            stage = effect["stage"]
+            lines += [f"## {STAGES[stage]}", "", f"Stage `{stage}`.", ""]
+        lines += section(effect)
+    (HERE / "effects" / "_library.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def section(effect: dict[str, Any]) -> list[str]:
+    """One effect: what it is, what it neglects, its parameters, and its figure where there is one."""
+    name = effect["name"]
+    target = f", one set of parameters for each {effect['per']}" if effect["per"] else ""
+    usual = ", on unless the scene lists its effects" if effect["default"] else ""
+    lines = [f"### {name}", ""]
+    if target or usual:
+        lines += [f"*{(target + usual).removeprefix(', ').capitalize()}.*", ""]
+    lines += [inspect.cleandoc(registry()[name].__doc__ or ""), ""]
+    if effect["parameters"]:
+        lines += ["| parameter | unit | bounds | prior | meaning |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{name}.{one['name']}` | {one['unit']} | {bounds(one)} | {prior(one)} | {one['meaning']} |"
+            for one in effect["parameters"]
+        ]
+        lines.append("")
+    if (HERE / "effects" / "figures" / f"{name}.png").exists():
+        lines += [f"![Light curve with and without {name}](figures/{name}.png)", ""]
+    return lines
+
+
+def bounds(one: dict[str, Any]) -> str:
+    low, high = ("" if one[key] is None else f"{one[key]:g}" for key in ("low", "high"))
+    return f"{low} .. {high}"
+
+
+def prior(one: dict[str, Any]) -> str:
+    mean, sigma = one["mean"] or 0.0, one["sigma"]
+    if one["prior"] in ("normal", "lognormal"):
+        return f"{one['prior']}({mean:g}, {sigma:g})"
+    return f"{one['prior']}({sigma:g})" if one["prior"] == "halfnormal" else one["prior"]
+
+
+def setup(app: Any) -> None:
+    app.connect("builder-inited", write_library)

@@ -1,0 +1,58 @@
+"""Every block of code in the README and the documentation runs, and the pages build without a warning."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.run_page import blocks
+
+ROOT = Path(__file__).parent.parent
+NEEDS_SHARED = "<!-- needs ../shared -->"
+"""Stands in a page whose code reads the data beside the repository."""
+PAGES = sorted(
+    page
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    if not {"_build", "_library.md"} & set(page.parts) and any(blocks(page))
+)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
+    if NEEDS_SHARED in page.read_text(encoding="utf-8"):
+        if not (ROOT.parent / "shared" / "data").is_dir():
+            pytest.skip("../shared is not here")
+        (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
+    here = tmp_path / "here"
+    here.mkdir()
+    for name in ("scene.toml", "recording.ecsv"):
+        shutil.copy(ROOT / "torchlc" / "demo" / name, here)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.run_page", str(page)],
+        cwd=here,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+
+
+def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
+    pytest.importorskip("furo")
+    pages = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_build"))
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", str(pages), str(tmp_path / "html")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    assert "panel_offset" in (tmp_path / "html" / "effects" / "index.html").read_text(encoding="utf-8")

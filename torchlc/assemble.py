@@ -26,8 +26,8 @@ from torchlc.shape import Shape
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
-"""Smooth shapes are cut finely enough for exponents up to here (or up to a smaller upper bound); a larger
-fit is warned of."""
+"""Smooth shapes are cut finely enough for exponents up to here (or up to a smaller upper bound); a larger fit
+is warned of."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
 COMPONENT_SIZES = (
@@ -45,8 +45,8 @@ COMPONENT_SIZES = (
 
 @dataclass(frozen=True)
 class Assembly:
-    """Everything fixed about a model; built once by :func:`assemble` and shared between models that differ
-    in their effects."""
+    """Everything fixed about a model; built once by :func:`assemble` and shared between models that differ in
+    their effects."""
 
     scene: Scene
     recording: Recording
@@ -166,9 +166,9 @@ def assemble(
 ) -> Assembly:
     """Bring scene and recording together under a list of effects (default: the scene's own).
 
-    An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base``
-    lends its track, attitude and
-    shape; ``pinned`` fixes parameters at given values whatever the scene says of them.
+    An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends
+    its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
+    them.
     """
     if base is None:
         track = make_track(scene, recording)

@@ -1,10 +1,9 @@
 """Maximum a posteriori: Adam on chi-square from many starts in one batch, then a Levenberg-Marquardt polish
 of the best.
 
-The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add
-nothing: it is the least chi-square,
-peaked priors counted as further rows. Noise parameters (jitter, red noise, outliers) are fitted in turn with
-the rest.
+The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add nothing:
+it is the least chi-square, peaked priors counted as further rows. Noise parameters (jitter, red noise,
+outliers) are fitted in turn with the rest.
 """
 
 from __future__ import annotations
@@ -28,15 +27,16 @@ NOISE_VALUES = 10_000_000
 LEADERS = 6
 LONG_POLISH = 300
 FLAT_ENOUGH = 1e-6
-"""Share of chi-square that a step must gain to go on: 3e-4 for a few hundred rows, far below what the data can see."""
+"""Share of chi-square that a step must gain to go on: 3e-4 for a few hundred rows, far below what the data
+can see."""
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A minimum: natural values theta (P,), its objective (chi-square with the priors' rows, plus 2 ln of
-    the noise's scale), and the
-    Laplace covariance (P, P) in flat coordinates; columns at a bound have no variance."""
+    """A minimum: natural values theta (P,), its objective (chi-square with the priors' rows, plus 2 ln of the
+    noise's scale), and the Laplace covariance (P, P) in flat coordinates; columns at a bound have no
+    variance."""
 
     theta: Tensor
     objective: float
@@ -95,8 +95,7 @@ def find_modes(
     progress: Progress | None = None,
 ) -> tuple[list[Mode], list[float], Minimum | None]:
     """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural
-    values added to the
-    scene's own and the prior's draws."""
+    values added to the scene's own and the prior's draws."""
     model = likelihood.model
     parameters = model.parameter_set
     if not parameters.names:
@@ -122,11 +121,9 @@ def find_modes(
 def adam(
     likelihood: Likelihood, theta: Tensor, steps: int, progress: Progress | None = None, rate: float = 0.08
 ) -> tuple[Tensor, list[float]]:
-    """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns
-    the last points and the best
-    chi-square at each step. The rate falls to a tenth along a cosine. Kingma and Ba's update, written out:
-    importing ``torch.optim``
-    costs seconds, for its compiler."""
+    """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns the
+    last points and the best chi-square at each step. The rate falls to a tenth along a cosine. Kingma and
+    Ba's update, written out: importing ``torch.optim`` costs seconds, for its compiler."""
     parameters = likelihood.model.parameter_set
     z = parameters.to_unconstrained(theta).detach().clone()
     mean, square = torch.zeros_like(z), torch.zeros_like(z)
@@ -158,9 +155,8 @@ def polish(
     iterations: int = 60,
 ) -> Minimum:
     """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the
-    rows, prior rows follow.
-    Noise levels of curves without errors are those of the residuals at ``level_at`` (P,), where noise
-    parameters then stay."""
+    rows, prior rows follow. Noise levels of curves without errors are those of the residuals at ``level_at``
+    (P,), where noise parameters then stay."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
@@ -233,8 +229,7 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, ste
     """The noise parameters of theta (P,) at their best for the residuals of its other parameters.
 
     Newton's method in unconstrained coordinates, from theta or, with ``search``, the best of a cloud; by
-    differences
-    of one batched call a step, and every step is kept only if it improves.
+    differences of one batched call a step, and every step is kept only if it improves.
     """
     index = noise_columns(likelihood)
     if not index:
@@ -285,8 +280,7 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
     """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
     Their costs are -2 ln of the density, less that of rows of unit variance, so that minima with different
-    noise
-    compare; the curvature of the noise is among the rows of the slopes.
+    noise compare; the curvature of the noise is among the rows of the slopes.
     """
     parameters = likelihood.model.parameter_set
     index = noise_columns(likelihood)
@@ -326,9 +320,7 @@ def _noise_objective(
     likelihood: Likelihood, theta: Tensor, natural: Callable[[Tensor], Tensor]
 ) -> Callable[[Tensor], Tensor]:
     """Minus the log posterior (B,) of coordinates (B, P), which ``natural`` turns into theta, with the
-    residuals
-    held at those of theta (P,).
-    """
+    residuals held at those of theta (P,)."""
     parameters = likelihood.model.parameter_set
     with torch.no_grad():
         held = likelihood.residuals(theta)

@@ -14,8 +14,8 @@ LARGEST_STEP = 0.25
 
 @dataclass(frozen=True)
 class Minimum:
-    """State of S starts: points y (S, P), costs |r|^2 (S,), Jacobians (S, R, P), residuals (S, R), which
-    have converged (S,)."""
+    """State of S starts: points y (S, P), costs |r|^2 (S,), Jacobians (S, R, P), residuals (S, R), which have
+    converged (S,)."""
 
     y: Tensor
     cost: Tensor
@@ -39,9 +39,8 @@ def minimise(
     (B, R).
 
     Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where
-    they lower the cost, so every
-    start descends monotonically. A start has converged when a step gains less than ``tolerance`` of its cost
-    (plus 1).
+    they lower the cost, so every start descends monotonically. A start has converged when a step gains less
+    than ``tolerance`` of its cost (plus 1).
     """
     y = torch.minimum(torch.maximum(start, low), high)
     r = residual(y)
@@ -86,8 +85,7 @@ def minimise(
 @dataclass(frozen=True)
 class Colours:
     """Columns of a Jacobian that touch different rows and so share one difference: ``groups`` of column
-    indices, and for each column the
-    rows (P, R) that it may touch."""
+    indices, and for each column the rows (P, R) that it may touch."""
 
     groups: tuple[tuple[int, ...], ...]
     touched: Tensor
@@ -101,12 +99,11 @@ def differences(
     at: Tensor | None = None,
     colours: Colours | None = None,
 ) -> Tensor:
-    """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched
-    call, no tracing of the model.
+    """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched call,
+    no tracing of the model.
 
     ``at`` (S, R) is residual(y) where it is known already. The step is 1e-6 of the coordinate's scale, the
-    relative error of a slope
-    of the order of 1e-6 as well.
+    relative error of a slope of the order of 1e-6 as well.
     """
     starts, dimensions = y.shape
     span = torch.where(torch.isfinite(high - low), high - low, torch.inf)

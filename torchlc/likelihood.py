@@ -1,11 +1,9 @@
 """How probable a recording is under a model: residuals, gains, noise, priors.
 
-Magnitudes are compared as magnitudes while the model is within 5 mag of the datum and linearly in flux
-below, so that a dark model
-(flux 0 in eclipse) has a finite residual and slope. Relative flux has the gain of each curve profiled, sum(f
-m / s2) / sum(m2 / s2). Without
-an error column each curve has its own noise level, log-uniform, integrated out in closed form. Letters: B
-batch, T rows, P parameters.
+Magnitudes are compared as magnitudes while the model is within 5 mag of the datum and linearly in flux below,
+so that a dark model (flux 0 in eclipse) has a finite residual and slope. Relative flux has the gain of each
+curve profiled, sum(f m / s2) / sum(m2 / s2). Without an error column each curve has its own noise level,
+log-uniform, integrated out in closed form. Letters: B batch, T rows, P parameters.
 """
 
 from __future__ import annotations
@@ -29,9 +27,8 @@ FAINTEST_RATIO = 1e-2
 @dataclass(frozen=True)
 class Residuals:
     """Datum minus model, (..., T), with the standard deviation of each row, (..., T) or (T,), in the
-    recording's own unit (mag or
-    relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit; ``gain`` (..., number of
-    curves) for flux."""
+    recording's own unit (mag or relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit;
+    ``gain`` (..., number of curves) for flux."""
 
     delta: Tensor
     sigma: Tensor
@@ -82,9 +79,9 @@ class Likelihood:
         """Columns of the Jacobian that belong to single curves, stations or nights, grouped by parameter;
         None if there are none.
 
-        A curve with a profiled gain ties its rows together, so a division that cuts through curves is left
-        as it is. ``prior_rows``
-        appends a row for each peaked prior, in the order of :meth:`ParameterSet.prior_residuals`.
+        A curve with a profiled gain ties its rows together, so a division that cuts through curves is left as
+        it is. ``prior_rows`` appends a row for each peaked prior, in the order of
+        :meth:`ParameterSet.prior_residuals`.
         """
         names = self.model.names
         groups: dict[str, list[int]] = {}
@@ -148,8 +145,8 @@ class Likelihood:
     # ------------------------------------------------------------------ probability
 
     def chi2(self, theta: Tensor) -> Tensor:
-        """Sum of squared residuals over the quoted errors, (...); over each curve's fitted level where
-        errors are fitted."""
+        """Sum of squared residuals over the quoted errors, (...); over each curve's fitted level where errors
+        are fitted."""
         found = self.residuals(theta)
         if self.fitted_errors:
             level = self.fitted_levels(found.delta)
@@ -167,8 +164,7 @@ class Likelihood:
 
     def white_levels(self, delta: Tensor) -> Tensor:
         """Noise level of each curve, (..., curves), from the steps between successive residuals delta (...,
-        T), which red noise
-        hardly changes: their root mean square over sqrt 2."""
+        T), which red noise hardly changes: their root mean square over sqrt 2."""
         order = torch.argsort(self.curve, stable=True)
         step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
         step = torch.zeros_like(delta).index_copy(-1, order[1:], step)

@@ -2,11 +2,9 @@
 space of Adam.
 
 A :class:`ParameterSet` turns the scene's numbers (fixed or free) into one flat vector theta (..., P) of
-natural values and back,
-knows the prior density of theta, and maps theta to unconstrained coordinates z (..., P) by
-``torch.distributions`` transforms.
-The two reflectances of one material are kept on the triangle r_spec + r_diff <= 1: the second is mapped to
-what the first leaves.
+natural values and back, knows the prior density of theta, and maps theta to unconstrained coordinates z (...,
+P) by ``torch.distributions`` transforms. The two reflectances of one material are kept on the triangle r_spec
++ r_diff <= 1: the second is mapped to what the first leaves.
 """
 
 from __future__ import annotations
@@ -27,9 +25,8 @@ class Quantity:
     """A physical parameter, declared once beside its physics.
 
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
-    ``typical`` the size
-    worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is the default, with
-    ``mean`` and ``sigma``.
+    ``typical`` the size worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is
+    the default, with ``mean`` and ``sigma``.
     """
 
     name: str
@@ -49,8 +46,8 @@ class Prior:
     """Prior of one scalar: kind, bounds (may be infinite), and for the peaked kinds the centre and width.
 
     ``centre`` and ``sigma`` are mean and standard deviation (normal), median and standard deviation of the
-    logarithm (lognormal),
-    lower end and scale (halfnormal). Every kind is truncated to [low, high] and normalised there.
+    logarithm (lognormal), lower end and scale (halfnormal). Every kind is truncated to [low, high] and
+    normalised there.
     """
 
     kind: str
@@ -89,8 +86,8 @@ class Prior:
         return torch.where(inside, density, -math.inf)
 
     def quantile(self, p: Tensor) -> Tensor:
-        """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a
-        draw from the prior."""
+        """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw
+        from the prior."""
         if self.kind in ("uniform", "loguniform"):
             low, high = self._range()
             y = low + (high - low) * p
@@ -239,7 +236,8 @@ class ParameterSet:
         return self.natural_with_log_det(z)[0]
 
     def natural_with_log_det(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Natural values theta (..., P) and log |d theta / d z| (...), which turns a density of theta into one of z."""
+        """Natural values theta (..., P) and log |d theta / d z| (...), which turns a density of theta into
+        one of z."""
         columns: list[Tensor] = []
         total = torch.zeros(z.shape[:-1], dtype=z.dtype, device=z.device)
         for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
@@ -277,8 +275,8 @@ class ParameterSet:
 
     def log_prior(self, theta: Tensor) -> Tensor:
         """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle;
-        normalised on each pair's
-        triangle where both are uniform, else up to the constant that the triangle cuts off."""
+        normalised on each pair's triangle where both are uniform, else up to the constant that the triangle
+        cuts off."""
         total = torch.zeros(theta.shape[:-1], dtype=theta.dtype, device=theta.device)
         for entry, column in zip(self.free, theta.unbind(-1), strict=True):
             total = total + entry.prior.log_density(column)
@@ -298,8 +296,7 @@ class ParameterSet:
 
     def to_flat(self, theta: Tensor) -> Tensor:
         """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: logarithms of
-        log-scaled parameters, and the
-        second reflectance of a pair as its share of what the first leaves."""
+        log-scaled parameters, and the second reflectance of a pair as its share of what the first leaves."""
         columns = []
         natural = theta.unbind(-1)
         for index, (entry, value) in enumerate(zip(self.free, natural, strict=True)):

@@ -1,16 +1,16 @@
 """The posterior by emcee, with the same module that Adam trained, in batches without gradients.
 
 The ensemble moves in the unconstrained coordinates of :class:`~torchlc.parameters.ParameterSet`, where no
-prior has a wall; densities carry
-the Jacobian, so the draws are those of the natural parameters. The chain lives in memory and is put on disk
-whole, in emcee's HDF5
-layout, each time it has grown by a quarter: a killed run resumes from there with the random state it had, to
-the same result.
+prior has a wall; densities carry the Jacobian, so the draws are those of the natural parameters. The chain
+lives in memory and is put on disk whole, in emcee's HDF5 layout, each time it has grown by a quarter: a
+killed run resumes from there with the random state it had, to the same result.
 """
 
 from __future__ import annotations
 
+import io
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +25,13 @@ from torch import Tensor
 from torchlc.errors import InputError
 from torchlc.fit import Fit, Progress
 from torchlc.likelihood import Likelihood
+from torchlc.output import write_whole
 
-CHECK_EVERY = 100
+BLOCK = 20
+"""Steps between looks at the clock."""
+FIRST_CHECK = 500
+"""Steps after which a chain is first judged; then each time it has grown by a tenth."""
+WRITE_EVERY_S = 30.0
 LONG_ENOUGH = 50
 """A chain is long enough when it holds this many autocorrelation times."""
 BACKEND_NAME = "mcmc"
@@ -37,8 +42,7 @@ class Posterior:
     """Draws after burn-in and thinning, theta (W walkers, N draws, P) natural, with log_prob (W, N).
 
     ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all,
-    ``burn`` and ``thin`` applied;
-    ``converged`` with its ``reason`` in words.
+    ``burn`` and ``thin`` applied; ``converged`` with its ``reason`` in words.
     """
 
     names: list[str]
@@ -181,54 +185,76 @@ def sample(
             f"at least {2 * dimensions + 2} for {dimensions} parameters",
         )
     backend = emcee.backends.Backend()
+    density = log_density(likelihood)
     sampler = emcee.EnsembleSampler(
-        count, dimensions, log_density(likelihood), moves=moves(), vectorize=True, backend=backend
+        count, dimensions, density, moves=moves(), vectorize=True, backend=backend
     )
-    state = _resumed(chain_file, backend, names, count) if resume and chain_file is not None else None
+    state = None
+    if resume and chain_file is not None:
+        state = _resumed(chain_file, backend, names, count, density)
     if state is None:
         start = initial_walkers(fit, count, seed)
         state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
         backend.reset(count, dimensions)
     limit = steps if steps is not None else longest
-    written = backend.iteration
-    while backend.iteration < limit:
-        block = min(CHECK_EVERY, limit - backend.iteration)
+    due = _next_check(backend.iteration)
+    finished = backend.iteration >= limit
+    if steps is None and backend.iteration == due:
+        finished = finished or _long_enough(backend)
+    written, clock = backend.iteration, time.monotonic()
+    share = 0.0
+    while not finished:
+        block = min(BLOCK, limit - backend.iteration)
         state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+        finished = backend.iteration >= limit
+        if steps is not None:
+            share = backend.iteration / limit
+        elif backend.iteration >= due:
+            share = 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend))))
+            finished = finished or share > 1
+            due = _next_check(backend.iteration + 1)
         if progress is not None:
-            progress("emcee", _done(backend, limit, steps is not None))
-        if chain_file is not None and backend.iteration >= written + max(2 * CHECK_EVERY, written // 4):
+            progress("emcee", min(max(share, backend.iteration / limit), 0.99))
+        grown = backend.iteration >= written + max(200, written // 4)
+        if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
             write_chain(chain_file, backend, names)
-            written = backend.iteration
-        if steps is None and backend.iteration >= 5 * CHECK_EVERY and _long_enough(backend):
-            break
-    if chain_file is not None and backend.iteration != written:
-        write_chain(chain_file, backend, names)
+            written, clock = backend.iteration, time.monotonic()
     return _posterior(likelihood, backend, names, steps)
+
+
+def _next_check(iteration: int) -> int:
+    """The first length, from ``iteration`` on, at which a chain is judged; resumed runs have the same."""
+    due = FIRST_CHECK
+    while due < iteration:
+        due += BLOCK * max(1, due // (10 * BLOCK))
+    return due
 
 
 def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -> None:
     """The chain so far in emcee's HDF5 layout (unconstrained coordinates), whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)
-    disk = emcee.backends.HDFBackend(str(partial), name=BACKEND_NAME)
-    walkers, dimensions = backend.shape
-    disk.reset(walkers, dimensions)
-    disk.grow(backend.iteration, None)
-    with h5py.File(partial, "r+") as file:
-        group: Any = file[BACKEND_NAME]
-        group["chain"][...] = backend.chain[: backend.iteration]
-        group["log_prob"][...] = backend.log_prob[: backend.iteration]
-        group["accepted"][...] = backend.accepted
-        group.attrs["iteration"] = backend.iteration
-        group.attrs["parameters"] = names
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        group = file.create_group(BACKEND_NAME)
+        walkers, dimensions = backend.shape
+        group.attrs.update(
+            version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False,
+            iteration=backend.iteration, parameters=names,
+        )  # fmt: skip
         for index, part in enumerate(backend.random_state or ()):
             group.attrs[f"random_state_{index}"] = part
-        file.flush()
-    partial.replace(path)
+        group["accepted"] = backend.accepted
+        for name in ("chain", "log_prob"):
+            data = getattr(backend, name)[: backend.iteration]
+            group.create_dataset(name, data=data, maxshape=(None, *data.shape[1:]))
+    write_whole(path, lambda partial: partial.write_bytes(stream.getbuffer()))
 
 
 def _resumed(
-    path: Path, backend: emcee.backends.Backend, names: list[str], walkers: int
+    path: Path,
+    backend: emcee.backends.Backend,
+    names: list[str],
+    walkers: int,
+    density: Callable[[np.ndarray], np.ndarray],
 ) -> emcee.State | None:
     """Fill the in-memory backend from a chain on disk; None if there is none."""
     if not path.exists():
@@ -258,7 +284,16 @@ def _resumed(
     backend.accepted[:] = disk.accepted
     backend.iteration = disk.iteration
     backend.random_state = disk.random_state
-    return backend.get_last_sample()
+    last: Any = backend.get_last_sample()
+    if not np.allclose(density(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
+        raise InputError(
+            path,
+            None,
+            "a chain of other data, another scene or other priors",
+            "the chain of this fit",
+            "Remove it to start anew, or give the files it was made with",
+        )
+    return last
 
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
@@ -270,12 +305,6 @@ def _tau(backend: emcee.backends.Backend) -> np.ndarray:
 
 def _long_enough(backend: emcee.backends.Backend) -> bool:
     return 0.75 * backend.iteration > LONG_ENOUGH * float(np.max(_tau(backend)))
-
-
-def _done(backend: emcee.backends.Backend, limit: int, fixed: bool) -> float:
-    if fixed or backend.iteration < 5 * CHECK_EVERY:
-        return backend.iteration / limit
-    return min(0.99, 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend)))))
 
 
 def _posterior(likelihood: Likelihood, backend: Any, names: list[str], steps: int | None) -> Posterior:

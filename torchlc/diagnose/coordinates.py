@@ -15,8 +15,8 @@ name."""
 
 
 def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
-    """Every coordinate of FORMATS by name, each (T,), at natural values theta; those the data do not know
-    are left out."""
+    """Every coordinate of FORMATS by name, each (T,), at natural values theta; those the data do not know are
+    left out."""
     with torch.no_grad():
         values = model.values(theta)
         view = model.view(values)

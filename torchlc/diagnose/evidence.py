@@ -2,10 +2,9 @@
 form.
 
 About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - y, V) a priori and C the
-noise. With one factorisation of C the
-log evidence log N(r; M (mu - y), C + M V M') and the predictive density of every held-out block given the
-rest follow. Blocks are longer
-than three correlation times, with a gap of one, so that a process has forgotten and physics has not.
+noise. With one factorisation of C the log evidence log N(r; M (mu - y), C + M V M') and the predictive
+density of every held-out block given the rest follow. Blocks are longer than three correlation times, with a
+gap of one, so that a process has forgotten and physics has not.
 """
 
 from __future__ import annotations
@@ -67,8 +66,7 @@ class Blocks:
 
 def make_blocks(seconds: Tensor, group: Tensor, count: int = 8) -> Blocks:
     """Whole groups (curves or nights) if there are at least four, dealt into at most ``count`` blocks; else
-    runs of rows of equal
-    number, with a gap of 5 % of the rows on either side."""
+    runs of rows of equal number, with a gap of 5 % of the rows on either side."""
     ids = torch.unique(group)
     if len(ids) >= 4:
         folds = min(count, len(ids))
@@ -244,8 +242,8 @@ class Scorer:
         return self._kernels[key]
 
     def log_evidence(self, refit: Refit, noise: NoiseModel) -> float:
-        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's
-        own density."""
+        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's own
+        density."""
         r, m, log_det = self._whitened(refit, noise)
         gaussian = _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
         if noise.kind != "outliers":
@@ -290,9 +288,8 @@ class Scorer:
 
 
 def stable_cholesky(system: Tensor) -> Tensor:
-    """Lower factor of a positive matrix whose scales may differ by many decades: factored at unit diagonal,
-    a ridge of 1e-12 and, if that
-    does not do, of 1e-8 added there."""
+    """Lower factor of a positive matrix whose scales may differ by many decades: factored at unit diagonal, a
+    ridge of 1e-12 and, if that does not do, of 1e-8 added there."""
     root = torch.sqrt(torch.diagonal(system).clamp(min=1e-300))
     scaled = system / root[:, None] / root[None]
     eye = torch.eye(len(system), dtype=system.dtype)

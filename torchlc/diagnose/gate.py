@@ -1,10 +1,9 @@
 """Is anything missing? One calibrated p-value from a battery of statistics on the residuals of the baseline.
 
 Under "nothing missing" the whitened residuals (prior rows included) are R z with z standard normal and R the
-projection off everything the
-baseline can absorb. The battery's null is drawn from that, every statistic gets a marginal p with an
-exponential tail beyond the draws, and
-the smallest of them is referred to its own null, so the look-elsewhere effect is paid once and in full.
+projection off everything the baseline can absorb. The battery's null is drawn from that, every statistic gets
+a marginal p with an exponential tail beyond the draws, and the smallest of them is referred to its own null,
+so the look-elsewhere effect is paid once and in full.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ BINS = 16
 @dataclass(frozen=True)
 class Gate:
     """``global_p``, the marginal p of each statistic, and the windows (start, stop, p) of rows in time order
-    whose sum of squares or of
-    residuals is beyond the family-wise 95 %."""
+    whose sum of squares or of residuals is beyond the family-wise 95 %."""
 
     global_p: float
     marginal: Mapping[str, float]
@@ -92,8 +90,8 @@ class Battery:
         return torch.stack(sums, -1), torch.stack(squares, -1)
 
     def beyond(self, u: Tensor, null: Tensor) -> list[tuple[int, int, float]]:
-        """Windows (first, last row in time order, p) whose |sum| is beyond 95 % of the largest window sums
-        of null draws (B, T)."""
+        """Windows (first, last row in time order, p) whose |sum| is beyond 95 % of the largest window sums of
+        null draws (B, T)."""
         if not self.lengths:
             return []
         limit = torch.quantile(self._windows(null[:, self.order])[0].amax(-1), 0.95)
@@ -165,8 +163,8 @@ def gate(
     noise: NoiseModel | None = None,
     scorer: Scorer | None = None,
 ) -> Gate:
-    """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one
-    is given."""
+    """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one is
+    given."""
     if noise is not None and scorer is not None and noise.kind != "white":
         refit = scorer.whitened(refit, noise)
     basis, peaked = residual_projection(refit)

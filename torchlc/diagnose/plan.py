@@ -31,8 +31,8 @@ ENOUGH = 10.0
 
 @dataclass(frozen=True)
 class Option:
-    """A candidate night: its first instant, station, seconds between exposures, and the log-likelihood
-    margin it is expected to give."""
+    """A candidate night: its first instant, station, seconds between exposures, and the log-likelihood margin
+    it is expected to give."""
 
     start: str
     station: str
@@ -80,8 +80,8 @@ def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -
 
 
 def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float | None:
-    """Half the squared distance between the two predictions, less what the uncertainty of either's
-    parameters could absorb."""
+    """Half the squared distance between the two predictions, less what the uncertainty of either's parameters
+    could absorb."""
     try:
         a, slopes_a = _prediction(first, scene, grid)
         b, slopes_b = _prediction(second, scene, grid)

@@ -42,9 +42,8 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Refit:
     """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model,
-    slopes (T, P) =
-    d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y as a Gaussian
-    (mean, precision).
+    slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y
+    as a Gaussian (mean, precision).
 
     ``held`` marks coordinates at a bound, whose columns of slopes are zero.
     """
@@ -130,8 +129,7 @@ def refit(
     likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
 ) -> Refit:
     """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3; 1
-    if slow) are brought to the
-    end."""
+    if slow) are brought to the end."""
     parameters = likelihood.model.parameter_set
     if is_slow(likelihood.model):
         first, iterations = 6, 20
@@ -217,9 +215,8 @@ def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
 
 def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: torch.Generator) -> Tensor:
     """Values (count, k) for the parameters of one effect entry to start from: both signs and sizes 0.3 to 3
-    of the typical, directions
-    and other wide quantities from their priors; offsets of single curves start at none. k = 0 for an effect
-    without parameters."""
+    of the typical, directions and other wide quantities from their priors; offsets of single curves start at
+    none. k = 0 for an effect without parameters."""
     entry = Entry.parse(effect)
     quantities = {q.name: q for q in registry()[entry.name].quantities}
     parameters = likelihood.model.parameter_set

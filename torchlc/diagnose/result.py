@@ -24,8 +24,8 @@ SCHEMA = "torchlc-diagnosis/1"
 @dataclass(frozen=True)
 class Diagnosis:
     """``verdict`` with what it rests on: ``gate`` of the baseline and ``final_gate`` of the final model,
-    every first-round refit in
-    ``first`` (best first), the ``named`` effects with their ``families``, and ``where`` they act."""
+    every first-round refit in ``first`` (best first), the ``named`` effects with their ``families``, and
+    ``where`` they act."""
 
     verdict: str
     gate: Gate

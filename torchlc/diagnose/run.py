@@ -45,8 +45,7 @@ def diagnose(
     """What the scene's model leaves out of a recording.
 
     ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS
-    refits in the first round.
-    Raises InputError for an unknown effect name.
+    refits in the first round. Raises InputError for an unknown effect name.
     """
     began = time.monotonic()
     for name in effects or ():

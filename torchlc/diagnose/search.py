@@ -27,15 +27,14 @@ LEAST_SCORE = 9.0
 MOST_GROWN = 10
 MOST_GROWN_BESIDE = 4
 WEAK_SHARE = 0.05
-"""In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others
-of the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
+"""In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others of
+the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
 
 
 @dataclass(frozen=True)
 class Probe:
     """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures
-    (G, T) off everything the
-    refit can absorb, and the score (g'r)^2 / g'g of each (G,)."""
+    (G, T) off everything the refit can absorb, and the score (g'r)^2 / g'g of each (G,)."""
 
     entry: str
     psi: Tensor
@@ -167,8 +166,7 @@ def _divided(
     bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int
 ) -> Found:
     """An offset that every curve (or night) has for itself, the spread of its values learnt from them: begun
-    wide, narrowed to their root
-    mean square."""
+    wide, narrowed to their root mean square."""
     parsed = Entry.parse(entry)
     (quantity,) = registry()[parsed.name].quantities
     width = min(10 * (quantity.sigma or 1.0), quantity.high / 3)
@@ -279,8 +277,8 @@ def search(
 
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
-    """A set is named only if it beats the best smaller set and each member improves held-out prediction
-    given the others."""
+    """A set is named only if it beats the best smaller set and each member improves held-out prediction given
+    the others."""
     if not better(found, best, excess, gain=0.0):
         return False
     members = frozenset(found.hypothesis.plain)

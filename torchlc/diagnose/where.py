@@ -17,13 +17,14 @@ from torchlc.likelihood import MAG_PER_LN
 BINS = 12
 FOLDS = 4
 SEEN_SIGMA = 2.0
+SHORT_GAP = 2
 
 
 @dataclass(frozen=True)
 class Where:
     """``rows`` (T,) marked; intervals as (first row, last row, significance in sigma); shares by component;
-    the best coordinate with its
-    range, and the share of variance that each coordinate explains in held-out rows."""
+    the best coordinate with its range, and the share of variance that each coordinate explains in held-out
+    rows."""
 
     rows: Tensor
     intervals: Sequence[tuple[int, int, float]]
@@ -52,9 +53,21 @@ def intervals(rows: Tensor, strength: Tensor, refit: Refit) -> list[tuple[int, i
     for station in torch.unique(context.station).tolist():
         index = torch.nonzero(context.station == station)[:, 0]
         index = index[torch.argsort(context.seconds[index])]
-        for first, last in runs(rows[index]):
+        for first, last in joined(runs(rows[index])):
             inside = index[first : last + 1]
             found.append((int(inside[0]), int(inside[-1]), float(torch.linalg.vector_norm(strength[inside]))))
+    return found
+
+
+def joined(pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Runs of rows with those that at most SHORT_GAP rows part made one: a crossing of zero ends no
+    interval."""
+    found: list[tuple[int, int]] = []
+    for first, last in pieces:
+        if found and first - found[-1][1] - 1 <= SHORT_GAP:
+            found[-1] = (found[-1][0], last)
+        else:
+            found.append((first, last))
     return found
 
 
@@ -89,9 +102,8 @@ def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[st
 def best_coordinate(
     strength: Tensor, coordinates: Mapping[str, Tensor], rows: Tensor
 ) -> tuple[tuple[str, float, float] | None, dict[str, float]]:
-    """The coordinate whose piecewise-linear curve explains most of the variance in rows it has not seen,
-    with the range in which the
-    marked rows lie."""
+    """The coordinate whose piecewise-linear curve explains most of the variance in rows it has not seen, with
+    the range in which the marked rows lie."""
     ranking = {name: held_out_r2(strength, value) for name, value in coordinates.items()}
     if not ranking:
         return None, {}

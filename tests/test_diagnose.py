@@ -1,0 +1,195 @@
+"""The diagnosis on recordings of an independent simulator, and its statistics against dense algebra and
+draws."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchlc.assemble import assemble
+from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
+from torchlc.diagnose.gate import Battery, gate, log_tail, runs
+from torchlc.diagnose.refit import Hypothesis, Workbench, linearised
+from torchlc.diagnose.run import diagnose
+from torchlc.effects.base import Entry
+from torchlc.fit import find_modes
+from torchlc.likelihood import matern32
+from torchlc.recording import load_recording
+from torchlc.scene import load_scene
+
+PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
+DEMO = Path(__file__).parents[1] / "torchlc" / "demo"
+
+needs_practice = pytest.mark.skipif(not PRACTICE.is_dir(), reason=f"{PRACTICE} is not here")
+
+
+def practice(name: str):
+    scene = load_scene(PRACTICE / name / "scene.toml")
+    recording = load_recording(PRACTICE / name / "recording.ecsv", scene)
+    return scene, recording, json.loads((PRACTICE / name / "answer.json").read_text())
+
+
+@needs_practice
+@pytest.mark.parametrize(
+    "name", ["control", "jitter", "exposure_smearing", "earth_shadow", "appendage", "panel_offset"]
+)
+def test_practice_case_is_named(name: str) -> None:
+    """Verdict, name and chi-square of the answer; the interval against the true one where there is one."""
+    scene, recording, answer = practice(name)
+    content = json.loads(json.dumps(diagnose(scene, recording).to_json(), allow_nan=False))
+    assert content["verdict"] == answer["verdict"]
+    assert content["named"] == answer["effects"]
+    if answer["verdict"] != "missing_physics":
+        return
+    improvement = content["improvement"]
+    dof = improvement["dof"]
+    assert abs(improvement["chi2_after"] / dof - 1) < 3 * math.sqrt(2 / dof)
+    assert improvement["heldout_rms_after"] < improvement["heldout_rms_before"]
+    assert overlap(content["where"]["intervals"], answer["where"]["intervals"], recording) > 0.6
+    for material, values in answer["materials"].items():
+        for short, truth in values.items():
+            after = content["materials"]["after"].get(f"{material}.{short}")
+            if after is not None and after["sd"] < 0.2 * after["median"]:
+                assert abs(after["median"] - truth) < 4 * after["sd"], f"{material}.{short}"
+
+
+def overlap(found: list[dict], truth: list[list[str]], recording) -> float:
+    """Intersection over union of two sets of intervals, counted in rows."""
+    times = np.array(recording.time.isot)
+    masks = []
+    for pairs in ([(one["start"], one["end"]) for one in found], truth):
+        mask = np.zeros(len(times), dtype=bool)
+        for start, end in pairs:
+            mask |= (times >= start) & (times <= end)
+        masks.append(mask)
+    return float((masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum())
+
+
+@needs_practice
+def test_quick_makes_at_most_three_refits_and_finds_the_same() -> None:
+    scene, recording, answer = practice("exposure_smearing")
+    content = diagnose(scene, recording, quick=True).to_json()
+    assert content["named"] == answer["effects"]
+    refitted = [
+        one for one in content["candidates"] if one["chi2_after"] is not None and one["score"] is not None
+    ]
+    assert len(refitted) <= 3
+
+
+@needs_practice
+def test_only_the_listed_effects_are_candidates() -> None:
+    scene, recording, _ = practice("exposure_smearing")
+    content = diagnose(scene, recording, effects=["background", "zero_point_drift"]).to_json()
+    assert {one["effect"] for one in content["candidates"]} <= {
+        "background", "zero_point_drift", "jitter", "red_noise", "outliers",
+    }  # fmt: skip
+    assert content["verdict"] != "missing_physics"
+
+
+@pytest.fixture(scope="module")
+def demo_refit():
+    scene = load_scene(DEMO / "scene.toml")
+    recording = load_recording(DEMO / "recording.ecsv", scene)
+    bench = Workbench(assemble(scene, recording))
+    likelihood = bench.likelihood(Hypothesis())
+    modes, _, _ = find_modes(likelihood, starts=8, adam_steps=40)
+    return linearised(likelihood, Hypothesis(), modes[0].theta)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        NoiseModel("white"),
+        NoiseModel("jitter", jitter=0.03),
+        NoiseModel("red_noise", red=0.05, tau_min=20.0),
+    ],
+)
+def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, noise: NoiseModel) -> None:
+    """log N(r; M (mu - y), C + M V M') and the conditional density of a block, written out with full
+    matrices."""
+    refit = demo_refit
+    context = refit.model.assembly.context
+    blocks = make_blocks(context.seconds, context.curve)
+    scorer = Scorer(context.seconds, context.curve, blocks, False)
+    free = ~refit.held
+    m = refit.slopes[:, free]
+    prior = torch.diag(1 / refit.prior_precision[free])
+    shift = m @ (refit.prior_mean - refit.y)[free]
+    gap = (context.seconds[:, None] - context.seconds).abs() / 60
+    c = torch.diag(refit.sigma**2 + noise.jitter**2)
+    if noise.kind == "red_noise":
+        c = c + noise.red**2 * matern32(gap, torch.tensor(noise.tau_min))
+    dense = torch.distributions.MultivariateNormal(shift, c + m @ prior @ m.T)
+    assert scorer.log_evidence(refit, noise) == pytest.approx(float(dense.log_prob(refit.delta)), abs=1e-4)
+    if noise.kind == "red_noise":
+        return
+    rows, removed = blocks.rows[2], blocks.removed[2]
+    rest = torch.tensor([i for i in range(len(refit.delta)) if i not in set(removed.tolist())])
+    k = c + m @ prior @ m.T
+    gain = torch.linalg.solve(k[rest][:, rest], k[rest][:, rows]).T
+    mean = shift[rows] + gain @ (refit.delta - shift)[rest]
+    spread = k[rows][:, rows] - gain @ k[rest][:, rows]
+    expected = torch.distributions.MultivariateNormal(mean, 0.5 * (spread + spread.T)).log_prob(
+        refit.delta[rows]
+    )
+    assert float(scorer.heldout(refit, noise)[2]) == pytest.approx(float(expected), abs=1e-3)
+
+
+def test_gate_is_uniform_when_nothing_is_missing(demo_refit) -> None:
+    """Residuals drawn off the baseline's tangent: p-values uniform by Kolmogorov and Smirnov at 1 %."""
+    refit = demo_refit
+    context = refit.model.assembly.context
+    battery = Battery(context.seconds, context.curve, {"time": context.seconds}, {}, True)
+    generator = torch.Generator().manual_seed(1)
+    m = refit.slopes[:, ~refit.held] / refit.sigma[:, None]
+    q = torch.linalg.qr(m)[0]
+    found = []
+    for number in range(60):
+        z = torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
+        z = z - q @ (q.T @ z)
+        found.append(gate(replace(refit, delta=z * refit.sigma), battery, seed=number, draws=400).global_p)
+    ordered = np.sort(found)
+    steps = np.arange(1, 61) / 60
+    distance = max(np.abs(ordered - steps).max(), np.abs(ordered - steps + 1 / 60).max())
+    assert distance < 1.63 / math.sqrt(60)
+
+
+def test_gate_sees_a_short_dip_that_chi_square_does_not(demo_refit) -> None:
+    refit = demo_refit
+    context = refit.model.assembly.context
+    battery = Battery(context.seconds, context.curve, {}, {}, True)
+    generator = torch.Generator().manual_seed(4)
+    z = torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
+    quiet = gate(replace(refit, delta=z * refit.sigma), battery)
+    dipped = z.clone()
+    dipped[100:112] += 2.0
+    loud = gate(replace(refit, delta=dipped * refit.sigma), battery)
+    assert loud.marginal["chi2"] > 0.001
+    assert loud.global_p < 0.01 < quiet.global_p
+    assert any(a <= 112 and b >= 100 for a, b, _ in loud.windows)
+
+
+def test_tail_of_exponential_draws_is_the_exponential() -> None:
+    draws = torch.sort(
+        torch.distributions.Exponential(torch.tensor(1.0, dtype=torch.float64)).sample((40000,))
+    ).values
+    value = torch.tensor([0.5, 2.0, 8.0, 20.0], dtype=torch.float64)
+    assert torch.allclose(log_tail(draws, value), -value, rtol=0.08, atol=0.02)
+
+
+def test_runs_of_a_mask() -> None:
+    assert runs(torch.tensor([1, 1, 0, 0, 1, 0, 1], dtype=torch.bool)) == [(0, 1), (4, 4), (6, 6)]
+    assert runs(torch.zeros(3, dtype=torch.bool)) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["earth_shadow", "color_term[panel +Y]", "time_offset@curve", "time_offset@curve~210"]
+)
+def test_entries_read_as_they_are_written(text: str) -> None:
+    assert str(Entry.parse(text)) == text

@@ -8,26 +8,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import pad
 
 from torchlc.assemble import Assembly, assemble
-from torchlc.brdf.base import Brdf, Incidence, incidence
-from torchlc.effects.base import GEOMETRY_STAGES, Brightness, Effect, Light, Nodes, Noise, Patch, Reflect, Request, Scatter, Sky, Surface, View
+from torchlc.effects.base import (
+    GEOMETRY_STAGES,
+    Brightness,
+    Effect,
+    Light,
+    Nodes,
+    Noise,
+    Patch,
+    Reflect,
+    Request,
+    Scatter,
+    Sky,
+    Surface,
+    View,
+)
 from torchlc.parameters import ParameterSet
 from torchlc.recording import Recording
 from torchlc.scene import Scene
 from torchlc.shape import tracking_pose
 from torchlc.shape.part import like
+from torchlc.table import pair_table
 
-PAIRS_PER_CHUNK = 200_000
-"""Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the cache."""
-MOST_COMPARED = 64
-"""Slots up to which equal pairs are looked for."""
 RECENT_TABLES = 48
 """Compact tables of past geometries that a model keeps."""
 NODES = 9
@@ -38,9 +47,6 @@ MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
 MOST_CONDENSED = 1_000_000
 """Pairs in all up to which that is done: the tabulation costs as much as 60 calls."""
-ANGLES = len(fields(Incidence))
-EMPTY = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-"""What a slot without a pair holds: the fields of :class:`Incidence`, a spread, a weight (the last two alike, for either may end)."""
 VALUES_PER_CHUNK = 8_000_000
 """Exponentials held at once in a batched call: 64 MiB a buffer."""
 
@@ -367,7 +373,7 @@ class LightCurve(nn.Module):
         surfaces = []
         for (component, material), patches in groups.items():
             for (sunlit, scale), lights in kinds.items():
-                table = _table(replace(view, lights=tuple(lights)), patches, compact)
+                table = pair_table(replace(view, lights=tuple(lights)), patches, compact)
                 if table is not None:
                     model = patches[0].model
                     surfaces.append(Surface(component, material, model, table, phase_angle, sunlit, scale))
@@ -445,140 +451,6 @@ class LightCurve(nn.Module):
 
 def _unit(vector: Tensor) -> Tensor:
     return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
-
-
-def _table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, Tensor] | None:
-    """The material's table of all facets, lights and instants of some patches of one material; None if none is lit and seen.
-
-    The weight of a pair is area x visible fraction x irradiance x share of the exposure / range^2 if lit and seen and 0 elsewhere.
-    With ``compact`` only the pairs that are lit and seen are worked out, in as few slots as the busiest row needs, and equal pairs
-    (wings that share a normal) are counted once. Models without a lobe are summed over facets a few rows at a time, so that a mesh
-    needs little memory.
-    """
-    model = patches[0].model
-    if not compact:
-        columns = tuple(torch.cat(column) for column in zip(*(_columns(view, one) for one in patches), strict=True))
-        return _tabulated(model, columns)
-    instants = view.to_observer.shape[0]
-    lights = sum(light.irradiance.shape[0] for light in view.lights)
-    facets = sum(len(patch.area) for patch in patches)
-    size = max(1, PAIRS_PER_CHUNK // (instants * lights * facets))
-    rows = range(0, view.to_observer.shape[1], size)
-    if model.additive:
-        sums = [_summed(view, patches, slice(start, start + size)) for start in rows]
-        return {name: torch.cat([table[name] for table in sums], -1) for name in sums[0]}
-    pieces = [_packed(view, patches, slice(start, start + size)) for start in rows]
-    slots = max(len(piece[-1]) for piece in pieces)
-    if slots == 0:
-        return None
-    columns = tuple(
-        torch.cat([pad(column, (0, 0, 0, slots - len(column)), value=empty) for column in columns], -1)
-        for columns, empty in zip(zip(*pieces, strict=True), EMPTY, strict=False)
-    )
-    return _tabulated(model, _deduplicated(columns))
-
-
-def _summed(view: View, patches: Sequence[Patch], rows: slice) -> dict[str, Tensor]:
-    """The table of a model without a lobe, which asks for the cosines alone, of a few rows."""
-    model = patches[0].model
-    total: dict[str, Tensor] = {}
-    for patch in patches:
-        pose = None if patch.pose is None else patch.pose[..., rows, :, :]
-        observer = _into(pose, view.to_observer[:, rows])
-        for light in view.lights:
-            source = _into(pose, light.direction[:, :, rows])
-            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
-            weight = _weight(view, patch, light, cos_i, cos_r, rows)
-            shape = (-1, weight.shape[-1])
-            one = torch.zeros_like(weight[0, 0, 0])
-            angles = Incidence(cos_i.reshape(shape), cos_r.expand_as(weight).reshape(shape), one, one, one)
-            for name, table in model.tabulate(angles, weight.reshape(shape)).items():
-                total[name] = total[name] + table if name in total else table
-    return total
-
-
-def _tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tensor]:
-    table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
-    return table if model.additive or len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
-
-
-def _columns(view: View, patch: Patch) -> tuple[Tensor, ...]:
-    """The fields of :class:`Incidence`, the least variance of the lobe if a source has an extent, and the weight of a patch's
-    facets, each (K, T)."""
-    found: list[tuple[Tensor, ...]] = []
-    observer = _into(patch.pose, view.to_observer)
-    for light in view.lights:
-        source = _into(patch.pose, light.direction)
-        angles = incidence(
-            patch.normal[:, None, :], patch.u[:, None, :], source[:, :, None], observer[None, :, None]
-        )  # (L, Q, F, T)
-        weight = _weight(view, patch, light, angles.cos_i, angles.cos_r, slice(None))
-        spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
-        values = (*vars(angles).values(), *spread, weight)
-        found.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
-    return tuple(torch.cat(column) for column in zip(*found, strict=True))
-
-
-def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, ...]:
-    """The columns of :func:`_columns` for a few rows, without the pairs of no weight: (slots of the busiest row, rows)."""
-    found: list[tuple[Tensor, ...]] = []
-    for patch in patches:
-        pose = None if patch.pose is None else patch.pose[..., rows, :, :]
-        observer = _into(pose, view.to_observer[:, rows])
-        for light in view.lights:
-            source = _into(pose, light.direction[:, :, rows])
-            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
-            weight = _weight(view, patch, light, cos_i, cos_r, rows)
-            row, line, instant, facet = weight.permute(3, 0, 1, 2).nonzero(as_tuple=True)
-            angles = incidence(patch.normal[facet], patch.u[facet], source[line, instant, row], observer[instant, row])
-            spread = [] if light.spread is None else [0.25 * light.spread[:, :, rows][line, instant, row]]
-            found.append((row, *vars(angles).values(), *spread, weight[line, instant, facet, row]))
-    row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
-    return _slotted(row, columns, view.range_m[:, rows].shape[1])
-
-
-def _slotted(row: Tensor, columns: Sequence[Tensor], rows: int) -> tuple[Tensor, ...]:
-    """Values (N,) of pairs that belong to a row (N,) each, side by side: (slots of the busiest row, rows)."""
-    row, order = torch.sort(row, stable=True)
-    count = torch.bincount(row, minlength=rows)
-    slot = torch.arange(len(row), device=row.device) - (count.cumsum(0) - count)[row]
-    shape = (int(count.max()), rows)
-    return tuple(
-        torch.full(shape, empty, dtype=column.dtype, device=column.device).index_put((slot, row), column[order])
-        for column, empty in zip(columns, EMPTY, strict=False)
-    )
-
-
-def _weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor, rows: slice) -> Tensor:
-    """What a facet turned to both Sun and observer counts, (L, Q, F, rows); 0 if it is not."""
-    gain = light.irradiance[..., rows] * view.nodes.weight.expand(view.range_m.shape)[:, rows] / view.range_m[:, rows] ** 2
-    weight = gain[:, :, None] * patch.area[:, None]
-    visible = patch.visible if light.primary else patch.seen
-    if visible is not None:
-        weight = weight * visible[:, rows].mT
-    return torch.where((cos_i > 0) & (cos_r > 0), weight, 0.0)
-
-
-def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
-    """A body-frame direction (..., Q, T, 3) seen in the rest frame of a posed part; the facet axis is added by the caller."""
-    if pose is None:
-        return direction
-    return torch.einsum("...ij,...i->...j", pose, direction)
-
-
-def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    """Merge the weight of a slot into an earlier one of the same row with the same angles (to 1e-13)."""
-    weight = columns[-1].clone()
-    if not 1 < len(weight) <= MOST_COMPARED:
-        return columns
-    angles = torch.stack(columns[:-1])
-    for first in range(len(weight)):
-        for second in range(first + 1, len(weight)):
-            same = ((angles[:, first] - angles[:, second]).abs().amax(0) < 1e-13) & (weight[first] > 0)
-            weight[first] += torch.where(same, weight[second], 0.0)
-            weight[second] = torch.where(same, 0.0, weight[second])
-    slot, row = weight.nonzero(as_tuple=True)
-    return _slotted(row, [column[slot, row] for column in (*columns[:-1], weight)], weight.shape[1])
 
 
 def degrees_between(a: Tensor, b: Tensor) -> Tensor:

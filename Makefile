@@ -26,7 +26,8 @@ format: .venv/develop
 	$(BIN)/ruff format .
 
 examples: .venv/develop
-	$(BIN)/python examples/run_all.py
+	@set -e; for script in $$(grep -l __main__ examples/*.py examples/paper/*.py 2>/dev/null); do \
+		echo "$$script" && $(BIN)/python "$$script"; done
 
 docs: .venv/develop
 	$(BIN)/sphinx-build -W --keep-going -q -j 2 docs docs/_build/html

@@ -1,4 +1,4 @@
-"""What docs/reference.md documents, with its signatures: ``python -m tests.public_api > tests/public_api.txt``."""
+"""What docs/reference.md documents; ``python -m tests.public_api > tests/public_api.txt`` records it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Run the code of one page: ``python -m tests.run_page PAGE``, in a folder that holds the demo's scene and recording.
+"""Run the code of one page, ``python -m tests.run_page PAGE``, in a folder with the demo's two files.
 
-Blocks marked ``python`` share one namespace and blocks marked ``sh`` one folder, in the order of the page; a ``toml`` block that
-is a scene is read as one. Blocks marked otherwise (``text``, ``console``) are only shown.
+Blocks marked ``python`` share one namespace and blocks marked ``sh`` one folder, in the order of the page; a
+``toml`` block that is a scene is read as one. Other blocks (``text``, ``console``) are only shown.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Nobody waits for a library to load: torchlc beside torch, and the command line without it.
 
-Times are CPU seconds of a process of its own, the least of several, so that other work on the machine does not count.
+Times are CPU seconds of a process of its own, the least of several, so that other work on the machine does
+not count.
 """
 
 from __future__ import annotations

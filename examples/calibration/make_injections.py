@@ -51,6 +51,7 @@ from gain import Baseline, Make, sized, truth_of, with_effects
 Rng = np.random.Generator
 Concealed = dict[str, dict[str, Any]]
 NOISE = ("jitter", "red_noise", "outliers")
+OUTSIDE = "outside the library"
 SHADOWLESS = tuple(e for e in DEFAULT_EFFECTS if e != "self_shadowing")
 SIZES = {"small": 3.0, "medium": 6.0, "large": 20.0}
 
@@ -88,12 +89,13 @@ def appendage(rng: Rng) -> Make:
     )
 
 
-def farther_wings(size: float, setup: Setup) -> tuple[Setup, Concealed]:
-    """Self-shadowing weakens as the wings move out: the gap to the wall is 0.1/size m."""
+def smaller_wings(size: float, setup: Setup) -> tuple[Setup, Concealed]:
+    """Self-shadowing weakens with the wings: their sides are ``size`` times what they were."""
     tree = deepcopy(setup.tree)
     wall = tree["components"][0]["size"][1] / 2
     for wing in tree["components"][1:]:
-        reach = wall + wing["size"][1] / 2 + 0.1 / size
+        wing["size"] = [round(size * side, 4) for side in wing["size"]]
+        reach = round(wall + wing["size"][1] / 2 + 0.05, 4)
         wing["centre"] = [0.0, float(np.copysign(reach, wing["centre"][1])), 0.0]
     return replace(setup, tree=tree), {"self_shadowing": {}}
 
@@ -133,9 +135,10 @@ def fixed_lobe(setup: Setup) -> Setup:
     return replace(setup, tree=tree)
 
 
-def known_panel(setup: Setup, rng: Rng) -> Setup:
+def known(setup: Setup, rng: Rng) -> Setup:
+    """Every material known to 3 %."""
     tree = deepcopy(setup.tree)
-    tree["materials"]["panel"] = tight_material(setup.materials["panel"], 0.03, rng)
+    tree["materials"] = {name: tight_material(values, 0.03, rng) for name, values in setup.materials.items()}
     return replace(setup, tree=tree)
 
 
@@ -162,10 +165,16 @@ def kinds(number: int) -> dict[str, Kind]:
         "eclipse": lambda rng: found(lambda: geo(rng, number, True, False, 360), shadow=True),
         "fixed_lobe": lambda rng: fixed_lobe(found(lambda: geo(rng, number))),
         "fixed": lambda rng: fixed_materials(found(lambda: geo(rng, number))),
-        "known": lambda rng: known_panel(found(lambda: geo(rng, number)), rng),
+        "known": lambda rng: known(found(lambda: geo(rng, number)), rng),
+        "eclipse_known": lambda rng: known(
+            found(lambda: geo(rng, number, True, False, 360), shadow=True), rng
+        ),
         "meo": lambda rng: found(lambda: meo(rng, number)),
         "box": lambda rng: found(lambda: tumbler(rng, number)),
-        "fast": lambda rng: found(lambda: tumbler(rng, number, rate=draw(rng, 4.0, 8.0))),
+        "sharp_box": lambda rng: found(lambda: tumbler(rng, number, sharp=(80.0, 250.0))),
+        "fast": lambda rng: found(
+            lambda: tumbler(rng, number, rate=draw(rng, 4.0, 8.0), sharp=(150.0, 500.0))
+        ),
         "whirling": lambda rng: found(lambda: tumbler(rng, number, rate=draw(rng, 20.0, 40.0))),
         "wing": lambda rng: found(lambda: tumbler(rng, number, wing=True)),
         "parked": lambda rng: found(lambda: parked(rng, number)),
@@ -194,7 +203,7 @@ def second_material(rng: Rng) -> Make:
 
 
 def opposition_surge(rng: Rng) -> Make:
-    return by("opposition_surge", "b0", material="body", h=draw(rng, 0.02, 0.06))
+    return by("opposition_surge", "b0", material="panel", h=draw(rng, 0.05, 0.12))
 
 
 RECIPES: dict[str, Recipe] = {
@@ -203,20 +212,20 @@ RECIPES: dict[str, Recipe] = {
     "attitude_offset": ("wing", attitude_offset, 0.3, (0.01, 10.0)),
     "wobble": ("box", wobble, 0.3, (0.01, 5.0)),
     "spin_rate_offset": ("box", either_way("spin_rate_offset", "rev_per_hour"), 1e-3, (1e-6, 0.2)),
-    "self_shadowing": ("wing", lambda rng: farther_wings, 1.0, (0.01, 20.0)),
+    "self_shadowing": ("wing", lambda rng: smaller_wings, 0.5, (0.05, 1.0)),
     "exposure_smearing": ("fast", lambda rng: longer_exposures, 10.0, (0.5, 40.0)),
     "earth_shadow": ("eclipse", one_way("earth_shadow", "h0"), 15.0, (15.0, 15.0)),
     "finite_sun": ("parked", lambda rng: polish, 2e4, (2e3, 6e5)),
     "appendage": ("box", appendage, 0.05, (1e-4, 8.0)),
     "second_material": ("geo", second_material, 0.05, (1e-4, 0.5)),
-    "lobe_tail": ("wing", lambda rng: tail, 0.2, (0.1, 0.8)),
+    "lobe_tail": ("sharp_box", lambda rng: tail, 0.2, (0.1, 0.8)),
     "normal_dispersion": (
         "fixed_lobe",
         one_way("normal_dispersion", "deg", material="panel"),
         1.5,
         (0.05, 15.0),
     ),
-    "opposition_surge": ("eclipse", opposition_surge, 0.3, (0.01, 1.0)),
+    "opposition_surge": ("eclipse_known", opposition_surge, 0.3, (0.01, 1.0)),
     "time_offset": ("rocket", either_way("time_offset", "s"), 1.0, (1e-3, 600.0)),
     "along_track_offset": ("leo", either_way("along_track_offset", "deg"), 0.1, (1e-3, 5.0)),
     "zero_point_drift": ("meo", either_way("zero_point_drift", "mag_per_hour"), 0.02, (1e-4, 0.5)),
@@ -243,7 +252,7 @@ ONE_SIZE = ("earth_shadow", "interreflection", "earthshine", "light_time", "sun_
 ELSEWHERE = (  # the same effects on other objects, medium or large
     ("time_offset", "leo"), ("time_offset", "box"), ("panel_offset", "meo"), ("panel_offset", "leo"),
     ("exposure_smearing", "rocket"), ("spin_rate_offset", "rocket"), ("background", "rocket"),
-    ("zero_point_drift", "geo"), ("lobe_tail", "box"), ("wobble", "rocket"),
+    ("zero_point_drift", "geo"), ("lobe_tail", "known"), ("wobble", "rocket"),
 )  # fmt: skip
 PAIRS = (
     ("wing", "self_shadowing", "zero_point_step"), ("geo", "panel_offset", "background"),
@@ -257,12 +266,8 @@ def names() -> Iterator[str]:
     for kind in ("geo", "geo_free", "eclipse_none", "meo", "box", "wing", "rocket", "leo"):
         yield f"control_{kind}"
     for effect in RECIPES:
-        sizes = THREE_SIZES if effect in THREE_SIZES else ()
-        for size in (
-            ("small", "medium", "large")
-            if sizes
-            else (("as_is",) if effect in ONE_SIZE else ("medium", "large"))
-        ):
+        sizes = ("as_is",) if effect in ONE_SIZE else ("medium", "large")
+        for size in ("small", *sizes) if effect in THREE_SIZES else sizes:
             yield f"{effect}-{size}"
     for effect, kind in ELSEWHERE:
         yield f"{effect}-large-{kind}"
@@ -276,90 +281,107 @@ def names() -> Iterator[str]:
                 "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
 
 
-def _noise(effect: str, large: bool, floor: float, rng: Rng) -> Concealed:
-    factor = 2.0 if large else 0.8
-    return {
-        "jitter": {"jitter": {"mag": round(floor * factor, 4)}},
-        "red_noise": {"red_noise": {"mag": round(floor * factor, 4), "tau_min": draw(rng, 6.0, 20.0)}},
-        "outliers": {"outliers": {"fraction": 0.06 if large else 0.03, "width": 0.3 if large else 0.15}},
-    }[effect] | {}
+Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says of it
 
 
-def compose(name: str, number: int, rng: Rng) -> tuple[Setup, Concealed, dict[str, Any]]:
-    """Setup, what is concealed, and what is said about it, of a case by its name."""
+def compose(name: str, number: int, rng: Rng) -> Composed:
+    """A case by its name."""
     at = kinds(number)
-    words = name.split("-")
     if name.startswith("control_"):
         kind = name.removeprefix("control_")
         return at["geo_free" if kind == "eclipse_none" else kind](rng), {}, {"verdict": "adequate"}
-    if words[0] in NOISE:
-        setup = at[str(rng.choice(["box", "wing", "meo", "geo"]))](rng)
-        verdict = {"verdict": "noise_model"} | (
-            {} if words[1] == "large" else {"accepted": ["noise_model", "adequate"]}
-        )
-        return setup, _noise(words[0], words[1] == "large", setup.floor, rng), verdict
-    if words[0] == "two":
-        kind = next(k for k, *both in PAIRS if both == words[1:])
-        setup, concealed = at[kind](rng), {}
-        for effect in words[1:]:
-            _, maker, first, limits = RECIPES[effect]
-            make = maker(rng)
-            size = sized(setup, make, first, limits, 15.0)
-            setup, one = make(size, setup)
-            concealed |= one
-        return setup, concealed, {"verdict": "missing_physics"}
-    if words[0] == "wrong":
-        setup = at[words[2]](rng)
-        if words[1] == "orbit":
-            return setup, {"along_track_offset": {"deg": 0.1}}, {"verdict": "missing_physics"}
-        if words[1] == "clock":
-            return setup, {"time_offset": {"s": 2.0}}, {"verdict": "missing_physics"}
-        tree = deepcopy(setup.tree)
-        size = tree["components"][0]["size"]
-        tree["components"][0]["size"] = [round(size[0] / 1.1, 4), *size[1:]]
-        answer = {
-            "verdict": "unexplained",
-            "accepted": ["unexplained", "adequate"],
-            "note": "the scene's box is 10 % too long",
-        }
-        return replace(setup, true_tree=tree), {}, answer
-    if words[0] == "ggx":
-        setup = at[words[1]](rng)
-        _, maker, first, limits = RECIPES[words[2]]
-        make = maker(rng)
-        setup, concealed = make(sized(setup, make, first, limits, 20.0), setup)
-        rough = {
-            material: {
-                "model": "ggx", "alpha": round(float(np.sqrt(2.0 / (v["n"] + 2.0))), 4), "f0": v["r_spec"],
-                "r_diff": v["r_diff"],
-            }
-            for material, v in setup.materials.items()
-        }  # fmt: skip
-        return replace(setup, true_materials=rough), concealed, {
-            "verdict": "missing_physics",
-            "note": "every surface is a rough conductor (GGX) over a Lambert base",
-            "family": [[words[2], "lobe_tail"]],
-        }  # fmt: skip
-    if words[0] == "outside":
-        return outside(words[1], at, rng)
-    kind, maker, first, limits = RECIPES[words[0]]
-    if len(words) > 2:
-        kind = words[2]
-    setup, make = at[kind](rng), maker(rng)
-    if words[0] == "interreflection":
-        setup = with_effects(farther_wings(5.0, setup)[0], ["self_shadowing"])
-    size = first if words[1] == "as_is" else sized(setup, make, first, limits, SIZES[words[1]])
+    first, *rest = name.split("-")
+    if first in NOISE:
+        return noisy(first, rest[0] == "large", at, rng)
+    special = {"two": two_effects, "wrong": wrong_scene, "ggx": other_law, "outside": outside}
+    if first in special:
+        return special[first](rest, at, rng)
+    return one_effect(first, rest, at, rng)
+
+
+def one_effect(effect: str, words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    """words: size, and another kind of object than the effect's own."""
+    kind, maker, first, limits = RECIPES[effect]
+    setup, make = at[words[1] if len(words) > 1 else kind](rng), maker(rng)
+    if effect == "interreflection":
+        setup = with_effects(smaller_wings(1.0, setup)[0], ["self_shadowing"])
+    size = first if words[0] == "as_is" else sized(setup, make, first, limits, SIZES[words[0]])
     setup, concealed = make(size, setup)
     concealed = {k: {a: b for a, b in v.items() if a != "unused"} for k, v in concealed.items()}
     answer: dict[str, Any] = {"verdict": "missing_physics"}
-    if words[1] == "small":
+    if words[0] == "small":
         answer["accepted"] = ["missing_physics", "adequate"]
     return setup, concealed, answer
 
 
-def outside(what: str, at: Mapping[str, Kind], rng: Rng) -> tuple[Setup, Concealed, dict[str, Any]]:
+def noisy(effect: str, large: bool, at: Mapping[str, Kind], rng: Rng) -> Composed:
+    setup = at[str(rng.choice(["box", "wing", "meo", "geo"]))](rng)
+    extra = round(setup.floor * (2.0 if large else 0.8), 4)
+    parameters = {
+        "jitter": {"mag": extra},
+        "red_noise": {"mag": extra, "tau_min": draw(rng, 6.0, 20.0)},
+        "outliers": {"fraction": 0.06 if large else 0.03, "width": 0.3 if large else 0.15},
+    }[effect]
+    answer: dict[str, Any] = {"verdict": "noise_model"}
+    if not large:
+        answer["accepted"] = ["noise_model", "adequate"]
+    return setup, {effect: parameters}, answer
+
+
+def two_effects(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    kind = next(k for k, *both in PAIRS if both == words)
+    setup, concealed = at[kind](rng), {}
+    for effect in words:
+        _, maker, first, limits = RECIPES[effect]
+        make = maker(rng)
+        setup, one = make(sized(setup, make, first, limits, 15.0), setup)
+        concealed |= one
+    return setup, concealed, {"verdict": "missing_physics"}
+
+
+def wrong_scene(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    """The scene is slightly wrong: the orbit by 0.1 deg, the clock by 2 s, or the box by 10 %."""
+    setup = at[words[1]](rng)
+    if words[0] == "orbit":
+        return setup, {"along_track_offset": {"deg": 0.1}}, {"verdict": "missing_physics"}
+    if words[0] == "clock":
+        return setup, {"time_offset": {"s": 2.0}}, {"verdict": "missing_physics"}
+    tree = deepcopy(setup.tree)
+    size = tree["components"][0]["size"]
+    tree["components"][0]["size"] = [round(size[0] / 1.1, 4), *size[1:]]
+    answer = {"verdict": "unexplained", "accepted": ["unexplained", "adequate"]}
+    answer["note"] = "the scene's box is 10 % too long"
+    return replace(setup, true_tree=tree), {}, answer
+
+
+def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    """An effect on an object whose every surface obeys another law than the model's."""
+    kind, effect = words
+    setup = at[kind](rng)
+    _, maker, first, limits = RECIPES[effect]
+    make = maker(rng)
+    setup, concealed = make(sized(setup, make, first, limits, 20.0), setup)
+    rough = {
+        material: {
+            "model": "ggx",
+            "alpha": round(float(np.sqrt(2.0 / (values["n"] + 2.0))), 4),
+            "f0": values["r_spec"],
+            "r_diff": values["r_diff"],
+        }
+        for material, values in setup.materials.items()
+    }
+    answer = {
+        "verdict": "missing_physics",
+        "note": "every surface is a rough conductor (GGX) over a Lambert base",
+        "family": [[effect, "lobe_tail"]],
+    }
+    return replace(setup, true_materials=rough), concealed, answer
+
+
+def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     """Truths that no effect of the library describes."""
-    answer = {"verdict": "unexplained", "accepted": ["unexplained"], "note": "outside the library"}
+    answer = {"verdict": "unexplained", "accepted": ["unexplained"], "note": OUTSIDE}
+    what = words[0]
     if what == "flash":
         flash = {"period_min": draw(rng, 17.0, 40.0), "fraction": 0.8, "width": 0.04}
         return at["wing"](rng), {"flash": flash}, answer
@@ -368,8 +390,8 @@ def outside(what: str, at: Mapping[str, Kind], rng: Rng) -> tuple[Setup, Conceal
         return setup, {"attitude_jump": {"y": 1.5, "x": 0.7, "time": round(_middle(setup, 0.55), 3)}}, answer
     if what == "cloud":
         setup = at["meo"](rng)
-        answer["accepted"] = ["unexplained", "noise_model"]
-        return setup, {"cloud": {"mag": 0.25, "minutes": 12.0, "time": round(_middle(setup, 0.4), 3)}}, answer
+        cloud = {"mag": 0.25, "minutes": 12.0, "time": round(_middle(setup, 0.4), 3)}
+        return setup, {"cloud": cloud}, {**answer, "accepted": ["unexplained", "noise_model"]}
     return at["geo"](rng), {"wing_split": {"deg": 3.0}}, answer
 
 
@@ -506,7 +528,7 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     recorded = mag + observe.noise(setup.t, error, concealed, rng)
 
     plain, plain_mag = truth_of(setup, {}, seed=seed)
-    other_law = bool(setup.true_tree or setup.true_materials)
+    as_in_scene = setup.true_tree is None and setup.true_materials is None
     as_listed = replace(setup, true_tree=None, true_materials=None)
     baseline = Baseline(setup, error, truth_of(as_listed, {}, seed=seed)[1])
     start = baseline.best_refit(recorded)
@@ -514,9 +536,9 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
         (baseline.refit(mag, at) for at in (start[1], baseline.truth)), key=lambda result: result[0]
     )
     family, competing = [], {}
-    if physics and said.get("note") != "outside the library":
+    if physics and said.get("note") != OUTSIDE:
         family = [sorted(physics), *said.get("family", [])]
-        if len(physics) == 1 and not other_law:
+        if len(physics) == 1 and as_in_scene:
             competing = rivals(baseline, theta, model, mag, set(physics))
             family += [[effect] for effect, chi2 in competing.items() if chi2 < 4.0]
     elif set(concealed) - set(physics):

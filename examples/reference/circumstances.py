@@ -265,7 +265,13 @@ def meo(rng: np.random.Generator, number: int) -> Setup:
     return Setup("MEO box-wing yaw-steering", tree, materials, t, 1.0, station, draw(rng, 0.015, 0.02))
 
 
-def tumbler(rng: np.random.Generator, number: int, wing: bool = False, rate: float | None = None) -> Setup:
+def tumbler(
+    rng: np.random.Generator,
+    number: int,
+    wing: bool = False,
+    rate: float | None = None,
+    sharp: tuple[float, float] = (15.0, 120.0),
+) -> Setup:
     """A box, with fixed wings or without, turning about an oblique axis in GEO."""
     station = str(rng.choice(list(SITES)))
     longitude = SITES[station][1] + draw(rng, -20.0, 20.0)
@@ -286,7 +292,7 @@ def tumbler(rng: np.random.Generator, number: int, wing: bool = False, rate: flo
     tree = _tree(
         "tumbling " + ("box-wing" if wing else "box"), orbit, station, attitude, [box(size), *plates]
     )
-    materials = _materials(rng, wing, (15.0, 120.0))
+    materials = _materials(rng, wing, sharp)
     if wing:
         materials["panel"] = {
             "n": draw_log(rng, 12.0, 60.0),

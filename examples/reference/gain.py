@@ -146,7 +146,7 @@ def gain(setup: Setup, concealed: Mapping[str, Any], linear: bool = False) -> fl
         change = (target - baseline.curve(baseline.truth)) / baseline.sigma
         left = baseline.projected(change, baseline.tangents(baseline.truth))
         return float(np.linalg.norm(left))
-    return float(np.sqrt(baseline.refit(target, baseline.truth)[0]))
+    return float(np.sqrt(baseline.best_refit(target)[0]))
 
 
 def centred(setup: Setup) -> Setup:

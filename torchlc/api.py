@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -26,7 +27,7 @@ from torchlc.insight import bare_view
 from torchlc.likelihood import Likelihood, matern32
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
-from torchlc.output import OutputDirectory, resources
+from torchlc.output import OutputDirectory, resources, write_whole
 from torchlc.recording import Recording, load_recording
 from torchlc.results import FitResult, SimulatedCurve
 from torchlc.sample import sample
@@ -34,7 +35,7 @@ from torchlc.scene import Scene, load_scene
 from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
-    from torchlc.diagnose.run import DiagnosisResult
+    from torchlc.diagnose.result import Diagnosis
 
 Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
@@ -206,7 +207,7 @@ def diagnose(
     trust: bool = False,
     progress: Progress | None = None,
     command: Sequence[str] | None = None,
-) -> DiagnosisResult:
+) -> Diagnosis:
     """Say whether physics is missing from the scene's model, which, where, and what that changes.
 
     ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and
@@ -225,6 +226,19 @@ def diagnose(
         if directory is not None:
             content = result.to_json() | {"provenance": provenance(scene, rows, seed, command)}
             directory.write_json("diagnosis.json", content)
+    return result
+
+
+def demo(
+    out: str | Path, *, seed: int = 0, progress: Progress | None = None, command: Sequence[str] | None = None
+) -> FitResult:
+    """Fit the example that comes with the package; its two files are put beside the results."""
+    source = Path(__file__).parent / "demo"
+    result = fit(
+        source / "scene.toml", source / "recording.ecsv", out=out, seed=seed, progress=progress, command=command
+    )
+    for name in ("scene.toml", "recording.ecsv"):
+        write_whole(Path(out) / name, lambda partial, name=name: shutil.copyfile(source / name, partial))
     return result
 
 

@@ -16,6 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+
 from torchlc.errors import BusyError, InputError, ResourceError
 
 LOCK_NAME = ".torchlc.lock"
@@ -116,6 +118,8 @@ def without_nan(value: Any) -> Any:
         return {str(key): without_nan(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

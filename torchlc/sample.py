@@ -223,7 +223,7 @@ def sample(
 
 
 def _next_check(iteration: int) -> int:
-    """The first length, from ``iteration`` on, at which a chain is judged; resumed runs have the same."""
+    """The first length from ``iteration`` on at which a chain is judged; resumed runs have the same."""
     due = FIRST_CHECK
     while due < iteration:
         due += BLOCK * max(1, due // (10 * BLOCK))
@@ -282,7 +282,7 @@ def _resumed(
     backend.chain[:] = disk.get_chain()
     backend.log_prob[:] = disk.get_log_prob()
     backend.accepted[:] = disk.accepted
-    backend.iteration = disk.iteration
+    backend.iteration = int(disk.iteration)
     backend.random_state = disk.random_state
     last: Any = backend.get_last_sample()
     if not np.allclose(density(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):

@@ -168,7 +168,7 @@ def test_gate_sees_a_short_dip_that_chi_square_does_not(demo_refit) -> None:
     z = torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
     quiet = gate(replace(refit, delta=z * refit.sigma), battery)
     dipped = z.clone()
-    dipped[100:112] += 2.0
+    dipped[100:112] += 1.5
     loud = gate(replace(refit, delta=dipped * refit.sigma), battery)
     assert loud.marginal["chi2"] > 0.001
     assert loud.global_p < 0.01 < quiet.global_p

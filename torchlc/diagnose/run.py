@@ -3,6 +3,7 @@ change."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -29,6 +30,8 @@ ADEQUATE_P = 0.01
 NOISE_EVIDENCE = 5.0
 NOISE_HELDOUT = 3.0
 LEFT_AFTER = 0.5
+CONSISTENT = 2.0
+"""Standard deviations of chi-square within which what is left counts as nothing."""
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 
@@ -189,7 +192,8 @@ def _verdict(
             return "missing_physics", named
         before = start.refit.chi2 - likelihood.degrees_of_freedom
         left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-        if left <= LEFT_AFTER * before:
+        scatter = math.sqrt(2 * final.refit.likelihood.degrees_of_freedom)
+        if left <= max(LEFT_AFTER * before, CONSISTENT * scatter):
             return "missing_physics", named
         return "unexplained", []
     white, heldout_white = start.score.by_kind["white"]

@@ -13,17 +13,19 @@ from torchlc.diagnose.gate import residual_projection
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
+from torchlc.fit import polish
 
 GRID = 24
 GRID_PER_DIMENSION = 24
 STARTS = 12
 SLOW_STARTS = 3
-EVIDENCE_GAIN = 5.0
-HELDOUT_GAIN = 3.0
+EVIDENCE_GAIN = 3.5
+HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
 BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
+PREVIEW_STEPS = 6
 MOST_GROWN = 10
 MOST_GROWN_BESIDE = 4
 WEAK_SHARE = 0.05
@@ -162,6 +164,26 @@ def extended(
     return Found(fitted, scorer.score(fitted))
 
 
+def preview(bench: Workbench, at: Refit, entry: str, found: Probe, seed: int) -> float:
+    """What a few steps from the best probed values already reach: the objective, plus 4 for each parameter
+    that the effect brings, as Occam would have it."""
+    hypothesis = at.hypothesis.with_effect(entry)
+    likelihood = bench.likelihood(hypothesis)
+    columns = effect_columns(likelihood.model.parameter_set, entry)
+    starts = 1 if is_slow(likelihood.model) or not columns else 3
+    theta = bench.start(hypothesis, at.theta[None].expand(starts, -1), at.names)
+    if columns:
+        generator = torch.Generator().manual_seed(seed)
+        tried = effect_starts(likelihood, entry, starts, generator)
+        best = found.psi[torch.argsort(found.scores, descending=True)][:starts]
+        tried[: len(best)] = best
+        theta[:, columns] = tried
+    level = theta[0] if likelihood.fitted_errors else None
+    with torch.no_grad():
+        reached = polish(likelihood, theta, None, iterations=PREVIEW_STEPS, level_at=level)
+    return float(reached.cost.min()) + 4.0 * len(columns)
+
+
 def _divided(
     bench: Workbench, scorer: Scorer, at: Sequence[Refit], entry: str, found: Probe, seed: int
 ) -> Found:
@@ -230,7 +252,8 @@ def search(
     excess = None if baseline[0].likelihood.fitted_errors else max(null.refit.chi2 - dof, 1.0)
     entries = sorted(probes, key=lambda entry: -probes[entry].score)
     if most_refits is not None:
-        entries = entries[:most_refits]
+        previews = {entry: preview(bench, baseline[0], entry, probes[entry], seed) for entry in entries}
+        entries = sorted(entries, key=lambda entry: previews[entry])[:most_refits]
     first: list[Found] = []
     for number, entry in enumerate(entries):
         first.append(extended(bench, scorer, baseline, entry, probes[entry], seed + number))

@@ -22,7 +22,7 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
-from torchlc.shape import Shape
+from torchlc.shape import Facets, Shape
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
@@ -227,6 +227,12 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
     return finest
 
 
+def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:
+    numbers = {name: number.value if isinstance(number, SceneFree) else number for name, number in scene.numbers().items()}
+    values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
+    return [part.facets(values) for part in shape.parts]
+
+
 def _context(
     scene: Scene,
     recording: Recording,
@@ -252,6 +258,7 @@ def _context(
         track=track,
         attitude=attitude,
         shape=shape,
+        rest=_at_rest(scene, shape),
         lobes=_finest_lobes(scene),
         materials=list(scene.materials),
         models=dict(models),

@@ -271,7 +271,8 @@ class LightCurve(nn.Module):
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
         """Batches beyond the memory rule are cut along their leading axis; gradients need the whole and are never cut."""
         flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
-        largest = max((table.numel() for s in tables.surfaces for table in s.table.values()), default=1)
+        sizes = [table.numel() for surface in tables.surfaces for table in surface.table.values()]
+        largest = max(sizes + [scatter.values for _, scatter in tables.scatter], default=1)
         size = max(1, VALUES_PER_CHUNK // max(largest, 1))
         if theta.ndim == 1 or torch.is_grad_enabled() or len(flat) <= size:
             return self.shine(tables, self.parameter_set.values(theta), shares)
@@ -401,11 +402,11 @@ class LightCurve(nn.Module):
                 light = light * a.rows(values, surface.scale)
             add(surface.component, light, surface.sunlit)
 
-        def reflector(surface: Surface, variance: Tensor) -> Tensor:
-            return self.reflect(surface, {name: value[..., None] for name, value in values.items()}, variance)
+        def reflector(surface: Surface) -> Tensor:
+            return self.reflect(surface, {name: value[..., None] for name, value in values.items()})
 
         for effect, scatter in tables.scatter:
-            for component, light in scatter(reflector, a.own(effect, values)).items():
+            for component, light in scatter.light(reflector, a.own(effect, values)).items():
                 add(component, light, True)
         if not by_component:
             any_value = next(iter(values.values()), a.sun_magnitude)
@@ -421,14 +422,10 @@ class LightCurve(nn.Module):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
 
-    def reflect(self, surface: Surface, values: Mapping[str, Tensor], widened: Tensor | None = None) -> Tensor:
-        """Lobe and diffuse flux (..., T) of one surface together, through the effects of its material; ``widened`` is a
-        variance, rad^2, added to its lobe."""
+    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> Tensor:
+        """Lobe and diffuse flux (..., T) of one surface together, through the effects of its material."""
         a = self.assembly
         own = a.material_values(surface.material, surface.model, values)
-        if widened is not None:
-            own = surface.model.broadened(own, widened)
-
         reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):

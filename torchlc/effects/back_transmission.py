@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Effect, Scatter
 from torchlc.parameters import Quantity
 
 
@@ -44,4 +44,4 @@ class BackTransmission(Effect):
         through = (sun * -observer).where((sun > 0) & (observer < 0), 0.0) @ facets.area
         irradiance = sum(light.irradiance.sum(0) for light in view.lights if light.primary)
         flux = (view.nodes.weight * irradiance * through / (math.pi * view.range_m**2)).sum(0)
-        return lambda reflect, p: {self.target: p["t_d"] * flux}
+        return Scatter(lambda reflect, p: {self.target: p["t_d"] * flux})

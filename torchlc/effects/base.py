@@ -165,6 +165,11 @@ class Noise:
     width: Tensor | None = None
 
 
+def traced() -> bool:
+    """True where gradients or transforms follow the computation, so that it may not branch on the data."""
+    return torch.is_grad_enabled() or bool(torch._C._functorch.peek_interpreter_stack())  # pyright: ignore
+
+
 class Memory:
     """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY bytes."""
 
@@ -173,7 +178,7 @@ class Memory:
 
     def recall(self, inputs: Sequence[Tensor], compute: Callable[[], Sequence[Tensor]]) -> Sequence[Tensor]:
         """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need it traced."""
-        if torch.is_grad_enabled() or torch._C._functorch.peek_interpreter_stack():
+        if traced():
             return compute()
         digest = hashlib.blake2b(digest_size=16)
         for tensor in inputs:
@@ -193,7 +198,7 @@ class Memory:
 class Context:
     """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index.
 
-    ``lobes`` holds the largest exponent of each material's lobe that has to be resolved; ``errors`` is false if they are fitted.
+    ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's lobe that has to be resolved; ``errors`` is false if they are fitted.
     """
 
     seconds: Tensor
@@ -209,6 +214,7 @@ class Context:
     attitude: Attitude
     shape: Shape
     lobes: Mapping[str, float]
+    rest: Sequence[Facets]
     materials: Sequence[str]
     models: Mapping[str, type[Brdf]]
     mode: str
@@ -223,11 +229,17 @@ class Context:
 
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]
-Reflector = Callable[[Surface, Tensor], Tensor]
-"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on it; the variance (P,),
-rad^2, widens the lobe."""
-Scatter = Callable[[Reflector, Parameters], Mapping[str, Tensor]]
-"""Further sunlight (..., T) by component, from what materials and an effect's parameters are at present."""
+Reflector = Callable[[Surface], Tensor]
+"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on it."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Further sunlight: ``light`` gives it by component, (..., T), from what materials and the effect's parameters are at
+    present; ``values`` is how many numbers it holds for one of them."""
+
+    light: Callable[[Reflector, Parameters], Mapping[str, Tensor]]
+    values: int = 1
 
 
 @dataclass(frozen=True)
@@ -335,8 +347,8 @@ class Effect:
         return patches
 
     def scatter(self, view: View, context: Context) -> Scatter:
-        """All that geometry alone says of it is worked out here; the function that is returned adds materials and parameters."""
-        return lambda reflect, p: {}
+        """What geometry alone says of it is worked out here; the function that it returns adds materials and parameters."""
+        return Scatter(lambda reflect, p: {})
 
     def material(self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters) -> Reflect:
         return reflect

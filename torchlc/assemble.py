@@ -86,6 +86,11 @@ class Assembly:
         return facets * self.T * max(1, math.prod(effect.nodes for effect in self.effects))
 
     @property
+    def traced_pairs(self) -> int:
+        """Facet-row pairs of the parts that are traced by rays."""
+        return self.T * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
+
+    @property
     def patches(self) -> list[list[tuple[str, Tensor]]]:
         """For each part, the materials on it and the facets (indices) of each."""
         found = []
@@ -228,7 +233,10 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
 
 
 def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:
-    numbers = {name: number.value if isinstance(number, SceneFree) else number for name, number in scene.numbers().items()}
+    numbers = {
+        name: number.value if isinstance(number, SceneFree) else number
+        for name, number in scene.numbers().items()
+    }
     values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
     return [part.facets(values) for part in shape.parts]
 

@@ -218,11 +218,16 @@ class LightCurve(nn.Module):
                 kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
 
+    @property
+    def unaffordable(self) -> bool:
+        """True if fits would work out the whole of a large mesh anew for every value of a parameter."""
+        return self.geometry_free and self.assembly.traced_pairs > MOST_TRACED_PAIRS and not self._only_clock()
+
     def _only_clock(self) -> bool:
         """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the offset."""
         moved = {self.names[column].partition("[")[0] for column in self.assembly.geometry_columns}
         plain = all(self.assembly.models[one].additive for one in self.scene.materials)
-        return moved == {"time_offset.s"} and plain and self.assembly.pairs > MOST_TRACED_PAIRS
+        return moved == {"time_offset.s"} and plain and self.assembly.traced_pairs > MOST_TRACED_PAIRS
 
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a turn apart, by cubics

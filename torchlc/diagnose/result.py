@@ -42,6 +42,7 @@ class Diagnosis:
     quick: bool
     seed: int
     seconds: float
+    untried: Sequence[str] = ()
     nights: Sequence[Option] = ()
     next_observation: str = ""
 
@@ -71,6 +72,10 @@ class Diagnosis:
                 "remaining": self.remaining(),
                 "next_observation": self.next_observation,
                 "nights": [vars(night) for night in self.nights[:8]],
+                "untried": [
+                    {"effect": entry, "reason": "each of its geometries costs a pass over the whole mesh"}
+                    for entry in self.untried
+                ],
                 "seconds": self.seconds,
             }
         )

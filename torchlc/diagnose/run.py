@@ -17,7 +17,7 @@ from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
-from torchlc.diagnose.search import Found, Probe, candidate_entries, nameable, probe, search
+from torchlc.diagnose.search import Found, Probe, affordable, candidate_entries, nameable, probe, search
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
@@ -68,7 +68,8 @@ def diagnose(
         context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors
     )
     found_coordinates = coordinates(likelihood.model, baseline[0].theta)
-    entries = candidate_entries(bench, effects)
+    possible = candidate_entries(bench, effects)
+    entries = affordable(bench, possible)
     probes = {}
     for number, entry in enumerate(entries):
         probes[entry] = probe(bench, baseline[0], entry, seed + number)
@@ -85,6 +86,7 @@ def diagnose(
         "coordinates": found_coordinates,
         "quick": quick,
         "seed": seed,
+        "untried": tuple(entry for entry in possible if entry not in entries),
     }
     if first_gate.global_p >= ADEQUATE_P:
         return Diagnosis(

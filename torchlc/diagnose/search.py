@@ -81,6 +81,14 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
     return entries
 
 
+def affordable(bench: Workbench, entries: Sequence[str]) -> list[str]:
+    """The entries whose refits can be paid: on a large mesh a parameter that turns or lights it anew costs a
+    pass over every facet and row, hundreds of which a fit would need; a clock's offset is interpolated."""
+    return [
+        entry for entry in entries if not bench.likelihood(Hypothesis().with_effect(entry)).model.unaffordable
+    ]
+
+
 def divisions(bench: Workbench) -> list[str]:
     """What an offset may be divided by in this recording: curves, and nights where they are not the
     curves."""

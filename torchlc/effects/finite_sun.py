@@ -45,6 +45,11 @@ class FiniteSun(Effect):
     order = 1
     nodes = 36
 
+    def missing(self, context):
+        if all(context.models[name].additive for name in context.materials):
+            return "no material has a lobe that the disc could widen"
+        return None
+
     def light(self, lights, view, p, context):
         points, weights = disc_nodes(view.to_sun.dtype, view.to_sun.device)
         radius = SUN_RADIUS_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)

@@ -23,7 +23,9 @@ DEFECT = 1
 USAGE = 2
 TRACEBACK = "TORCHLC_TRACEBACK"
 """Environment variable that shows where a defect of ours lies."""
-UsageProblem = next(cls for cls in typer.BadParameter.__mro__ if cls.__name__ == "ClickException")
+UsageProblem: type[Exception] = next(
+    cls for cls in typer.BadParameter.__mro__ if cls.__name__ == "ClickException"
+)
 """Base of everything the command line itself objects to; newer typer brings a click of its own."""
 
 

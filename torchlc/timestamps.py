@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from astropy.time import Time, conf
@@ -63,7 +64,7 @@ def instant(value: str | float, scale: str) -> Time:
         jd1, jd2 = julian_dates_of_iso([value], scale)
     else:
         jd1, jd2 = julian_dates_of_numbers(np.array([float(value)]), scale)
-    return Time(jd1[0], jd2[0], format="jd", scale=scale)
+    return cast(Time, Time(jd1[0], jd2[0], format="jd", scale=scale))
 
 
 def _plain_utc(texts: Sequence[str], scale: str) -> list[str]:
@@ -105,7 +106,7 @@ def _parse_iso(texts: list[str], scale: str) -> Time:
         with conf.set_temp("use_fast_parser", "force"), warnings.catch_warnings():
             warnings.simplefilter("error", ErfaWarning)
             warnings.filterwarnings("ignore", message=".*dubious year")
-            return Time(np.array(texts, dtype="S"), format="isot", scale=scale)
+            return cast(Time, Time(np.array(texts, dtype="S"), format="isot", scale=scale))
     except (ValueError, ErfaWarning):
         middle = len(texts) // 2
     if middle == 0:

@@ -214,7 +214,7 @@ class _Reader:
 
     def _time(self) -> Time:
         days = self.columns["time"]
-        return Time(days[:, 0], days[:, 1], format="jd", scale=self.scale)
+        return cast(Time, Time(days[:, 0], days[:, 1], format="jd", scale=self.scale))
 
     def _stations(self) -> tuple[np.ndarray, tuple[str, ...]]:
         """Station of each row as an index into the scene's stations, else into those that the file names."""

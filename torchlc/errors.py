@@ -1,4 +1,6 @@
-"""What can go wrong, in words for the person at the keyboard; the command line maps each class to an exit code."""
+"""What can go wrong, in words for the person at the keyboard; the command line maps each class to an exit
+code.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ class TorchlcError(Exception):
 
 
 class InputError(TorchlcError):
-    """Input that cannot be used: says the file, the place in it, what was found, what was expected and what to do."""
+    """Input that cannot be used: says the file, the place in it, what was found, what was expected and what
+    to do.
+    """
 
     exit_code = 2
 

@@ -53,10 +53,17 @@ class AshikhminShirley(Brdf):
 
     @staticmethod
     def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The sums over K of an isotropic lobe as functions of log(1 + n), (G, T), for cubic Hermite interpolation of their logarithms
-        (relative error 1e-7 per unit of n log(n.h)): a call then costs the same however many facets, instants or lights there are."""
-        x = torch.arange(GRID_STEPS + 1, dtype=table["diffuse"].dtype, device=table["diffuse"].device) * GRID_STEP
-        rows: dict[str, list[Tensor]] = {f"{kind}_{name}": [] for kind in ("log", "slope") for name in ("normal", "grazing")}
+        """The sums over K of an isotropic lobe as functions of log(1 + n), (G, T), for cubic Hermite
+        interpolation of their logarithms (relative error 1e-7 per unit of n log(n.h)): a call then costs the
+        same however many facets, instants or lights there are.
+        """
+        x = (
+            torch.arange(GRID_STEPS + 1, dtype=table["diffuse"].dtype, device=table["diffuse"].device)
+            * GRID_STEP
+        )
+        rows: dict[str, list[Tensor]] = {
+            f"{kind}_{name}": [] for kind in ("log", "slope") for name in ("normal", "grazing")
+        }
         for one in x:
             n = torch.expm1(one)
             wide, _ = widened(table, n, n)
@@ -68,7 +75,8 @@ class AshikhminShirley(Brdf):
                 dark = total <= 1e-280
                 rows[f"log_{name}"].append(torch.where(dark, -1e3, torch.log(torch.where(dark, 1.0, total))))
                 rows[f"slope_{name}"].append(
-                    torch.where(dark, 0.0, (light * turning).sum(-2) / torch.where(dark, 1.0, total)) * GRID_STEP
+                    torch.where(dark, 0.0, (light * turning).sum(-2) / torch.where(dark, 1.0, total))
+                    * GRID_STEP
                 )
         return {"diffuse": table["diffuse"], **{name: torch.stack(found) for name, found in rows.items()}}
 
@@ -85,7 +93,9 @@ class AshikhminShirley(Brdf):
     def parts_of_lobe(
         table: Mapping[str, Tensor], values: Mapping[str, Tensor], distribution: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """`parts` with any ``distribution`` (..., K, T) of h about n, whose integral over the hemisphere is 2 pi."""
+        """`parts` with any ``distribution`` (..., K, T) of h about n, whose integral over the hemisphere is 2
+        pi.
+        """
         r_spec, r_diff = per_epoch(values["r_spec"]), per_epoch(values["r_diff"])
         normal, grazing = ((table[name] * distribution).sum(-2) for name in ("normal", "grazing"))
         return r_spec * normal + grazing, r_diff * (1 - r_spec) * table["diffuse"]

@@ -1,6 +1,7 @@
 """The contract of an effect: one class, its parameters, and one method of one stage.
 
-A light curve is computed in stages, in this order; an effect changes what passes through its own stage and nothing else:
+A light curve is computed in stages, in this order; an effect changes what passes through its own stage and
+nothing else:
 
 =============  ===========================================================================================
 stage          what passes through
@@ -19,8 +20,8 @@ stage          what passes through
 ``noise``      :class:`Noise`: variance, correlation and tails of the residuals
 =============  ===========================================================================================
 
-Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of ``p``, an effect's own
-parameters, end in a row axis of size 1 or T; any batch axes stand before it.
+Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of
+``p``, an effect's own parameters, end in a row axis of size 1 or T; any batch axes stand before it.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 @dataclass(frozen=True)
 class Nodes:
-    """Instants of each row: seconds after the stamp (Q, T) and weights (Q, 1) or (Q, T) that sum to 1 over Q."""
+    """Instants of each row: seconds after the stamp (Q, T) and weights (Q, 1) or (Q, T) that sum to
+    1 over Q.
+    """
 
     offset: Tensor
     weight: Tensor
@@ -60,7 +63,9 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Request:
-    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit, rad (1,) or (T,)."""
+    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit,
+    rad (1,) or (T,).
+    """
 
     observer_offset: Tensor
     object_offset: Tensor
@@ -69,11 +74,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Light:
-    """A set of L sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance over the
-    Sun's at 1 au (L, Q, T).
+    """A set of L sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance
+    over the Sun's at 1 au (L, Q, T).
 
-    ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of
-    a source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice of points. ``scale`` names a parameter that multiplies it.
+    ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a
+    source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice
+    of points. ``scale`` names a parameter that multiplies it.
     """
 
     direction: Tensor
@@ -87,8 +93,9 @@ class Light:
 class Patch:
     """Facets of one component that share a material.
 
-    ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest; ``pose`` (Q, T, 3, 3) turns them into the body frame (None: they
-    stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and seen, ``seen`` (Q, T, F) that is seen (None: 1).
+    ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest; ``pose`` (Q, T, 3, 3) turns them into
+    the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
+    seen, ``seen`` (Q, T, F) that is seen (None: 1).
     """
 
     component: str
@@ -123,8 +130,9 @@ class View:
 
 @dataclass(frozen=True)
 class Surface:
-    """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if its light is the Sun's;
-    ``scale`` as of :class:`Light`."""
+    """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if
+    its light is the Sun's; ``scale`` as of :class:`Light`.
+    """
 
     component: str
     material: str
@@ -137,7 +145,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Sky:
-    """What the shade stage sees: positions at every instant, their weights, and ``fixed`` if no free parameter moves them."""
+    """What the shade stage sees: positions at every instant, their weights, and ``fixed`` if no free
+    parameter moves them.
+    """
 
     state: State
     nodes: Nodes
@@ -146,7 +156,9 @@ class Sky:
 
 @dataclass(frozen=True)
 class Brightness:
-    """Irradiance over the Sun's at 1 au, (..., T), and the component shares of the object's light (..., C, T), or None if unasked."""
+    """Irradiance over the Sun's at 1 au, (..., T), and the component shares of the object's light (..., C,
+    T), or None if unasked.
+    """
 
     flux: Tensor
     shares: Tensor | None
@@ -155,8 +167,10 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Noise:
-    """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag and time scale ``tau``
-    min; a share ``outliers`` of rows with errors ``width`` times as large. Each (..., 1) or None."""
+    """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag
+    and time scale ``tau`` min; a share ``outliers`` of rows with errors ``width`` times as large. Each (...,
+    1) or None.
+    """
 
     jitter: Tensor | None = None
     red: Tensor | None = None
@@ -171,13 +185,17 @@ def traced() -> bool:
 
 
 class Memory:
-    """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY bytes."""
+    """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY
+    bytes.
+    """
 
     def __init__(self) -> None:
         self._kept: dict[bytes, Sequence[Tensor]] = {}
 
     def recall(self, inputs: Sequence[Tensor], compute: Callable[[], Sequence[Tensor]]) -> Sequence[Tensor]:
-        """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need it traced."""
+        """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need
+        it traced.
+        """
         if traced():
             return compute()
         digest = hashlib.blake2b(digest_size=16)
@@ -196,9 +214,11 @@ class Memory:
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve`` etc. index.
+    """What an effect may know of the recording: (T,) tensors, None where unknown; the ids name what ``curve``
+    etc. index.
 
-    ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's lobe that has to be resolved; ``errors`` is false if they are fitted.
+    ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's
+    lobe that has to be resolved; ``errors`` is false if they are fitted.
     """
 
     seconds: Tensor
@@ -230,13 +250,16 @@ class Context:
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]
 Reflector = Callable[[Surface], Tensor]
-"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on it."""
+"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on
+it.
+"""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Further sunlight: ``light`` gives it by component, (..., T), from what materials and the effect's parameters are at
-    present; ``values`` is how many numbers it holds for one of them."""
+    """Further sunlight: ``light`` gives it by component, (..., T), from what materials and the effect's
+    parameters are at present; ``values`` is how many numbers it holds for one of them.
+    """
 
     light: Callable[[Reflector, Parameters], Mapping[str, Tensor]]
     values: int = 1
@@ -244,8 +267,10 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Entry:
-    """One item of a list of effects: ``name``, ``name[target]``, and, where the diagnosis divides an offset, ``name@curve`` (or ``@night``,
-    ``@station``): a value for each, drawn from a normal of standard deviation ``width`` (``name@curve~width``)."""
+    """One item of a list of effects: ``name``, ``name[target]``, and, where the diagnosis divides an offset,
+    ``name@curve`` (or ``@night``, ``@station``): a value for each, drawn from a normal of standard deviation
+    ``width`` (``name@curve~width``).
+    """
 
     name: str
     target: str | None = None
@@ -269,11 +294,14 @@ class Entry:
 
 
 class Effect:
-    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities`` and override the method
-    of their stage; ``per`` gives each material or component its own set of parameters; ``known`` switches it on by default; ``nodes`` is by
-    how much it multiplies the instants or lights; ``brdf`` is the reflection model of a surface that it adds; ``linear`` marks an effect of
-    the geometry whose parameters only scale its light; ``divisible`` an offset that each curve or night may have for itself
-    (``by`` names the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its targets cannot be one."""
+    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
+    and override the method of their stage; ``per`` gives each material or component its own set of
+    parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
+    lights; ``brdf`` is the reflection model of a surface that it adds; ``linear`` marks an effect of the
+    geometry whose parameters only scale its light; ``divisible`` an offset that each curve or night may have
+    for itself (``by`` names the division of this one, ``width`` the spread of its values); ``unable`` says
+    why what is not among its targets cannot be one.
+    """
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -309,12 +337,16 @@ class Effect:
         return self.known
 
     def prepared(self, context: Context) -> Effect:
-        """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many ``nodes`` they need."""
+        """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
+        ``nodes`` they need.
+        """
         return self
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:
-        """What the effect may be applied to: materials or components where ``per`` says so, else the whole."""
+        """What the effect may be applied to: materials or components where ``per`` says so, else
+        the whole.
+        """
         if cls.per == "material":
             return context.materials
         if cls.per == "component":
@@ -333,24 +365,34 @@ class Effect:
     def attitude(self, rotation: Tensor, state: State, p: Parameters, context: Context) -> Tensor:
         return rotation
 
-    def pointing(self, poses: tuple[Tensor | None, ...], p: Parameters, context: Context) -> tuple[Tensor | None, ...]:
+    def pointing(
+        self, poses: tuple[Tensor | None, ...], p: Parameters, context: Context
+    ) -> tuple[Tensor | None, ...]:
         return poses
 
-    def light(self, lights: tuple[Light, ...], view: View, p: Parameters, context: Context) -> tuple[Light, ...]:
+    def light(
+        self, lights: tuple[Light, ...], view: View, p: Parameters, context: Context
+    ) -> tuple[Light, ...]:
         return lights
 
     def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
         """Factor (..., T) on sunlight."""
         return torch.ones(())
 
-    def surface(self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context) -> tuple[Patch, ...]:
+    def surface(
+        self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context
+    ) -> tuple[Patch, ...]:
         return patches
 
     def scatter(self, view: View, context: Context) -> Scatter:
-        """What geometry alone says of it is worked out here; the function that it returns adds materials and parameters."""
+        """What geometry alone says of it is worked out here; the function that it returns adds materials and
+        parameters.
+        """
         return Scatter(lambda reflect, p: {})
 
-    def material(self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters) -> Reflect:
+    def material(
+        self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters
+    ) -> Reflect:
         return reflect
 
     def detector(self, brightness: Brightness, p: Parameters, context: Context) -> Brightness:

@@ -13,8 +13,9 @@ FLATTENING = 1 / 298.257223563
 
 
 def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tensor) -> torch.Tensor:
-    """Share of the limb-darkened Sun (...) that an object at ``position`` (..., 3) km sees past an Earth raised by ``h0_km`` of opaque
-    air; ``sun`` is object to Sun, km. The ellipsoid is made a sphere by stretching z, and its limb across the disc is an arc.
+    """Share of the limb-darkened Sun (...) that an object at ``position`` (..., 3) km sees past an Earth
+    raised by ``h0_km`` of opaque air; ``sun`` is object to Sun, km. The ellipsoid is made a sphere by
+    stretching z, and its limb across the disc is an arc.
 
     The covered part is integrated over 48 chords of the disc parallel to the line of centres.
     """
@@ -30,7 +31,8 @@ def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tens
     earth = torch.asin((equatorial / distance).clamp(max=1 - 1e-12))
     radius = SUN_RADIUS_KM / distance_sun
     y, w = _chords(position)
-    # the Sun's disc in its own radii: x along the line of centres, away from the Earth; the limb stands at x = edge(y)
+    # the Sun's disc in its own radii: x along the line of centres, away from the Earth; the limb stands at x
+    # = edge(y)
     across = y * radius[..., None]
     earth_ = earth[..., None]
     edge = (torch.sqrt((earth_**2 - across**2).clamp(min=0)) - separation[..., None]) / radius[..., None]
@@ -41,7 +43,9 @@ def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tens
 
 
 def _chords(like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Chord positions y and their weights, (48,): midpoints in the angle, which is smooth at the ends of the disc."""
+    """Chord positions y and their weights, (48,): midpoints in the angle, which is smooth at the ends of the
+    disc.
+    """
     count = 48
     angle = (torch.arange(count, dtype=like.dtype, device=like.device) + 0.5) * (torch.pi / count)
     y = -torch.cos(angle)
@@ -58,11 +62,14 @@ def _chord_share(edge: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
     curved = LIMB_DARKENING * half**2 * 0.5 * (torch.acos(inside) - inside * torch.sqrt(1 - inside * inside))
     total = (1 - LIMB_DARKENING) * 2 * half + LIMB_DARKENING * (torch.pi / 2) * half**2
     share = (flat + curved) / total
-    return torch.where(edge >= 1, torch.zeros_like(share), torch.where(edge <= -1, torch.ones_like(share), share))
+    return torch.where(
+        edge >= 1, torch.zeros_like(share), torch.where(edge <= -1, torch.ones_like(share), share)
+    )
 
 
 class EarthShadow(Effect):
-    """Umbra and penumbra of the oblate Earth raised by h0 of opaque air: total, for up to 72 min at GEO near the equinoxes.
+    """Umbra and penumbra of the oblate Earth raised by h0 of opaque air: total, for up to 72 min at GEO near
+    the equinoxes.
 
     Neglects light refracted into the umbra (below 1e-3 of sunlight) and the softness of the air's edge, 8 km.
     """

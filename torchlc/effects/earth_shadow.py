@@ -89,6 +89,7 @@ class EarthShadow(Effect):
 
     def shade(self, sky, p, context):
         position, sun, weight = sky.state.position, sky.state.sun, sky.nodes.weight
+        assert position is not None  # see `missing`
         if not sky.fixed:
             seen = sunlit_fraction(position, sun, p["h0"][..., None, :])
             return (weight * seen).sum(-2)

@@ -18,15 +18,16 @@ if TYPE_CHECKING:
     from torchlc.likelihood import Likelihood
     from torchlc.model import LightCurve
     from torchlc.recording import Recording
-    from torchlc.results import FitResult, SimulatedCurve
+    from torchlc.results import FitResult
     from torchlc.scene import Scene
+    from torchlc.simulated import SimulatedCurve
 
 __version__ = "0.1.0"
 
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
     "LightCurve": "model", "Likelihood": "likelihood", "Scene": "scene", "Recording": "recording",
-    "FitResult": "results", "SimulatedCurve": "results", "InputError": "errors", "TorchlcError": "errors",
+    "FitResult": "results", "SimulatedCurve": "simulated", "InputError": "errors", "TorchlcError": "errors",
 }  # fmt: skip
 """Public name: the module it comes from."""
 

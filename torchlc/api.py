@@ -20,18 +20,17 @@ import torch
 from torchlc import __version__
 from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
-from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
-from torchlc.insight import bare_view
-from torchlc.likelihood import Likelihood, matern32
+from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
 from torchlc.output import OutputDirectory, resources, write_whole
 from torchlc.recording import Recording, load_recording
-from torchlc.results import FitResult, SimulatedCurve
+from torchlc.results import FitResult
 from torchlc.sample import sample
 from torchlc.scene import Scene, load_scene
+from torchlc.simulated import SimulatedCurve, simulated_curve
 from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
-DEFAULT_AIR_KM = 20.0
-"""Opaque air over the Earth for the column eclipse_fraction of a model without earth_shadow."""
 MIN_ROWS = 2
 
 
@@ -99,31 +96,7 @@ def simulate(
         rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
     if noise is not None and not (math.isfinite(noise) and noise > 0):
         raise InputError(None, "--noise", f"{noise:g} mag", "a number > 0")
-    model = LightCurve(scene, rows)
-    theta = model.parameter_set.start()
-    with torch.no_grad():
-        brightness = model.brightness(theta, shares=True)
-        mag = model.magnitude(brightness, theta).numpy()
-    assert brightness.shares is not None  # asked for
-    flux, shares = brightness.flux.numpy(), brightness.shares.numpy()
-    columns: dict[str, np.ndarray | None] = {"mag": mag, "flux": flux}
-    if noise is not None:
-        delta = _noise(model, theta, noise, seed)
-        flux = flux * 10 ** (-0.4 * delta)
-        columns = {"mag": mag + delta, "mag_err": np.full(len(mag), noise), "flux": flux}
-        columns["flux_err"] = np.where(flux > 0, flux * noise * 0.4 * math.log(10), np.nan)
-    columns |= _geometry(model, theta)
-    dark = shares.sum(0) == 0
-    return SimulatedCurve(
-        name=scene.name,
-        recording=rows,
-        columns=columns,
-        shares={
-            name: np.where(dark, np.nan, one) for name, one in zip(brightness.components, shares, strict=True)
-        },
-        warnings=model.assembly.warnings,
-        seed=seed,
-    )
+    return simulated_curve(LightCurve(scene, rows), noise, seed)
 
 
 def fit(
@@ -138,7 +111,7 @@ def fit(
     use: str | None = None,
     trust: bool = False,
     progress: Progress | None = None,
-    command: Sequence[str] | None = None,
+    command: str | None = None,
 ) -> FitResult:
     """Fit the free numbers of a scene to a recording: Adam from many starts, a polish, then emcee.
 
@@ -206,7 +179,7 @@ def diagnose(
     use: str | None = None,
     trust: bool = False,
     progress: Progress | None = None,
-    command: Sequence[str] | None = None,
+    command: str | None = None,
 ) -> Diagnosis:
     """Say whether physics is missing from the scene's model, which, where, and what that changes.
 
@@ -230,12 +203,17 @@ def diagnose(
 
 
 def demo(
-    out: str | Path, *, seed: int = 0, progress: Progress | None = None, command: Sequence[str] | None = None
+    out: str | Path, *, seed: int = 0, progress: Progress | None = None, command: str | None = None
 ) -> FitResult:
     """Fit the example that comes with the package; its two files are put beside the results."""
     source = Path(__file__).parent / "demo"
     result = fit(
-        source / "scene.toml", source / "recording.ecsv", out=out, seed=seed, progress=progress, command=command
+        source / "scene.toml",
+        source / "recording.ecsv",
+        out=out,
+        seed=seed,
+        progress=progress,
+        command=command,
     )
     for name in ("scene.toml", "recording.ecsv"):
         write_whole(Path(out) / name, lambda partial, name=name: shutil.copyfile(source / name, partial))
@@ -258,9 +236,7 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
     return kept
 
 
-def provenance(
-    scene: Scene, recording: Recording, seed: int, command: Sequence[str] | None = None
-) -> dict[str, Any]:
+def provenance(scene: Scene, recording: Recording, seed: int, command: str | None = None) -> dict[str, Any]:
     """From what, with what and how a result was made: hashes of the inputs, versions, seed, command."""
     import astropy
     import emcee
@@ -281,7 +257,7 @@ def provenance(
             "emcee": emcee.__version__,
         },
         "seed": seed,
-        "command": None if command is None else " ".join(command),
+        "command": command,
     }
 
 
@@ -335,49 +311,3 @@ def _search(
 
 def _listed(effect: Any) -> str:
     return effect.name + (f"[{effect.target}]" if effect.target else "")
-
-
-def _geometry(model: LightCurve, theta: torch.Tensor) -> dict[str, np.ndarray | None]:
-    """Range, phase angle, elevation, airmass and the share of the Sun that the Earth hides, (T,) each; None
-    where unknown.
-    """
-    track = model.assembly.track
-    with torch.no_grad():
-        state = bare_view(model, theta).state
-        eclipse = None
-        if track.supports("position") and state.position is not None:
-            air = model.values(theta).get(
-                "earth_shadow.h0", torch.tensor(DEFAULT_AIR_KM, dtype=torch.float64)
-            )
-            eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air[..., None])
-        found = {
-            "range_km": track.range_km,
-            "phase_angle_deg": track.phase_angle_deg,
-            "elevation_deg": track.elevation_deg,
-            "airmass": track.airmass,
-            "eclipse_fraction": eclipse,
-        }
-        return {name: None if values is None else values.numpy() for name, values in found.items()}
-
-
-def _noise(model: LightCurve, theta: torch.Tensor, sigma: float, seed: int) -> np.ndarray:
-    """Random errors (T,), mag: ``sigma`` normal, widened by the scene's jitter, outliers and red noise."""
-    generator = np.random.default_rng(seed)
-    rows = model.assembly.T
-    with torch.no_grad():
-        noise = model.noise(theta)
-    jitter = 0.0 if noise.jitter is None else noise.jitter.numpy()
-    delta = generator.normal(size=rows) * np.sqrt(sigma**2 + jitter**2)
-    if noise.outliers is not None and noise.width is not None:
-        delta = delta * np.where(generator.random(rows) < noise.outliers.numpy(), noise.width.numpy(), 1.0)
-    if noise.red is not None and noise.tau is not None:
-        context = model.assembly.context
-        for one in np.unique(context.curve.numpy()):
-            index = np.flatnonzero(context.curve.numpy() == one)
-            seconds = context.seconds[index]
-            gap = (seconds[:, None] - seconds[None]).abs() / 60
-            covariance = matern32(gap, noise.tau).numpy() + 1e-9 * np.eye(len(index))
-            delta[index] += (
-                float(noise.red) * np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
-            )
-    return delta

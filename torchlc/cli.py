@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="torchlc",
-    help="What is a satellite made of, and what does its model leave out? Simulate, fit and diagnose light curves.",
+    help="What is a satellite made of, and what does its model leave out? Light curves fitted and diagnosed.",
     epilog="Start with: [bold]torchlc demo[/bold], or [bold]torchlc init my.toml --tle elements.txt[/bold].",
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -102,6 +102,7 @@ def simulate(
 
 @app.command(epilog="Example: torchlc fit scene.toml recording.ecsv -o out, then open out/report.html")
 def fit(
+    context: typer.Context,
     scene: SceneFile,
     recording: RecordingFile,
     out: Out,
@@ -129,8 +130,8 @@ def fit(
 
     with progress_bar(not (quiet or json)) as progress:
         result = api.fit(
-            scene, recording, out=out, steps=steps, walkers=walkers, resume=resume, use=use, seed=seed, trust=trust,
-            progress=progress, command=command_line(),
+            scene, recording, out=out, steps=steps, walkers=walkers, resume=resume, use=use, seed=seed,
+            trust=trust, progress=progress, command=command_line(context),
         )  # fmt: skip
     show_fit(result, out, quiet=quiet, json=json)
 
@@ -139,6 +140,7 @@ def fit(
     epilog="Example: torchlc diagnose scene.toml recording.ecsv -o out --effects panel_offset,earthshine"
 )
 def diagnose(
+    context: typer.Context,
     scene: SceneFile,
     recording: RecordingFile,
     out: Out,
@@ -163,7 +165,7 @@ def diagnose(
     with progress_bar(not (quiet or json)) as progress:
         result = api.diagnose(
             scene, recording, out=out, quick=quick, effects=candidates, seed=seed, use=use, trust=trust,
-            progress=progress, command=command_line(),
+            progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:
         show_json(without_nan(result.to_json()))
@@ -190,7 +192,8 @@ def period(
         float | None, typer.Option(help="Shortest period, s; default: two rows a turn.", show_default=False)
     ] = None,
     longest: Annotated[
-        float | None, typer.Option(help="Longest period, s; default: half the longest run.", show_default=False)
+        float | None,
+        typer.Option(help="Longest period, s; default: half the longest run.", show_default=False),
     ] = None,
     use: Use = None,
     seed: Seed = 0,
@@ -211,7 +214,8 @@ def period(
 
 
 materials = typer.Typer(
-    help="Known materials, what a posterior matches, and fits to laboratory tables.", pretty_exceptions_enable=False
+    help="Known materials, what a posterior matches, and fits to laboratory tables.",
+    pretty_exceptions_enable=False,
 )
 app.add_typer(materials, name="materials", rich_help_panel=None)
 
@@ -247,9 +251,14 @@ def list_materials(
 
 @materials.command("fit", epilog="Example: torchlc materials fit lab_brdf_array.csv --model ggx")
 def fit_material(
-    table: Annotated[Path, typer.Argument(metavar="FILE", help="CSV with incidence, azimuth, exit, brdf.", show_default=False)],
+    table: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="CSV with incidence, azimuth, exit, brdf.", show_default=False),
+    ],
     model: Annotated[str, typer.Option(help="Reflection model.")] = "ashikhmin-shirley",
-    without_peak: Annotated[float, typer.Option(metavar="DEG", help="Leave out rows this near the mirror direction.", min=0)] = 0.0,
+    without_peak: Annotated[
+        float, typer.Option(metavar="DEG", help="Leave out rows this near the mirror direction.", min=0)
+    ] = 0.0,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -269,19 +278,28 @@ def fit_material(
         print("\n".join(listing.reflectance_lines(found, measured.dropped)))
 
 
-@app.command(epilog="Example: torchlc init my.toml --tle elements.txt --shape box-wing --station weihai,37.536,122.05,110")
+@app.command(
+    epilog="Example: torchlc init my.toml --tle elements.txt --shape cubesat --station weihai,37.5,122.1,110"
+)
 def init(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file to write.", show_default=False)],
-    tle: Annotated[Path, typer.Option(metavar="FILE", help="Two-line elements of one object.", show_default=False)],
-    shape: Annotated[str, typer.Option(help="box-wing, cubesat, rocket body, cylinder or mesh.")] = "box-wing",
+    tle: Annotated[
+        Path, typer.Option(metavar="FILE", help="Two-line elements of one object.", show_default=False)
+    ],
+    shape: Annotated[
+        str, typer.Option(help="box-wing, cubesat, rocket body, cylinder or mesh.")
+    ] = "box-wing",
     station: Annotated[
         str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the object.", show_default=False)] = None,
     date: Annotated[
-        str | None, typer.Option(help="Take the elements nearest to this; default: the latest.", show_default=False)
+        str | None,
+        typer.Option(help="Take the elements nearest to this; default: the latest.", show_default=False),
     ] = None,
-    mesh: Annotated[str | None, typer.Option(metavar="FILE", help="Mesh beside the scene.", show_default=False)] = None,
+    mesh: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Mesh beside the scene.", show_default=False)
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -311,7 +329,10 @@ def init(
 
 @app.command(epilog="Example: torchlc demo, then open torchlc-demo/report.html")
 def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.")] = Path("torchlc-demo"),
+    context: typer.Context,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.")
+    ] = Path("torchlc-demo"),
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -322,7 +343,7 @@ def demo(
     from torchlc import api
 
     with progress_bar(not (quiet or json)) as progress:
-        result = api.demo(out, seed=seed, progress=progress, command=command_line())
+        result = api.demo(out, seed=seed, progress=progress, command=command_line(context))
     show_fit(result, out, quiet=quiet, json=json)
 
 
@@ -337,9 +358,9 @@ def use_threads(threads: int | None) -> None:
     torch.set_num_threads(threads)
 
 
-def command_line() -> list[str]:
+def command_line(context: typer.Context) -> str:
     """The command as typed, quoted so that it can be run again."""
-    return ["torchlc", *map(shlex.quote, sys.argv[1:])]
+    return shlex.join(["torchlc", *context.obj])
 
 
 def warn(warnings: Any) -> None:
@@ -371,13 +392,15 @@ def after_interrupt(arguments: list[str]) -> str:
     return f"; continue with: torchlc {shlex.join(again)}"
 
 
+def run(arguments: list[str]) -> int:
+    """The command with its arguments, in this process; returns the exit code."""
+    command = typer.main.get_command(app)
+    return exit_code(
+        lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False, obj=arguments),
+        after_interrupt(arguments),
+    )
+
+
 def main() -> None:
     """Entry point of the ``torchlc`` command."""
-    arguments = sys.argv[1:]
-    command = typer.main.get_command(app)
-    sys.exit(
-        exit_code(
-            lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False),
-            after_interrupt(arguments),
-        )
-    )
+    sys.exit(run(sys.argv[1:]))

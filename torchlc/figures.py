@@ -7,49 +7,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import matplotlib
-import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchlc.raster import Mesh, fan, looking_along, render
 from torchlc.recording import Recording
+from torchlc.simulated import SimulatedCurve, iso_times
+from torchlc.style import DATA, MODEL, PALETTE, component_colour, plain, style
 
 if TYPE_CHECKING:
-    from torchlc.results import FitResult, SimulatedCurve
+    from torchlc.results import FitResult
 
-INK = "#16191d"
-GRID = "#c9ced6"
-DATA = "#7d8590"
-MODEL = "#c2410c"
-SUN = "#d98e04"
-OBSERVER = "#2374c6"
-PALETTE = ("#2a7fb8", "#d9772b", "#3f9b5c", "#8a63b8", "#b8902a", "#c24d6f", "#3d9aa1", "#8c6d58")
-"""Colours of components: told apart by the colour-blind, and on light and dark ground."""
 MOST_PANELS = 24
 MOST_CORNER = 10
 LONGEST_GAP = 5.0
 """A line breaks where the time between rows exceeds this many times their median."""
-FIGURE_STYLE = {
-    "font.family": "sans-serif",
-    "font.size": 10,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "torchlc",
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "axes.unicode_minus": True,
-}
 
 
 @dataclass(frozen=True)
@@ -63,7 +35,11 @@ class Stretch:
 
 def stretches(recording: Recording) -> list[Stretch]:
     """Rows by night, or by curve where each curve has a gain of its own, in order of time."""
-    key, ids = (recording.night, recording.night_ids) if recording.kind == "mag" else (recording.curve, recording.curve_ids)
+    key, ids = (
+        (recording.night, recording.night_ids)
+        if recording.kind == "mag"
+        else (recording.curve, recording.curve_ids)
+    )
     found = []
     for one in dict.fromkeys(key.tolist()):
         rows = np.flatnonzero(key == one)
@@ -71,26 +47,25 @@ def stretches(recording: Recording) -> list[Stretch]:
     return found
 
 
-def plain(text: str) -> str:
-    """A name as matplotlib should print it: no formula."""
-    return text.replace("$", r"\$")
-
-
-def curve(result: FitResult, axes: Sequence[Axes] | None = None, figure: Figure | None = None) -> Sequence[Axes]:
-    """Recording and model with its 90 % band, residuals below: a pair of axes for each night, or curve of relative flux."""
+def curve(
+    result: FitResult, axes: Sequence[Axes] | None = None, figure: Figure | None = None
+) -> Sequence[Axes]:
+    """Recording and model with its 90 % band, residuals below: a pair of axes for each night, or curve of
+    relative flux.
+    """
     panels = stretches(result.recording)[:MOST_PANELS]
-    with matplotlib.rc_context(FIGURE_STYLE):
+    with matplotlib.rc_context(style()):
         if axes is None:
             columns = _columns(len(panels))
             bands = -(-len(panels) // columns)
             figure = figure if figure is not None else _figure(curve_size(len(panels)))
             grid = figure.add_gridspec(bands, columns, hspace=0.45, wspace=0.3)
-            axes = []
+            made: list[Axes] = []
             for k in range(len(panels)):
-                upper, lower = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.08).subplots(
-                    sharex=True
-                )
-                axes += [upper, lower]
+                cell = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.08)
+                made.append(figure.add_subplot(cell[0]))
+                made.append(figure.add_subplot(cell[1], sharex=made[-1]))
+            axes = made
         for k, stretch in enumerate(panels):
             _curve_panel(result, stretch, axes[2 * k], axes[2 * k + 1], titled=len(panels) > 1, first=k == 0)
     return axes
@@ -105,7 +80,9 @@ def _columns(panels: int) -> int:
     return min(panels, 4 if panels > 4 else 2)
 
 
-def _curve_panel(result: FitResult, stretch: Stretch, upper: Axes, lower: Axes, *, titled: bool, first: bool) -> None:
+def _curve_panel(
+    result: FitResult, stretch: Stretch, upper: Axes, lower: Axes, *, titled: bool, first: bool
+) -> None:
     recording, rows, hours = result.recording, stretch.rows, stretch.hours
     error = result.error[rows]
     observed, predicted = recording.observed[rows], result.prediction[rows]
@@ -117,16 +94,25 @@ def _curve_panel(result: FitResult, stretch: Stretch, upper: Axes, lower: Axes, 
         label = "recording" if len(stations) == 1 else plain(recording.station_ids[station])
         for ax, values in ((upper, observed), (lower, result.delta[rows])):
             ax.errorbar(
-                hours[here], values[here], error[here], fmt="o", ms=2.6, lw=0, elinewidth=0.7, color=colour, alpha=0.75,
-                label=label if ax is upper else None, zorder=2, rasterized=len(rows) > 3000,
+                hours[here], values[here], error[here], fmt="o", ms=2.6, lw=0, elinewidth=0.7, color=colour,
+                alpha=0.75, label=label if ax is upper else None, zorder=2, rasterized=len(rows) > 3000,
             )  # fmt: skip
     if limit.any():
         upper.plot(hours[limit], observed[limit], "v", ms=4, color=DATA, label="upper limit")
     band = result.band
     for piece in _pieces(recording, rows):
-        upper.plot(hours[piece], predicted[piece], color=MODEL, lw=1.4, zorder=3, label="model" if piece[0] == 0 else None)
+        upper.plot(
+            hours[piece],
+            predicted[piece],
+            color=MODEL,
+            lw=1.4,
+            zorder=3,
+            label="model" if piece[0] == 0 else None,
+        )
         if band is not None:
-            upper.fill_between(hours[piece], band[0, rows][piece], band[2, rows][piece], color=MODEL, alpha=0.2, lw=0)
+            upper.fill_between(
+                hours[piece], band[0, rows][piece], band[2, rows][piece], color=MODEL, alpha=0.2, lw=0
+            )
     lower.axhline(0.0, color=MODEL, lw=1.0)
     if recording.kind == "mag":
         visible = np.concatenate([observed[np.isfinite(observed)], predicted[np.isfinite(predicted)]])
@@ -140,7 +126,7 @@ def _curve_panel(result: FitResult, stretch: Stretch, upper: Axes, lower: Axes, 
         lower.set_ylabel("obs. − model" if not titled else "o − m")
     if titled:
         upper.set_title(plain(stretch.title), fontsize=9)
-    start = recording.time[rows[0]].isot[:16].replace("T", " ")
+    start = iso_times(recording)[rows[0]][:16].replace("T", " ")
     lower.set_xlabel(f"hours after {start} {recording.time.scale.upper()}" if not titled else "h", fontsize=9)
     upper.tick_params(labelbottom=False)
     for ax in (upper, lower):
@@ -160,7 +146,7 @@ def shares(result: FitResult, axes: Axes | None = None, figure: Figure | None = 
     """Share of each component in the light, along the rows in order of time."""
     names = result.model.assembly.components
     panels = stretches(result.recording)
-    with matplotlib.rc_context(FIGURE_STYLE):
+    with matplotlib.rc_context(style()):
         if axes is None:
             axes = (figure if figure is not None else _figure((9.0, 3.0))).subplots()
         if len(panels) == 1:
@@ -172,17 +158,20 @@ def shares(result: FitResult, axes: Axes | None = None, figure: Figure | None = 
             x[order], result.shares[:, order], labels=[plain(name) for name in names],
             colors=[component_colour(k) for k in range(len(names))], alpha=0.9, lw=0,
         )  # fmt: skip
-        axes.set(xlim=(x.min(), max(x.max(), x.min() + 1e-6)), ylim=(0, 1), xlabel=label, ylabel="share of the light")
+        axes.set(
+            xlim=(x.min(), max(x.max(), x.min() + 1e-6)),
+            ylim=(0, 1),
+            xlabel=label,
+            ylabel="share of the light",
+        )
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=min(len(names), 6), fontsize=8)
     return axes
 
 
-def component_colour(index: int) -> str:
-    return PALETTE[index % len(PALETTE)]
-
-
 def corner_plot(result: FitResult, figure: Figure | None = None) -> Figure:
-    """Posterior of every pair of the (at most MOST_CORNER, informed first) parameters, logarithmic where the prior is."""
+    """Posterior of every pair of the (at most MOST_CORNER, informed first) parameters, logarithmic where
+    the prior is.
+    """
     import corner
 
     posterior = result.posterior
@@ -199,27 +188,33 @@ def corner_plot(result: FitResult, figure: Figure | None = None) -> Figure:
         labels.append(plain(f"log10 {name}" if logarithmic else name) + (f"\n({unit})" if unit else ""))
     data = np.stack(columns, -1)[:: max(1, len(posterior.flat) // 20_000)]
     spread = data.std(0) > 0
-    with matplotlib.rc_context(FIGURE_STYLE | {"font.size": 8}):
+    with matplotlib.rc_context(style(8)):
         side = 1.2 + 1.35 * len(chosen)
         figure = figure if figure is not None else _figure((side, side))
-        span = [(a, b) if ok else (a - 1e-6, b + 1e-6) for a, b, ok in zip(data.min(0), data.max(0), spread, strict=True)]
+        span = [
+            (a, b) if ok else (a - 1e-6, b + 1e-6)
+            for a, b, ok in zip(data.min(0), data.max(0), spread, strict=True)
+        ]
         corner.corner(
-            data, labels=labels, fig=figure, color=PALETTE[0], range=span, plot_datapoints=False, fill_contours=False,
-            plot_density=False, levels=(0.393, 0.865), smooth=1.0, bins=24, max_n_ticks=3, labelpad=0.05, quiet=True,
+            data, labels=labels, fig=figure, color=PALETTE[0], range=span, plot_datapoints=False,
+            fill_contours=False, plot_density=False, levels=(0.393, 0.865), smooth=1.0, bins=24,
+            max_n_ticks=3, labelpad=0.05, quiet=True,
             hist_kwargs={"lw": 1.2}, contour_kwargs={"linewidths": 1.1},
         )  # fmt: skip
     return figure
 
 
 def _wide(result: FitResult, index: int) -> bool:
-    """Whether a parameter is better drawn on a logarithmic axis: its prior is, and its draws span more than a factor of 4."""
+    """Whether a parameter is better drawn on a logarithmic axis: its prior is, and its draws span more than
+    a factor of 4.
+    """
     assert result.posterior is not None  # its callers checked
     values = result.posterior.flat[:, index]
     return result.model.parameter_set.free[index].prior.logarithmic and float(values.max() / values.min()) > 4
 
 
 def corner_names(result: FitResult) -> list[str]:
-    """The parameters of the corner plot: all, or the first MOST_CORNER with the informed before the others."""
+    """The parameters of the corner plot: all, or MOST_CORNER with the informed before the others."""
     informed = result.insight.informed
     first = sorted(result.names, key=lambda name: not informed.get(name, False))[:MOST_CORNER]
     return [name for name in result.names if name in first]
@@ -234,11 +229,18 @@ def traces(result: FitResult, figure: Figure | None = None) -> Figure:
     columns = 2 if len(names) > 1 else 1
     bands = -(-len(names) // columns)
     step = posterior.burn + posterior.thin * np.arange(posterior.theta.shape[1])
-    with matplotlib.rc_context(FIGURE_STYLE | {"font.size": 8}):
+    with matplotlib.rc_context(style(8)):
         figure = figure if figure is not None else _figure((9.0, 0.5 + 1.15 * bands))
         grid = figure.subplots(bands, columns, squeeze=False, sharex=True)
         for ax, name, index in zip(grid.flat, names, range(len(names)), strict=False):
-            ax.plot(step, posterior.theta[..., index].T.numpy(), lw=0.4, alpha=0.35, color=PALETTE[0], rasterized=True)
+            ax.plot(
+                step,
+                posterior.theta[..., index].T.numpy(),
+                lw=0.4,
+                alpha=0.35,
+                color=PALETTE[0],
+                rasterized=True,
+            )
             ax.set_title(plain(name), fontsize=8, loc="left", pad=2)
             if _wide(result, index):
                 ax.set_yscale("log")
@@ -250,94 +252,30 @@ def traces(result: FitResult, figure: Figure | None = None) -> Figure:
     return figure
 
 
-def brightest(result: FitResult) -> int:
-    """The row in which the model is brightest."""
-    values = result.prediction
-    if result.recording.kind == "mag":
-        return int(np.nanargmin(np.where(np.isfinite(values), values, np.nan)))
-    return int(np.nanargmax(values))
-
-
-def posed_mesh(result: FitResult, row: int) -> Mesh:
-    """The object at one row in the body frame, coloured by component."""
-    view = result.view
-    triangles, colours = [], []
-    for number, (part, facets) in enumerate(zip(result.model.assembly.shape.parts, view.facets, strict=True)):
-        pieces, _ = fan(facets.vertices.numpy())
-        pose = view.poses[number]
-        if pose is not None:
-            pieces = (pieces - part.pivot) @ pose[0, row].numpy().T + part.pivot
-        triangles.append(pieces)
-        colours.append(np.tile(matplotlib.colors.to_rgb(component_colour(number)), (len(pieces), 1)))
-    return Mesh(np.concatenate(triangles), np.concatenate(colours))
-
-
-def good_camera(to_sun: np.ndarray, to_observer: np.ndarray) -> np.ndarray:
-    """A frame for :func:`~torchlc.raster.render` that shows the lit side and both directions from aside."""
-    middle = to_sun + to_observer
-    middle = middle / np.linalg.norm(middle) if np.linalg.norm(middle) > 1e-3 else to_sun
-    up = np.eye(3)[np.argmin(np.abs(middle))]
-    aside = np.cross(up, middle)
-    return looking_along(middle + 0.55 * aside / np.linalg.norm(aside) + 0.4 * up, up)
-
-
-def object_view(
-    result: FitResult, row: int | None = None, axes: Axes | None = None, figure: Figure | None = None
-) -> Axes:
-    """The object in its body frame at ``row`` (default: the brightest), lit by the Sun, with arrows to Sun and observer."""
-    row = brightest(result) if row is None else row
-    mesh = posed_mesh(result, row)
-    to_sun, to_observer = (one[0, row].numpy() for one in (result.view.to_sun, result.view.to_observer))
-    camera = good_camera(to_sun, to_observer)
-    span = 2.7 * mesh.radius
-    with matplotlib.rc_context(FIGURE_STYLE):
-        if axes is None:
-            axes = (figure if figure is not None else _figure((5.6, 5.0))).subplots()
-        image = render(mesh, camera, to_sun, 700, span)
-        axes.imshow(image, extent=(-span / 2, span / 2, -span / 2, span / 2), interpolation="antialiased", zorder=2)
-        for direction, colour, name in ((to_sun, SUN, "Sun"), (to_observer, OBSERVER, "observer")):
-            x, y, towards = camera @ direction
-            tip = 0.47 * span * np.array([x, y])
-            start = 0.12 * span * np.array([x, y])
-            axes.annotate(
-                "", tip, start, zorder=3 if towards > 0 else 1, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0}
-            )
-            axes.annotate(name, tip, xytext=(4, 4), textcoords="offset points", color=colour, fontsize=10, zorder=4)
-        _triad(axes, camera, span)
-        handles = [
-            matplotlib.patches.Patch(color=component_colour(k), label=plain(part.name))
-            for k, part in enumerate(result.model.assembly.shape.parts[: len(PALETTE)])
-        ]
-        axes.legend(handles=handles, loc="lower right", fontsize=8)
-        when = result.recording.time[row].isot[:19].replace("T", " ")
-        axes.set_title(f"{when} {result.recording.time.scale.upper()}", fontsize=9)
-        axes.set(xlim=(-span / 2, span / 2), ylim=(-span / 2, span / 2), aspect="equal")
-        axes.axis("off")
-    return axes
-
-
-def _triad(axes: Axes, camera: np.ndarray, span: float) -> None:
-    """The body axes in the corner."""
-    corner = np.array([-0.4, -0.4]) * span
-    for axis, name in zip(np.eye(3), "XYZ", strict=True):
-        tip = corner + 0.07 * span * (camera @ axis)[:2]
-        axes.plot(*np.stack([corner, tip]).T, color=INK, lw=1.2)
-        axes.text(*(corner + 1.35 * (tip - corner)), name, fontsize=8, ha="center", va="center")
-
-
 def simulated(curve: SimulatedCurve, axes: Axes | None = None, figure: Figure | None = None) -> Axes:
     """Magnitude of a simulated curve along time, a line a station."""
     recording = curve.recording
-    with matplotlib.rc_context(FIGURE_STYLE):
+    with matplotlib.rc_context(style()):
         if axes is None:
             axes = (figure if figure is not None else _figure((9.0, 3.6))).subplots()
         hours = recording.seconds / 3600
         for k, station in enumerate(np.unique(recording.station)):
             rows = recording.station == station
             mag = np.where(np.isfinite(curve.mag), curve.mag, np.nan)
-            axes.plot(hours[rows], mag[rows], ".-", ms=2, lw=0.8, color=component_colour(k), label=plain(recording.station_ids[station]))
+            axes.plot(
+                hours[rows],
+                mag[rows],
+                ".-",
+                ms=2,
+                lw=0.8,
+                color=component_colour(k),
+                label=plain(recording.station_ids[station]),
+            )
         axes.invert_yaxis()
-        axes.set(xlabel=f"hours after {recording.time[0].isot[:16]} {recording.time.scale.upper()}", ylabel="magnitude")
+        axes.set(
+            xlabel=f"hours after {iso_times(recording)[0][:16]} {recording.time.scale.upper()}",
+            ylabel="magnitude",
+        )
         axes.grid(visible=True)
         axes.legend(fontsize=8)
     return axes

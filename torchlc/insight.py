@@ -94,22 +94,18 @@ def glints(view: View) -> dict[str, Glint | None]:
 
 
 def material_shares(model: LightCurve, theta: Tensor) -> dict[str, float]:
-    """The largest share of any row's light that each material gives at natural values theta (P,)."""
+    """The largest share of any row's light that comes from the components each material is on, at natural
+    values theta (P,).
+    """
     with torch.no_grad():
-        values = model.values(theta)
-        tables = (
-            model.make_tables(model.view(values), values, True, compact=False)
-            if model.geometry_free
-            else model.tables(True)
-        )
-        light: dict[str, Tensor] = {}
-        for surface in tables.surfaces:
-            light[surface.material] = light.get(surface.material, 0.0) + model.reflect(surface, values)
-        total = sum(light.values(), start=torch.zeros(()))
-        return {
-            name: float(torch.where(total > 0, one / torch.where(total > 0, total, 1.0), 0.0).max())
-            for name, one in light.items()
-        }
+        brightness = model.brightness(theta, shares=True)
+    assert brightness.shares is not None  # asked for
+    share = dict(zip(brightness.components, brightness.shares, strict=True))
+    found = {}
+    for material in model.scene.materials:
+        own = [share[part.name] for part in model.assembly.shape.parts if material in part.materials]
+        found[material] = float(torch.stack(own).sum(0).max())
+    return found
 
 
 @dataclass(frozen=True)
@@ -153,10 +149,11 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
         middle = float(draws[:, i].median())
         logarithmic = prior_i.kind == "lognormal"
         gap = math.log(middle / prior_i.centre) if logarithmic else middle - prior_i.centre
-        if abs(gap) > TENSION * prior_i.sigma:
+        away = abs(gap) / prior_i.sigma
+        if away > TENSION:
             warnings.append(
-                f"prior in tension: {entry.name} = {middle:.4g} lies {abs(gap) / prior_i.sigma:.1f} sigma from its prior "
-                f"({prior_i.centre:.4g}, sigma {prior_i.sigma:.4g}{' in the logarithm' if logarithmic else ''})"
+                f"prior in tension: {entry.name} = {middle:.4g} lies {away:.1f} sigma from its prior "
+                f"({prior_i.centre:.4g}, sigma {prior_i.sigma:.4g}{' in ln' if logarithmic else ''})"
             )
     return Insight(informed, warnings)
 
@@ -186,7 +183,10 @@ def _scale_sentence(group: Sequence[str]) -> str:
     if len(group) == 1:
         return f"{group[0]} is set by its prior: it is only a scale of the light, and relative flux has none"
     listed = ", ".join(group[:-1]) + f" and {group[-1]}"
-    return f"{listed} are known only relative to one another: together they are a scale of the light, and relative flux has none"
+    return (
+        f"{listed} are known only relative to one another: together they are a scale of the light, and "
+        "relative flux has none"
+    )
 
 
 def _reason(
@@ -211,7 +211,7 @@ def _reason(
     if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
         return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
     if share < 0.2:
-        return f"{owner} never gives more than {100 * share:.2g} % of the light"
+        return f"what is made of {owner} never gives more than {100 * share:.2g} % of the light"
     return None
 
 

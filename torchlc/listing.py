@@ -1,4 +1,6 @@
-"""What the library holds, for people and programs: effects with their parameters, materials, and fits of materials."""
+"""What the library holds, for people and programs: effects with their parameters, materials, and fits of
+materials.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,9 @@ def matches_of(directory: Path) -> dict[str, list[dict[str, Any]]]:
         content = json.loads(path.read_text(encoding="utf-8"))
         found = content["materials"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(path, None, f"no fit in it ({type(error).__name__})", "the directory of a finished fit") from None
+        raise InputError(
+            path, None, f"no fit in it ({type(error).__name__})", "the directory of a finished fit"
+        ) from None
     return found
 
 
@@ -127,7 +131,8 @@ def reflectance_lines(found: ReflectanceFit, dropped: Mapping[str, int]) -> list
     """A fit to a laboratory table, as the lines of a scene."""
     lost = "".join(f", {count} {reason}" for reason, count in dropped.items())
     return [
-        f"# {found.rows} rows{lost}; rms {found.rms_dex:.3f} dex, median {found.median_dex:.3f} dex; {found.reason}",
+        f"# {found.rows} rows{lost}; rms {found.rms_dex:.3f} dex, median {found.median_dex:.3f} dex; "
+        f"{found.reason}",
         "[materials.measured]",
         f'model = "{found.model}"',
         *(f"{name} = {value:.6g}   # ± {found.sd[name]:.2g}" for name, value in found.values.items()),

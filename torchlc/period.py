@@ -1,7 +1,8 @@
 """An unknown spin from a recording alone: Lomb-Scargle, candidates, and the aliases each could be instead.
 
-The period is apparent: the Sun and the observer move, so that a body's sidereal period differs by about one turn in the time in which the
-bisector turns once. A body with two like sides shows two maxima a turn: its period is twice what the periodogram prefers.
+The period is apparent: the Sun and the observer move, so that a body's sidereal period differs by about one
+turn in the time in which the bisector turns once. A body with two like sides shows two maxima a turn: its
+period is twice what the periodogram prefers.
 """
 
 from __future__ import annotations
@@ -29,18 +30,29 @@ RUN_GAP_H = 6.0
 MOST_CANDIDATES = 5
 MOST_GROUPS, MOST_PEAKS = 15, 8
 HARMONICS = (("double", 0.5), ("half", 2.0), ("three times", 1 / 3), ("four times", 0.25))
-"""What a period could be instead, and the factor on its frequency: bodies with two, three or four like sides."""
-DAILY = ((1, "one turn a day more"), (-1, "one turn a day fewer"), (2, "two turns a day more"), (-2, "two turns a day fewer"))
+"""What a period could be instead, and the factor on its frequency: bodies with two, three or four like
+sides.
+"""
+DAILY = (
+    (1, "one turn a day more"),
+    (-1, "one turn a day fewer"),
+    (2, "two turns a day more"),
+    (-2, "two turns a day fewer"),
+)
 DAY_S = 86400.0
 MIN_ROWS = 8
 SAME = 0.01
-"""Peaks nearer than this in relative frequency differ in the number of turns between runs, and are aliases of the higher."""
+"""Peaks nearer than this in relative frequency differ in the number of turns between runs, and are aliases
+of the higher.
+"""
 MOST_COUNTS = 3
 
 
 @dataclass(frozen=True)
 class Alias:
-    """Another period that explains the recording about as well: ``power`` there, and how the two are related."""
+    """Another period that explains the recording about as well: ``power`` there, and how the two are
+    related.
+    """
 
     period_s: float
     power: float
@@ -49,8 +61,10 @@ class Alias:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance that a sinusoid
-    explains; the false-alarm probability of the highest peak of noise; half of the range of the sinusoid."""
+    """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance
+    that a sinusoid explains; the false-alarm probability of the highest peak of noise; half of the range of
+    the sinusoid.
+    """
 
     period_s: float
     period_sd_s: float
@@ -91,11 +105,14 @@ class Periodogram:
         low, high = (spoken(seconds) for seconds in self.searched_s)
         lines = [f"Periodogram: {self.rows} rows over {spoken(self.span_s)}, periods from {low} to {high}"]
         for one in self.candidates:
+            size = f"amplitude {one.amplitude:.3g} {self.unit}".rstrip()
             lines.append(
-                f"  {spoken(one.period_s)} ({one.period_s:.6g} ± {one.period_sd_s:.2g} s): power {one.power:.3f}, false alarm "
-                f"{one.false_alarm_probability:.1g}, amplitude {one.amplitude:.3g} {self.unit}".rstrip()
+                f"  {spoken(one.period_s)} ({one.period_s:.6g} ± {one.period_sd_s:.2g} s): {size}, "
+                f"power {one.power:.3f}, false alarm {one.false_alarm_probability:.1g}"
             )
-            lines += [f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases]
+            lines += [
+                f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases
+            ]
         return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
 
 
@@ -104,11 +121,14 @@ def find_period(
 ) -> Periodogram:
     """Candidate periods of a recording, each curve taken about its own mean.
 
-    The search goes from twice the median cadence to half of the longest uninterrupted run unless told otherwise.
+    The search goes from twice the median cadence to half of the longest uninterrupted run unless told
+    otherwise.
     """
     rows = np.flatnonzero(~recording.upper_limit)
     if len(rows) < MIN_ROWS:
-        raise InputError(recording.source, None, f"{len(rows)} measured rows", f"at least {MIN_ROWS} to find a period")
+        raise InputError(
+            recording.source, None, f"{len(rows)} measured rows", f"at least {MIN_ROWS} to find a period"
+        )
     seconds = recording.seconds[rows]
     span = float(np.ptp(seconds))
     if span <= 0:
@@ -119,7 +139,9 @@ def find_period(
     if count > MOST_FREQUENCIES:
         high = low + MOST_FREQUENCIES / (OVERSAMPLING * span)
         count = MOST_FREQUENCIES
-        warnings.append(f"the recording is long: periods below {spoken(1 / high)} were left out; --shortest looks further")
+        warnings.append(
+            f"the recording is long: periods below {spoken(1 / high)} were left out; --shortest looks further"
+        )
     frequency = np.linspace(low, high, count)
     power = np.asarray(search.power(frequency, method="fast" if count > 2000 else "auto"))
     several_nights = len(recording.night_ids) > 1
@@ -160,7 +182,10 @@ def _search_range(
     high = 1 / shortest if shortest is not None else 0.5 / float(np.median(steps))
     if not low < high:
         raise InputError(
-            recording.source, "--shortest, --longest", f"periods from {1 / high:.4g} to {1 / low:.4g} s", "a range of periods"
+            recording.source,
+            "--shortest, --longest",
+            f"periods from {1 / high:.4g} to {1 / low:.4g} s",
+            "a range of periods",
         )
     warnings = []
     if recording.exptime is not None and (smeared := float(np.median(recording.exptime))) > 0.5 / high:
@@ -189,7 +214,9 @@ def _periodogram(recording: Recording, rows: np.ndarray) -> tuple[LombScargle, s
 
 
 def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span: float) -> list[list[float]]:
-    """The highest local maxima, 1/s, refined; those within SAME of a higher one go with it; highest first, also within."""
+    """The highest local maxima, 1/s, refined; those within SAME of a higher one go with it; highest first,
+    also within.
+    """
     inside = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     ends = [i for i, j in ((0, 1), (len(power) - 1, len(power) - 2)) if power[i] > power[j]]
     maxima = np.concatenate([inside, np.array(ends, dtype=int)]).astype(int)
@@ -207,7 +234,9 @@ def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span:
 
     def by_power(peaks: list[float]) -> list[float]:
         refined = [_refined(search, peak, step) for peak in peaks]
-        distinct = [one for i, one in enumerate(refined) if all(abs(one - two) > 0.5 / span for two in refined[:i])]
+        distinct = [
+            one for i, one in enumerate(refined) if all(abs(one - two) > 0.5 / span for two in refined[:i])
+        ]
         return sorted(distinct, key=lambda one: -float(search.power(one, method="cython")))
 
     groups = [by_power(one) for one in groups]
@@ -243,10 +272,16 @@ def _candidate(
     related += [("another number of turns between runs", other) for other in counts]
     if several_nights:
         shifted = ((text, abs(frequency + turns / DAY_S)) for turns, text in DAILY)
-        related += [(text, _refined(search, other, 1 / (OVERSAMPLING * span))) for text, other in shifted if other > low / 4]
+        related += [
+            (text, _refined(search, other, 1 / (OVERSAMPLING * span)))
+            for text, other in shifted
+            if other > low / 4
+        ]
     kept = [(text, other) for text, other in related if low / 5 <= other <= 4 * high]
     powers = [float(search.power(other, method="cython")) for _, other in kept]
-    chance = float(search.false_alarm_probability(power, method="baluev", minimum_frequency=low, maximum_frequency=high))
+    chance = float(
+        search.false_alarm_probability(power, method="baluev", minimum_frequency=low, maximum_frequency=high)
+    )
     made = Candidate(
         period_s=1 / frequency,
         period_sd_s=sd / frequency**2,
@@ -264,4 +299,6 @@ def phase_curve(recording: Recording, period_s: float) -> tuple[np.ndarray, np.n
     phase = (recording.seconds / period_s) % 1.0
     order = np.argsort(phase)
     values = np.asarray(search.y)
-    return phase[order], (values if recording.kind == "mag" else -MAG_PER_LN * np.log1p(np.maximum(values, -0.99)))[order]
+    return phase[order], (
+        values if recording.kind == "mag" else -MAG_PER_LN * np.log1p(np.maximum(values, -0.99))
+    )[order]

@@ -1,7 +1,8 @@
-"""A picture of facets lit by the Sun: depth buffers from the camera and from the Sun, in numpy; report.html has the same in JavaScript.
+"""A picture of facets lit by the Sun: depth buffers from the camera and from the Sun, in numpy; report.html
+has the same in JavaScript.
 
-Orthographic, in the body frame. Shading is Lambert's law in the colour of the component, not the model's reflection: it shows what is
-where, lit or in shadow.
+Orthographic, in the body frame. Shading is Lambert's law in the colour of the component, not the model's
+reflection: it shows what is where, lit or in shadow.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ class Mesh:
 
 
 def fan(polygons: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (N, 3, 3) of convex polygons (F, V, 3) padded by their last corner, and the polygon (N,) each belongs to."""
+    """Triangles (N, 3, 3) of convex polygons (F, V, 3) padded by their last corner, and the polygon (N,)
+    each belongs to.
+    """
     corners = polygons.shape[1]
     pieces = np.stack([polygons[:, [0, k, k + 1]] for k in range(1, corners - 1)], axis=1)
     owner = np.repeat(np.arange(len(polygons)), corners - 2)
@@ -63,7 +66,9 @@ def looking_along(direction: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def render(mesh: Mesh, camera: np.ndarray, to_sun: np.ndarray, pixels: int, span: float) -> np.ndarray:
-    """RGBA image (pixels, pixels, 4) of ``span`` m across about the mesh's middle; ``camera`` from :func:`looking_along`."""
+    """RGBA image (pixels, pixels, 4) of ``span`` m across about the mesh's middle; ``camera`` from
+    :func:`looking_along`.
+    """
     normals = mesh.normals
     points = mesh.triangles - mesh.middle
     view = points @ camera.T
@@ -76,7 +81,9 @@ def render(mesh: Mesh, camera: np.ndarray, to_sun: np.ndarray, pixels: int, span
     radius = mesh.radius
     cells = SHADOW_CELLS / (2.02 * radius)
     lit_points = points @ sun_frame.T
-    shadow_screen = np.concatenate([lit_points[..., :2] * cells + SHADOW_CELLS / 2, lit_points[..., 2:]], axis=-1)
+    shadow_screen = np.concatenate(
+        [lit_points[..., :2] * cells + SHADOW_CELLS / 2, lit_points[..., 2:]], axis=-1
+    )
     nearest_sun = _nearest(shadow_screen[normals @ to_sun > EDGE], SHADOW_CELLS)[0]
     rows, columns = np.nonzero(owner >= 0)
     facet = owner[rows, columns]
@@ -98,7 +105,9 @@ def render(mesh: Mesh, camera: np.ndarray, to_sun: np.ndarray, pixels: int, span
 
 
 def _nearest(screen: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (size, size), -inf where nothing is, and index of the triangle nearest to the viewer, -1 where none."""
+    """Depth (size, size), -inf where nothing is, and index of the triangle nearest to the viewer, -1 where
+    none.
+    """
     depth = np.full((size, size), -np.inf)
     index = np.full((size, size), -1)
     for k, triangle in enumerate(screen):

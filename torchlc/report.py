@@ -1,4 +1,6 @@
-"""What a fit leaves in its directory, and report.html: one file with its figures, its words and its numbers inside."""
+"""What a fit leaves in its directory, and report.html: one file with its figures, its words and its numbers
+inside.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from torchlc import __version__, figures
+from torchlc import __version__, figures, style
 from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
 from torchlc.output import OutputDirectory
 from torchlc.parameters import Free
 from torchlc.results import FitResult, rounded, stated
+from torchlc.simulated import iso_times
 from torchlc.viewer import viewer_data
 
 if TYPE_CHECKING:
@@ -27,12 +30,12 @@ if TYPE_CHECKING:
 
 TEMPLATES = Path(__file__).parent / "templates"
 INKS = {
-    figures.INK: "--ink",
-    figures.GRID: "--grid",
-    figures.DATA: "--data",
-    figures.MODEL: "--model",
-    figures.SUN: "--sun",
-    figures.OBSERVER: "--observer",
+    style.INK: "--ink",
+    style.GRID: "--grid",
+    style.DATA: "--data",
+    style.MODEL: "--model",
+    style.SUN: "--sun",
+    style.OBSERVER: "--observer",
 }
 """Colours of the figures that follow the page's light or dark dress."""
 PNG_DPI = 130
@@ -68,7 +71,7 @@ def fit_figures(result: FitResult) -> dict[str, Figure]:
     }
     figures.curve(result, figure=drawn["curve"])
     figures.shares(result, figure=drawn["shares"])
-    figures.object_view(result, figure=drawn["object"])
+    result.plot_object(axes=drawn["object"].subplots())
     if result.posterior is not None:
         side = 1.2 + 1.35 * len(figures.corner_names(result))
         drawn["corner"] = figures.corner_plot(result, Figure(figsize=(side, side)))
@@ -95,7 +98,9 @@ def svg(figure: Figure, alt: str, name: str = "") -> str:
     text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
     for colour, ink in INKS.items():
         text = text.replace(colour, f"var({ink})")
-    label = f'<svg role="img" aria-label="{html.escape(alt, quote=True)}"' + (f' class="{name}"' if name else "")
+    label = f'<svg role="img" aria-label="{html.escape(alt, quote=True)}"' + (
+        f' class="{name}"' if name else ""
+    )
     return text.replace("<svg", label, 1)
 
 
@@ -104,10 +109,11 @@ def render_fit(result: FitResult, drawn: dict[str, Figure] | None = None) -> str
     from markupsafe import Markup
 
     drawn = fit_figures(result) if drawn is None else drawn
-    recording = result.recording
     alts = _alts(result)
     pictures = {
-        key: Markup(svg(figure, alts[key], "square" if key == "corner" else ""))  # ours, with names escaped by matplotlib
+        key: Markup(
+            svg(figure, alts[key], "square" if key == "corner" else "")
+        )  # ours, with names escaped by matplotlib
         for key, figure in drawn.items()
         if key != "object"
     }
@@ -123,7 +129,7 @@ def render_fit(result: FitResult, drawn: dict[str, Figure] | None = None) -> str
             warnings=result.all_warnings,
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
             matches=[(material, _match_words(found)) for material, found in result.materials().items()],
-            viewer=viewer_data(result),
+            viewer=viewer_data(result.model, result.view, result.prediction),
             chain_words=_chain_words(result),
             curve_alt=alts["curve"],
             curve_caption=_curve_caption(result),
@@ -132,7 +138,8 @@ def render_fit(result: FitResult, drawn: dict[str, Figure] | None = None) -> str
             corner_caption=_corner_caption(result),
             effects=[(one.name, first_sentence(type(one))) for one in _distinct_effects(result)],
             facts=_facts(result),
-            made={"inputs": {}, "versions": {}, "command": None, "seed": result.seed} | dict(result.provenance),
+            made={"inputs": {}, "versions": {}, "command": None, "seed": result.seed}
+            | dict(result.provenance),
             **{"corner": None, "traces": None} | pictures,
         )
     )
@@ -180,15 +187,19 @@ def words(result: FitResult) -> list[str]:
     silent = [name for name in result.names if not informed[name]]
     if silent:
         found.append(
-            f"Not determined by these data: {', '.join(silent)}. What is quoted for {'it' if len(silent) == 1 else 'them'} is "
-            "what was assumed beforehand; the reasons are below."
+            f"Not determined by these data: {', '.join(silent)}. What is quoted for "
+            f"{'it' if len(silent) == 1 else 'them'} is what was assumed beforehand; the reasons are below."
         )
     return found
 
 
 def _quality(result: FitResult) -> str:
     recording = result.recording
-    size = f"{result.rms_mag:.3f} mag" if recording.kind == "mag" else f"{100 * result.rms_relative:.2g} % of the flux"
+    size = (
+        f"{result.rms_mag:.3f} mag"
+        if recording.kind == "mag"
+        else f"{100 * result.rms_relative:.2g} % of the flux"
+    )
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
     elif "jitter" in {effect.name for effect in result.model.effects}:
@@ -197,7 +208,9 @@ def _quality(result: FitResult) -> str:
         judged = f"chi-square is {result.fit.chi2:.0f} for {result.fit.dof} degrees of freedom"
         judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
     trust = (
-        "Search and chain converged." if result.converged else "The result is not final: " + result.reason + "."
+        "Search and chain converged."
+        if result.converged
+        else "The result is not final: " + result.reason + "."
     )
     if result.posterior is None:
         trust = "Nothing was free, so nothing was sampled."
@@ -207,13 +220,16 @@ def _quality(result: FitResult) -> str:
 def _match_words(found: list[dict[str, Any]]) -> str:
     named = [one for one in found if one["probability"] >= GOOD_MATCH][:4]
     return ", ".join(
-        f"{'none of the library' if one['name'] == OTHER else one['name']} ({100 * one['probability']:.0f} %)" for one in named
+        f"{'none of the library' if one['name'] == OTHER else one['name']} ({100 * one['probability']:.0f} %)"
+        for one in named
     )
 
 
 def _kicker(result: FitResult) -> str:
     recording = result.recording
-    first, last = (recording.time[i].isot[:16].replace("T", " ") for i in (0, -1))
+    first, last = (
+        text[:16].replace("T", " ") for text in (iso_times(recording)[0], iso_times(recording)[-1])
+    )
     places = ", ".join(recording.station_ids[i] for i in np.unique(recording.station))
     nights = len(recording.night_ids)
     source = recording.source.name if recording.source is not None else "a recording"
@@ -229,8 +245,8 @@ def _chain_words(result: FitResult) -> str:
     if posterior is None:
         return ""
     return (
-        f"{posterior.theta.shape[0]} walkers; {posterior.reason}. Acceptance {posterior.acceptance:.2f}; {len(posterior.flat)} "
-        f"draws kept, one of {posterior.thin} steps after {posterior.burn}."
+        f"{posterior.theta.shape[0]} walkers; {posterior.reason}. Acceptance {posterior.acceptance:.2f}; "
+        f"{len(posterior.flat)} draws kept, one of {posterior.thin} steps after {posterior.burn}."
     )
 
 
@@ -243,7 +259,11 @@ def _curve_caption(result: FitResult) -> str:
 
 def _corner_caption(result: FitResult) -> str:
     drawn = len(figures.corner_names(result)) if result.posterior is not None else 0
-    more = f" {drawn} of {len(result.names)} parameters, those that the data inform first." if drawn < len(result.names) else ""
+    more = (
+        f" {drawn} of {len(result.names)} parameters, those that the data inform first."
+        if drawn < len(result.names)
+        else ""
+    )
     return f"Contours hold 39 and 86 % of the posterior: 1 and 2 sigma in two dimensions.{more}"
 
 
@@ -253,9 +273,10 @@ def _alts(result: FitResult) -> dict[str, str]:
     unit = "magnitudes" if recording.kind == "mag" else "relative fluxes"
     means = ", ".join(f"{name} {100 * one['mean_share']:.0f} %" for name, one in result.mean_shares().items())
     return {
-        "curve": f"Light curve: {len(recording)} rows, {unit} from {low:.4g} to {high:.4g}, model over them, residuals below.",
+        "curve": f"Light curve: {len(recording)} rows, {unit} from {low:.4g} to {high:.4g}, the model "
+        "over them, residuals below.",
         "shares": f"Shares of the light along the recording; on average {means}.",
-        "corner": f"Corner plot of the posterior of {', '.join(figures.corner_names(result)) if result.names else 'nothing'}.",
+        "corner": f"Corner plot of the posterior of {', '.join(figures.corner_names(result))}.",
         "traces": "Traces of all walkers after burn-in, one panel a parameter.",
         "object": "The object at its brightest.",
     }
@@ -264,7 +285,13 @@ def _alts(result: FitResult) -> dict[str, str]:
 def _facts(result: FitResult) -> list[tuple[str, str]]:
     scene, recording = result.model.scene, result.recording
     dropped = ", ".join(f"{count} {reason}" for reason, count in recording.dropped.items())
-    orbit = "TLE (SGP4)" if scene.orbit.tle else "altitude, azimuth, height" if scene.orbit.altaz else "vectors of the recording"
+    orbit = (
+        "TLE (SGP4)"
+        if scene.orbit.tle
+        else "altitude, azimuth, height"
+        if scene.orbit.altaz
+        else "vectors of the recording"
+    )
     return [
         ("orbit", orbit),
         ("attitude", scene.attitude.mode),
@@ -294,13 +321,18 @@ def _row(result: FitResult, name: str, row: dict[str, Any]) -> dict[str, Any]:
 
 
 def prior_bar(entry: Free, low: float, high: float) -> tuple[float, float] | None:
-    """Start and length of [low, high] in % of the prior's range (of three sigma about its centre where it is peaked)."""
+    """Start and length of [low, high] in % of the prior's range (of three sigma about its centre where it
+    is peaked).
+    """
     prior = entry.prior
     start, end = prior.low, prior.high
     if prior.kind in ("normal", "halfnormal"):
         start, end = max(start, prior.centre - 3 * prior.sigma), min(end, prior.centre + 3 * prior.sigma)
     elif prior.kind == "lognormal":
-        start, end = (max(start, prior.centre * math.exp(-3 * prior.sigma)), min(end, prior.centre * math.exp(3 * prior.sigma)))
+        start, end = (
+            max(start, prior.centre * math.exp(-3 * prior.sigma)),
+            min(end, prior.centre * math.exp(3 * prior.sigma)),
+        )
     points = [start, end, low, high]
     if prior.logarithmic:
         if min(points) <= 0:

@@ -240,13 +240,15 @@ class FitResult:
         }
 
     def materials(self) -> dict[str, list[dict[str, Any]]]:
-        """For each material with free parameters, how probable each known material is, most probable first."""
+        """For each material with free parameters, the known materials, most probable first."""
         if self.posterior is None:
             return {}
         draws = dict(zip(self.names, self.posterior.flat.numpy().T, strict=True))
         found = {}
         for name, material in self.model.scene.materials.items():
-            own = {short: draws[f"{name}.{short}"] for short in material.parameters if f"{name}.{short}" in draws}
+            own = {
+                short: draws[f"{name}.{short}"] for short in material.parameters if f"{name}.{short}" in draws
+            }
             if own:
                 found[name] = [vars(one) for one in match(own, model=material.model)]
         return found
@@ -357,9 +359,14 @@ class FitResult:
 
     def plot_object(self, row: int | None = None, axes: Axes | None = None) -> Axes:
         """The object with the directions of Sun and observer at ``row``, by default the brightest."""
-        from torchlc import figures
+        from torchlc.drawing import brightest, draw_object
 
-        return figures.object_view(self, row, axes)
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots(figsize=(5.6, 5.0))[1]
+        row = brightest(self.recording.kind, self.prediction) if row is None else row
+        return draw_object(self.model, self.view, row, axes)
 
     def write_report(self, path: str | Path) -> Path:
         """One HTML file that needs no network."""
@@ -379,8 +386,8 @@ class FitResult:
         """The fit in one sentence."""
         state = "converged" if self.converged else "not converged"
         return (
-            f"{self.model.scene.name}: {len(self.recording)} rows, chi2 {self.fit.chi2:.1f} for {self.fit.dof} degrees of "
-            f"freedom, rms {self.rms_mag:.3f} mag, {state}"
+            f"{self.model.scene.name}: {len(self.recording)} rows, chi2 {self.fit.chi2:.1f} for "
+            f"{self.fit.dof} degrees of freedom, rms {self.rms_mag:.3f} mag, {state}"
         )
 
     def __repr__(self) -> str:
@@ -421,90 +428,6 @@ def rounded(value: float, digits: int) -> str:
     """``value`` to that many significant digits, without an exponent where it can be read without."""
     text = f"{value:.{digits}g}"
     return f"{float(text):g}" if abs(float(text)) < 1e6 else text
-
-
-@dataclass(frozen=True)
-class SimulatedCurve:
-    """A simulated light curve: columns (T,) of ``curve.ecsv``, shares (C, T) by component; mag is +inf
-    where no light comes.
-    """
-
-    name: str
-    recording: Recording
-    columns: Mapping[str, np.ndarray | None]
-    shares: Mapping[str, np.ndarray]
-    warnings: Sequence[str] = ()
-    seed: int = 0
-
-    @property
-    def mag(self) -> np.ndarray:
-        return _known(self.columns["mag"])
-
-    @property
-    def flux(self) -> np.ndarray:
-        return _known(self.columns["flux"])
-
-    def to_table(self) -> Table:
-        """The columns of curve.ecsv; what is unknown or infinite is masked. Geometry that the recording
-        brought is kept.
-        """
-        from torchlc import tables
-
-        return tables.curve_table(self)
-
-    def write(self, path: str | Path) -> Path:
-        """Write as ECSV, whole or not at all."""
-        table = self.to_table()
-        return write_whole(
-            Path(path), lambda partial: table.write(partial, format="ascii.ecsv", overwrite=True)
-        )
-
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Magnitude along time."""
-        from torchlc import figures
-
-        return figures.simulated(self, axes)
-
-    def to_json(self) -> dict[str, Any]:
-        """A summary: rows, range of magnitude, the brightest row."""
-        mag = self.mag
-        seen = np.isfinite(mag)
-        peak = int(np.nanargmin(np.where(seen, mag, np.nan))) if seen.any() else None
-        return without_nan(
-            {
-                "name": self.name,
-                "rows": len(mag),
-                "rows_without_light": int((~seen).sum()),
-                "brightest": None
-                if peak is None
-                else {"time": self.recording.time.isot[peak], "mag": float(mag[peak])},
-                "faintest_mag": float(mag[seen].max()) if seen.any() else None,
-                "components": {
-                    name: float(np.nanmean(one)) if seen.any() else None for name, one in self.shares.items()
-                },
-                "warnings": list(self.warnings),
-            }
-        )
-
-    def headline(self) -> str:
-        said = self.to_json()
-        if said["brightest"] is None:
-            return f"{self.name}: {said['rows']} rows, no light in any"
-        return (
-            f"{self.name}: {said['rows']} rows, {said['brightest']['mag']:.2f} mag at {said['brightest']['time']} UTC down to "
-            f"{said['faintest_mag']:.2f} mag"
-        )
-
-    def __repr__(self) -> str:
-        return "\n".join([f"SimulatedCurve: {self.headline()}", *(f"  ! {text}" for text in self.warnings)])
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
-
-
-def _known(column: np.ndarray | None) -> np.ndarray:
-    assert column is not None  # mag and flux always exist
-    return column
 
 
 def _thinned(draws: Tensor, most: int) -> Tensor:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from astropy.time import Time
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
@@ -20,6 +20,7 @@ from torchlc.timestamps import UnreadableTime, instant
 TEMPLATES = Path(__file__).parent / "templates"
 PLACEHOLDER_STATION = ("site", 0.0, 0.0, 0.0)
 MAX_ELEMENT_BYTES = 50_000_000
+JD_OF_2000 = 2451544.5
 PRESETS = {
     "box-wing": "box_wing",
     "cubesat": "cubesat",
@@ -40,8 +41,8 @@ class ElementSet:
     @property
     def epoch(self) -> float:
         year, day = int(self.lines[0][18:20]), float(self.lines[0][20:32])
-        full = year + (1900 if year >= 57 else 2000)
-        return float(Time(f"{full}-01-01", scale="utc").jd) + day - 1.0
+        days = np.datetime64(f"{year + (1900 if year >= 57 else 2000)}-01-01") - np.datetime64("2000-01-01")
+        return JD_OF_2000 + int(days.astype(int)) + day - 1.0
 
 
 def read_elements(path: str | Path) -> list[ElementSet]:
@@ -63,24 +64,28 @@ def read_elements(path: str | Path) -> list[ElementSet]:
 
 
 def nearest_elements(sets: list[ElementSet], date: str | None, source: Path) -> ElementSet:
-    """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; all must be of one object."""
+    """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; all of one object."""
     numbers = sorted({one.lines[0][2:7] for one in sets})
     if len(numbers) > 1:
         listed = ", ".join(numbers[:8])
-        raise InputError(source, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object")
+        raise InputError(
+            source, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
+        )
     epochs = []
     for one in sets:
         try:
             epochs.append(one.epoch)
         except ValueError:
-            raise InputError(source, one.lines[0][:32], "an epoch that cannot be read", "a two-line element set") from None
+            raise InputError(
+                source, one.lines[0][:32], "an epoch that cannot be read", "a two-line element set"
+            ) from None
     if date is None:
         return sets[int(np.argmax(epochs))]
     try:
-        wanted = float(instant(float(date) if date.replace(".", "", 1).isdigit() else date, "utc").jd)
+        when: Any = instant(float(date) if date.replace(".", "", 1).isdigit() else date, "utc")
     except UnreadableTime as error:
         raise InputError(None, "--date", repr(error.found), error.expected) from None
-    return sets[int(np.argmin(np.abs(np.array(epochs) - wanted)))]
+    return sets[int(np.argmin(np.abs(np.array(epochs) - float(when.jd))))]
 
 
 def read_station(text: str) -> tuple[str, float, float, float]:
@@ -89,21 +94,34 @@ def read_station(text: str) -> tuple[str, float, float, float]:
     try:
         name, latitude, longitude, height = parts[0], *map(float, parts[1:])
     except (ValueError, TypeError):
-        raise InputError(None, "--station", repr(text), "id,latitude,longitude,height as in weihai,37.536,122.05,110") from None
+        raise InputError(
+            None, "--station", repr(text), "id,latitude,longitude,height as in weihai,37.536,122.05,110"
+        ) from None
     return name, latitude, longitude, height
 
 
 def new_scene(
-    elements: ElementSet, preset: str, *, name: str | None = None, station: tuple[str, float, float, float] | None = None,
+    elements: ElementSet,
+    preset: str,
+    *,
+    name: str | None = None,
+    station: tuple[str, float, float, float] | None = None,
     mesh: str | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """TOML of a scene that can be simulated and fitted as it stands."""
     folded = {key.replace(" ", "-").replace("_", "-"): value for key, value in PRESETS.items()}
     key = preset.strip().lower().replace(" ", "-").replace("_", "-")
     if key not in folded:
-        raise InputError(None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(preset, PRESETS))
+        raise InputError(
+            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(preset, PRESETS)
+        )
     if (key == "mesh") != (mesh is not None):
-        raise InputError(None, "--mesh", "missing" if mesh is None else f"given with shape {preset}", "a file for the shape mesh")
+        raise InputError(
+            None,
+            "--mesh",
+            "missing" if mesh is None else f"given with shape {preset}",
+            "a file for the shape mesh",
+        )
     place = PLACEHOLDER_STATION if station is None else station
     shape = (TEMPLATES / f"shape_{folded[key]}.toml").read_text(encoding="utf-8")
     text = (TEMPLATES / "scene.toml").read_text(encoding="utf-8")

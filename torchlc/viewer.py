@@ -1,33 +1,38 @@
-"""What the report's object view needs, as plain numbers: triangles at rest, and for some rows the turns, the Sun and the observer."""
+"""What the report's object view needs, as plain numbers: triangles at rest, and for some rows the turns,
+the Sun and the observer.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
-from torchlc.figures import brightest, component_colour, good_camera, posed_mesh
-from torchlc.model import degrees_between
+from torchlc.drawing import brightest, good_camera, posed_mesh
+from torchlc.effects.base import View
+from torchlc.model import LightCurve, degrees_between
 from torchlc.raster import fan
-
-if TYPE_CHECKING:
-    from torchlc.results import FitResult
+from torchlc.simulated import iso_times
+from torchlc.style import component_colour
 
 MOST_ROWS = 240
 MOST_TRIANGLES = 6000
 
 
-def viewer_data(result: FitResult) -> dict[str, Any]:
-    """Everything the view draws; directions are unit vectors in the body frame, lengths in metres."""
-    view, recording = result.view, result.recording
-    rows = shown_rows(len(recording), brightest(result))
-    peak = brightest(result)
-    mesh = posed_mesh(result, peak)
+def viewer_data(model: LightCurve, view: View, prediction: np.ndarray) -> dict[str, Any]:
+    """Everything the view draws; directions are unit vectors in the body frame, lengths in metres.
+
+    ``prediction`` (T,) is the model in the recording's unit, ``view`` its geometry at each row.
+    """
+    recording = model.recording
+    peak = brightest(recording.kind, prediction)
+    rows = shown_rows(len(recording), peak)
+    mesh = posed_mesh(model, view, peak)
     to_sun, to_observer = view.to_sun[0].numpy(), view.to_observer[0].numpy()
     parts = []
-    for number, (part, facets) in enumerate(zip(result.model.assembly.shape.parts, view.facets, strict=True)):
+    for number, (part, facets) in enumerate(zip(model.assembly.shape.parts, view.facets, strict=True)):
         triangles, _ = fan(facets.vertices.numpy())
         triangles = simplified(triangles, MOST_TRIANGLES)
         pose = view.poses[number]
@@ -40,8 +45,8 @@ def viewer_data(result: FitResult) -> dict[str, Any]:
                 "poses": None if pose is None else rounded(pose[0, rows].numpy().reshape(len(rows), 9), 5),
             }
         )
-    phase, nearest = nearest_glints(result, rows)
-    light = {"observed": recording.observed[rows], "model": result.prediction[rows]}
+    phase, nearest = nearest_glints(view, rows)
+    light = {"observed": recording.observed[rows], "model": prediction[rows]}
     return {
         "parts": parts,
         "middle": rounded(mesh.middle, 5),
@@ -50,13 +55,15 @@ def viewer_data(result: FitResult) -> dict[str, Any]:
         "start": int(np.searchsorted(rows, peak)),
         "kind": recording.kind,
         "scale": recording.time.scale.upper(),
-        "time": [text[:19].replace("T", " ") for text in recording.time[rows].isot],
+        "time": [text[:19].replace("T", " ") for text in np.array(iso_times(recording))[rows].tolist()],
         "hours": rounded(recording.seconds[rows] / 3600, 6),
         "sun": rounded(to_sun[rows], 5),
         "observer": rounded(to_observer[rows], 5),
         "phase": rounded(phase, 2),
         "glint": nearest,
-        "light": {name: rounded(values, 4 if recording.kind == "mag" else 5) for name, values in light.items()},
+        "light": {
+            name: rounded(values, 4 if recording.kind == "mag" else 5) for name, values in light.items()
+        },
     }
 
 
@@ -65,9 +72,10 @@ def shown_rows(count: int, peak: int) -> np.ndarray:
     return np.unique(np.append(np.linspace(0, count - 1, min(count, MOST_ROWS)).round().astype(int), peak))
 
 
-def nearest_glints(result: FitResult, rows: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Phase angle, deg, and for each row the lit-and-seen facet whose normal is nearest to the bisector, in words."""
-    view = result.view
+def nearest_glints(view: View, rows: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Phase angle, deg, and for each row the lit-and-seen facet whose normal is nearest to the bisector, in
+    words.
+    """
     index = torch.as_tensor(rows)
     to_sun, to_observer = view.to_sun[0, index], view.to_observer[0, index]
     half = torch.nn.functional.normalize(to_sun + to_observer, dim=-1)
@@ -94,9 +102,7 @@ def simplified(triangles: np.ndarray, most: int) -> np.ndarray:
     found = triangles
     while len(found) > most:
         corners = np.round((triangles - low) / size * cells)
-        distinct = (
-            np.abs(np.diff(corners[:, [0, 1, 2, 0]], axis=1)).sum(-1).min(1) > 0
-        )
+        distinct = np.abs(np.diff(corners[:, [0, 1, 2, 0]], axis=1)).sum(-1).min(1) > 0
         found = corners[distinct] / cells * size + low
         cells /= 1.25
     return found

@@ -1,0 +1,246 @@
+"""Simulated curves: computed from a model, shown, and written as the table curve.ecsv, which is a recording
+again.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from astropy.table import MaskedColumn, Table
+from torch import Tensor
+
+from torchlc.effects.earth_shadow import sunlit_fraction
+from torchlc.insight import bare_view
+from torchlc.likelihood import MAG_PER_LN, matern32
+from torchlc.model import LightCurve
+from torchlc.output import without_nan, write_whole
+from torchlc.recording import Recording
+from torchlc.recording.declared import VECTORS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+DEFAULT_AIR_KM = 20.0
+"""Opaque air over the Earth for the column eclipse_fraction of a model without earth_shadow."""
+UNITS = {
+    "mag": "mag", "mag_err": "mag", "range_km": "km", "phase_angle_deg": "deg", "elevation_deg": "deg",
+    "exptime": "s", "alt": "deg", "az": "deg", "height": "km",
+}  # fmt: skip
+DIGITS = ".12g"
+
+
+@dataclass(frozen=True)
+class SimulatedCurve:
+    """A simulated light curve: the columns (T,) of curve.ecsv, None where unknown, and shares (T,) by
+    component.
+
+    ``mag`` is +inf and shares are not-a-number where no light comes; both are blank in the table.
+    """
+
+    name: str
+    recording: Recording
+    columns: Mapping[str, np.ndarray | None]
+    shares: Mapping[str, np.ndarray]
+    warnings: Sequence[str] = ()
+    seed: int = 0
+
+    @property
+    def mag(self) -> np.ndarray:
+        """Apparent magnitudes (T,)."""
+        return self._known("mag")
+
+    @property
+    def flux(self) -> np.ndarray:
+        """Irradiance over that of the Sun at 1 au, (T,)."""
+        return self._known("flux")
+
+    def _known(self, name: str) -> np.ndarray:
+        column = self.columns[name]
+        assert column is not None  # only geometry can be unknown
+        return column
+
+    def to_table(self) -> Table:
+        """Time, station, the columns, a ``share <component>`` each, then what the recording brought."""
+        recording, rows = self.recording, len(self.recording)
+        columns: dict[str, Any] = {
+            "time": iso_times(recording),
+            "station": np.array(recording.station_ids, dtype=str)[recording.station],
+        }
+        columns |= {name: masked(values, rows, name) for name, values in self.columns.items()}
+        columns |= {f"share {name}": masked(values, rows, "") for name, values in self.shares.items()}
+        columns |= _brought(recording)
+        meta: dict[str, Any] = {"object": self.name, "time_scale": recording.time.scale}
+        if recording.light_time_corrected:
+            meta["light_time_corrected"] = True
+        if recording.sun is not None and recording.frame:
+            meta["frame"] = recording.frame
+        return Table(columns, meta=meta)
+
+    def write(self, path: str | Path) -> Path:
+        """Write as ECSV, whole or not at all."""
+        table = self.to_table()
+        return write_whole(
+            Path(path), lambda partial: table.write(partial, format="ascii.ecsv", overwrite=True)
+        )
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Magnitude along time, a line a station."""
+        from torchlc import figures
+
+        return figures.simulated(self, axes)
+
+    def to_json(self) -> dict[str, Any]:
+        """A summary: rows, range of magnitude, the brightest row, mean shares."""
+        mag = self.mag
+        seen = np.isfinite(mag)
+        any_light = bool(seen.any())
+        peak = int(np.argmin(np.where(seen, mag, math.inf)))
+        brightest = {"time": iso_times(self.recording)[peak], "mag": mag[peak]}
+        return without_nan(
+            {
+                "name": self.name,
+                "rows": len(mag),
+                "rows_without_light": int((~seen).sum()),
+                "brightest": brightest if any_light else None,
+                "faintest_mag": mag[seen].max() if any_light else None,
+                "components": {
+                    name: {"mean_share": np.nanmean(one) if any_light else None}
+                    for name, one in self.shares.items()
+                },
+                "warnings": list(self.warnings),
+            }
+        )
+
+    def headline(self) -> str:
+        """The curve in one line."""
+        said = self.to_json()
+        if said["brightest"] is None:
+            return f"{self.name}: {said['rows']} rows, no light in any"
+        scale = self.recording.time.scale.upper()
+        when, brightest = said["brightest"]["time"][:19], said["brightest"]["mag"]
+        return (
+            f"{self.name}: {said['rows']} rows, {brightest:.2f} mag at {when} {scale} down to "
+            f"{said['faintest_mag']:.2f} mag"
+        )
+
+    def __repr__(self) -> str:
+        return "\n".join([f"SimulatedCurve: {self.headline()}", *(f"  ! {text}" for text in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
+
+def simulated_curve(model: LightCurve, noise: float | None = None, seed: int = 0) -> SimulatedCurve:
+    """The curve of a model at its starting values; with normal errors of ``noise`` mag if given, which are
+    quoted, widened by what the model's noise effects say, which is not.
+    """
+    theta = model.parameter_set.start()
+    with torch.no_grad():
+        brightness = model.brightness(theta, shares=True)
+        mag = model.magnitude(brightness, theta).numpy()
+    assert brightness.shares is not None  # asked for
+    flux, shares = brightness.flux.numpy(), brightness.shares.numpy()
+    columns: dict[str, np.ndarray | None] = {"mag": mag, "flux": flux}
+    if noise is not None:
+        delta = _errors(model, theta, noise, seed)
+        flux = flux * np.exp(-delta / MAG_PER_LN)
+        flux_err = np.where(flux > 0, flux * noise / MAG_PER_LN, np.nan)
+        columns = {
+            "mag": mag + delta,
+            "mag_err": np.full(len(mag), noise),
+            "flux": flux,
+            "flux_err": flux_err,
+        }
+    shares = np.where(shares.sum(0) == 0, np.nan, shares)
+    return SimulatedCurve(
+        name=model.scene.name,
+        recording=model.recording,
+        columns=columns | _geometry(model, theta),
+        shares=dict(zip(brightness.components, shares, strict=True)),
+        warnings=model.assembly.warnings,
+        seed=seed,
+    )
+
+
+def iso_times(recording: Recording) -> list[str]:
+    """Times of the T rows as ISO text to the microsecond, in the recording's scale."""
+    time: Any = recording.time.copy(format="isot")
+    time.precision = 6
+    return np.asarray(time.value, dtype=str).tolist()
+
+
+def masked(values: np.ndarray | None, rows: int, name: str) -> MaskedColumn:
+    """A column (T,) whose unknown (None) or non-finite cells are masked."""
+    data = np.full(rows, np.nan) if values is None else np.asarray(values, dtype=float)
+    hidden = ~np.isfinite(data)
+    column: Any = MaskedColumn(np.where(hidden, 0.0, data), mask=hidden, unit=UNITS.get(name), format=DIGITS)
+    return column
+
+
+def _brought(recording: Recording) -> dict[str, Any]:
+    """Columns that the model needs to see the same geometry again."""
+    rows = len(recording)
+    found: dict[str, Any] = {"curve": np.array(recording.curve_ids, dtype=str)[recording.curve]}
+    if recording.band is not None:
+        found["band"] = recording.band.astype(str)
+    for name in ("exptime", "alt", "az", "height"):
+        values = getattr(recording, name)
+        if values is not None:
+            found[name] = masked(values, rows, name)
+    for field, prefix in VECTORS.items():
+        vectors = getattr(recording, field)
+        if vectors is not None:
+            unit = "km / s" if field == "velocity" else "km"
+            for i, axis in enumerate("xyz"):
+                found[f"{prefix}_{axis}"] = MaskedColumn(vectors[:, i], unit=unit, format=".15g")
+    return found
+
+
+def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:
+    """Range, phase angle, elevation, airmass and the share of the Sun that the Earth hides, (T,) each; None
+    where unknown."""
+    track = model.assembly.track
+    with torch.no_grad():
+        state = bare_view(model, theta).state
+        eclipse = None
+        if track.supports("position") and state.position is not None:
+            air = model.values(theta).get("earth_shadow.h0", theta.new_tensor(DEFAULT_AIR_KM))
+            eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air[..., None])
+        found = {
+            "range_km": track.range_km,
+            "phase_angle_deg": track.phase_angle_deg,
+            "elevation_deg": track.elevation_deg,
+            "airmass": track.airmass,
+            "eclipse_fraction": eclipse,
+        }
+    return {name: None if values is None else values.numpy() for name, values in found.items()}
+
+
+def _errors(model: LightCurve, theta: Tensor, sigma: float, seed: int) -> np.ndarray:
+    """Random errors (T,), mag: ``sigma`` normal, widened by jitter, with outliers and red noise."""
+    generator = np.random.default_rng(seed)
+    rows = model.assembly.T
+    with torch.no_grad():
+        noise = model.noise(theta)
+    jitter = 0.0 if noise.jitter is None else noise.jitter.numpy()
+    delta = generator.normal(size=rows) * np.sqrt(sigma**2 + jitter**2)
+    if noise.outliers is not None and noise.width is not None:
+        struck = generator.random(rows) < noise.outliers.numpy()
+        delta = delta * np.where(struck, noise.width.numpy(), 1.0)
+    if noise.red is not None and noise.tau is not None:
+        context = model.assembly.context
+        for one in np.unique(context.curve.numpy()):
+            index = np.flatnonzero(context.curve.numpy() == one)
+            seconds = context.seconds[index]
+            gap_min = (seconds[:, None] - seconds[None]).abs() / 60
+            covariance = matern32(gap_min, noise.tau).numpy() + 1e-9 * np.eye(len(index))
+            drawn = np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
+            delta[index] += noise.red.expand(rows).numpy()[index] * drawn
+    return delta

@@ -29,7 +29,7 @@ def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tens
     cross = torch.linalg.vector_norm(torch.linalg.cross(towards, -r), dim=-1)
     separation = torch.atan2(cross, -(towards * r).sum(-1))
     earth = torch.asin((equatorial / distance).clamp(max=1 - 1e-12))
-    radius = SUN_RADIUS_KM / distance_sun
+    radius = SUN_RADIUS_KM / distance_sun * _stretch_across(position, sun, stretch)
     y, w = _chords(position)
     # the Sun's disc in its own radii: x along the line of centres, away from the Earth; the limb stands at x
     # = edge(y)
@@ -40,6 +40,16 @@ def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tens
     share = _chord_share((edge / half).clamp(-1, 1), half)
     seen = (w * share).sum(-1)
     return torch.where((towards * r).sum(-1) > 0, torch.ones_like(seen), seen)
+
+
+def _stretch_across(position: torch.Tensor, sun: torch.Tensor, stretch: torch.Tensor) -> torch.Tensor:
+    """By how much the stretch lengthens the Sun's radius that points to the Earth's centre, (...)."""
+    along = (position * sun).sum(-1, keepdim=True) / (sun * sun).sum(-1, keepdim=True)
+    across = position - along * sun
+    square = (across * across).sum(-1)
+    apart = square > 1e-12
+    ratio = ((across * stretch) ** 2).sum(-1) / torch.where(apart, square, 1.0)
+    return torch.sqrt(torch.where(apart, ratio, 1.0))
 
 
 def _chords(like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -22,6 +22,7 @@ PAGES = sorted(
 )
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     if NEEDS_SHARED in page.read_text(encoding="utf-8"):

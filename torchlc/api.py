@@ -96,7 +96,7 @@ def simulate(
         rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
     if noise is not None and not (math.isfinite(noise) and noise > 0):
         raise InputError(None, "--noise", f"{noise:g} mag", "a number > 0")
-    return simulated_curve(LightCurve(scene, rows), noise, seed)
+    return simulated_curve(scene, rows, noise, seed)
 
 
 def fit(
@@ -147,6 +147,7 @@ def fit(
                 progress=progress,
             )
         seconds["sample"] = time.monotonic() - clock
+        seconds["total"] = time.monotonic() - began
         if posterior is not None and not posterior.converged:
             warnings.append(f"the chain is short: {posterior.reason}")
         if not found.converged:
@@ -162,9 +163,7 @@ def fit(
         if directory is not None:
             from torchlc import report
 
-            seconds["total"] = time.monotonic() - began
             report.write_fit(result, directory, progress)
-        seconds["total"] = time.monotonic() - began
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -84,11 +85,15 @@ def simulate(
     from torchlc import api
     from torchlc.output import OutputDirectory
 
-    first: str | float | None = start
-    if start is not None and start.replace(".", "", 1).isdigit():
-        first = float(start)
     curve = api.simulate(
-        scene, recording, start=first, hours=hours, cadence=cadence, noise=noise, seed=seed, trust=trust
+        scene,
+        recording,
+        start=None if start is None else moment(start),
+        hours=hours,
+        cadence=cadence,
+        noise=noise,
+        seed=seed,
+        trust=trust,
     )
     with OutputDirectory(out) as directory:
         curve.write(directory.path / "curve.ecsv")
@@ -313,7 +318,8 @@ def init(
 
     if scene.exists() and not force:
         raise InputError(scene, None, "exists", "a new file", "--force replaces it.")
-    chosen = scaffold.nearest_elements(scaffold.read_elements(tle), date, tle)
+    wanted = None if date is None else moment(date)
+    chosen = scaffold.nearest_elements(scaffold.read_elements(tle), wanted, tle)
     place = None if station is None else scaffold.read_station(station)
     text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh)
     read = scaffold.check_scene(text, scene.parent, scene)
@@ -345,6 +351,13 @@ def demo(
     with progress_bar(not (quiet or json)) as progress:
         result = api.demo(out, seed=seed, progress=progress, command=command_line(context))
     show_fit(result, out, quiet=quiet, json=json)
+
+
+def moment(text: str) -> str | float:
+    """A time as typed: a Julian date, a date alone (from 0 h), or ISO text as it is."""
+    if text.replace(".", "", 1).isdigit():
+        return float(text)
+    return f"{text}T00:00:00" if re.fullmatch(r"\d{4}-\d\d-\d\d", text) else text
 
 
 def use_threads(threads: int | None) -> None:

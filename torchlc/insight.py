@@ -19,7 +19,8 @@ from torchlc.assemble import COMPONENT_SIZES, assemble
 from torchlc.effects import GEOMETRY_STAGES
 from torchlc.effects.base import View
 from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve, degrees_between
+from torchlc.model import LightCurve
+from torchlc.orbit import angle_between
 
 NARROWER = 0.75
 """Ratio of posterior to prior standard deviation below which a parameter is informed; 4000 prior draws give
@@ -84,7 +85,7 @@ def glints(view: View) -> dict[str, Glint | None]:
             directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0], one) for one in directions)
         for normal in patch.normal.split(size):
             cos_i, cos_r, _ = (one @ normal.T for one in directions)
-            angle = degrees_between(directions[2][:, None], normal)
+            angle = torch.rad2deg(angle_between(directions[2][:, None], normal[None]))
             angle = torch.where((cos_i > 0) & (cos_r > 0), angle, math.inf)
             least = float(angle.min())
             best = found[patch.material]

@@ -1,7 +1,9 @@
-"""The light curve as a module: geometry and effects around the facet sum of eqs. 8-11, from theta to magnitudes.
+"""The light curve as a module: geometry and effects around the facet sum of eqs. 8-11, from theta to
+magnitudes.
 
-``LightCurve`` separates what depends on geometry (computed once while no geometric parameter is free) from what depends on materials
-(one exponential per lit-and-seen pair of facet and epoch). Letters: B batch, L lights, Q instants, T rows, F facets, C components.
+``LightCurve`` separates what depends on geometry (computed once while no geometric parameter is free) from
+what depends on materials (one exponential per lit-and-seen pair of facet and epoch). Letters: B batch, L
+lights, Q instants, T rows, F facets, C components.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ RECENT_TABLES = 48
 NODES = 9
 CLOCK_TURN_DEG = 3.0
 MOST_TRACED_PAIRS = 1_000_000
-"""Facet-row pairs of a mesh beyond which a clock offset is interpolated; 3 deg between nodes keep the cubic within 2e-4."""
+"""Facet-row pairs of a mesh beyond which a clock offset is interpolated; 3 deg between nodes keep the cubic
+within 2e-4."""
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
 MOST_CONDENSED = 1_000_000
@@ -53,7 +56,8 @@ VALUES_PER_CHUNK = 8_000_000
 
 @dataclass(frozen=True)
 class Tables:
-    """What the material stage needs: a surface per component and material, and effects that scatter further light."""
+    """What the material stage needs: a surface per component and material, and effects that scatter further
+    light."""
 
     surfaces: tuple[Surface, ...]
     scatter: tuple[tuple[Effect, Scatter], ...]
@@ -61,11 +65,14 @@ class Tables:
 
 
 class LightCurve(nn.Module):
-    """Model of one recording. ``model()`` is the light curve at the module's own parameters, ``model(theta)`` at natural values
-    theta (..., P): magnitudes (..., T), or the irradiance ratio Phi for a recording of relative flux.
+    """Model of one recording. ``model()`` is the light curve at the module's own parameters, ``model(theta)``
+    at natural values theta (..., P): magnitudes (..., T), or the irradiance ratio Phi for a recording of
+    relative flux.
 
-    ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as ``free.<owner>.<name>``; ``names`` lists
-    them in the order of theta and ``theta()`` gives their natural values. Neglects everything that is not among ``effects``.
+    ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The
+    free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as
+    ``free.<owner>.<name>``; ``names`` lists them in the order of theta and ``theta()`` gives their natural
+    values. Neglects everything that is not among ``effects``.
     """
 
     def __init__(
@@ -87,7 +94,7 @@ class LightCurve(nn.Module):
             owner, short = owner.replace(".", "_"), short.replace(".", "_")
             if owner not in self.free:
                 self.free[owner] = nn.ParameterDict()
-            self.free[owner][short] = nn.Parameter(z[index].clone())
+            self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
             self._keys.append((owner, short))
         shared = sibling is not None and sibling.tables_key == self.tables_key
         self._tables: dict[bool, Tables] = sibling._tables if shared and sibling is not None else {}
@@ -120,7 +127,7 @@ class LightCurve(nn.Module):
 
     def unconstrained(self) -> Tensor:
         """The module's own parameters as one vector z, (P,)."""
-        leaves = [self.free[owner][short] for owner, short in self._keys]
+        leaves = [self.free[owner][short] for owner, short in self._keys]  # pyright: ignore[reportIndexIssue]
         return torch.stack(leaves) if leaves else self.parameter_set.start()
 
     def theta(self) -> Tensor:
@@ -131,7 +138,7 @@ class LightCurve(nn.Module):
     def set_theta(self, theta: Tensor) -> None:
         """Make natural values theta (P,) the module's own."""
         for (owner, short), value in zip(self._keys, self.parameter_set.to_unconstrained(theta), strict=True):
-            self.free[owner][short].copy_(value)
+            self.free[owner][short].copy_(value)  # pyright: ignore[reportIndexIssue]
 
     def values(self, theta: Tensor | None = None) -> dict[str, Tensor]:
         """Every number of the model by its full name, free and fixed."""
@@ -139,7 +146,8 @@ class LightCurve(nn.Module):
 
     @property
     def tables_key(self) -> tuple[str, ...]:
-        """What the tables of a fixed geometry depend on; models of one assembly with equal keys may share them."""
+        """What the tables of a fixed geometry depend on; models of one assembly with equal keys may share
+        them."""
         shaping = [e for e in self.effects if e.stage in GEOMETRY_STAGES or e.name == "lobe_tail"]
         return (str(self.geometry_free), *(f"{e.name}[{e.target}]" for e in shaping))
 
@@ -151,12 +159,14 @@ class LightCurve(nn.Module):
     # ------------------------------------------------------------------ the curve
 
     def forward(self, theta: Tensor | None = None) -> Tensor:
-        """Magnitudes (..., T), or relative flux for a recording of kind ``flux``, of natural values theta (..., P)."""
+        """Magnitudes (..., T), or relative flux for a recording of kind ``flux``, of natural values theta
+        (..., P)."""
         brightness = self.brightness(theta)
         return self.magnitude(brightness, theta) if self.recording.kind == "mag" else brightness.flux
 
     def magnitude(self, brightness: Brightness, theta: Tensor | None = None) -> Tensor:
-        """Eq. 11: band_sun_magnitude - 2.5 log10 Phi + zero_point, (..., T); +inf where the flux is 0 or less."""
+        """Eq. 11: band_sun_magnitude - 2.5 log10 Phi + zero_point, (..., T); +inf where the flux is 0 or
+        less."""
         lit = brightness.flux > 0
         magnitude = -2.5 * torch.log10(torch.where(lit, brightness.flux, 1.0))
         return self.assembly.sun_magnitude + torch.where(lit, magnitude, math.inf) + self.zero_point(theta)
@@ -166,7 +176,8 @@ class LightCurve(nn.Module):
         return self.assembly.rows(self.values(theta), "zero_point")
 
     def brightness(self, theta: Tensor | None = None, *, shares: bool = False) -> Brightness:
-        """Total flux Phi (..., T), and component shares (..., C, T) if asked for, of natural values theta (..., P)."""
+        """Total flux Phi (..., T), and component shares (..., C, T) if asked for, of natural values theta
+        (..., P)."""
         theta = self.theta() if theta is None else theta
         if not self.geometry_free:
             detail = shares or self.assembly.needs_shares
@@ -174,7 +185,7 @@ class LightCurve(nn.Module):
         if theta.ndim == 1:
             return self._single(theta, shares)
         flat = theta.reshape(-1, theta.shape[-1])
-        if not torch.is_grad_enabled() and not torch._C._functorch.peek_interpreter_stack():
+        if not torch.is_grad_enabled() and not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
             grouped = self._grouped(flat, shares)
             if grouped is not None:
                 kept = grouped.shares
@@ -192,8 +203,9 @@ class LightCurve(nn.Module):
         return Brightness(flux, kept, self.assembly.components)
 
     def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
-        """Rows of theta (B, P) that share their geometric parameters share one compact table; None where almost none do, so that a
-        vectorised call is better. Recent tables are kept: an optimiser comes back to the point it stepped from."""
+        """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
+        almost none do, so that a vectorised call is better. Recent tables are kept: an optimiser comes back
+        to the point it stepped from."""
         if self._only_clock():
             return self._interpolated(flat, shares)
         moving = flat[:, self.assembly.geometry_columns]
@@ -221,29 +233,46 @@ class LightCurve(nn.Module):
     @property
     def unaffordable(self) -> bool:
         """True if fits would work out the whole of a large mesh anew for every value of a parameter."""
-        return self.geometry_free and self.assembly.traced_pairs > MOST_TRACED_PAIRS and not self._only_clock()
+        return (
+            self.geometry_free and self.assembly.traced_pairs > MOST_TRACED_PAIRS and not self._only_clock()
+        )
 
     def _only_clock(self) -> bool:
-        """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the offset."""
+        """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the
+        offset."""
         moved = {self.names[column].partition("[")[0] for column in self.assembly.geometry_columns}
         plain = all(self.assembly.models[one].additive for one in self.scene.materials)
         return moved == {"time_offset.s"} and plain and self.assembly.traced_pairs > MOST_TRACED_PAIRS
 
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
-        """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a turn apart, by cubics
-        through four of them; offsets beyond the outermost are taken there."""
+        """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a
+        turn apart, by cubics through four of them; offsets beyond the outermost are taken there."""
         values = self.parameter_set.values(flat[0])
         detail = shares or self.assembly.needs_shares
         half = NODES // 2
         if not self._nodes:
-            still = {**values, **{name: torch.zeros_like(v) for name, v in values.items() if name.startswith("time_offset.s")}}
-            later = {**values, **{name: torch.ones_like(v) for name, v in values.items() if name.startswith("time_offset.s")}}
+            still = {
+                **values,
+                **{
+                    name: torch.zeros_like(v)
+                    for name, v in values.items()
+                    if name.startswith("time_offset.s")
+                },
+            }
+            later = {
+                **values,
+                **{
+                    name: torch.ones_like(v) for name, v in values.items() if name.startswith("time_offset.s")
+                },
+            }
             state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
             first, second = (self.assembly.attitude.rotation(one, values) for one in state)
             turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
             self._node_step = float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
             for k in range(-half, half + 1):
-                moved = {name: still[name] + k * self._node_step * (later[name] - still[name]) for name in values}
+                moved = {
+                    name: still[name] + k * self._node_step * (later[name] - still[name]) for name in values
+                }
                 self._nodes.append(self.make_tables(self.view(moved), moved, detail, compact=True))
         place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / self._node_step
         place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
@@ -251,10 +280,12 @@ class LightCurve(nn.Module):
         x = place - first_node
         weights = torch.stack(
             [
-                -(x - 1) * (x - 2) * (x - 3) / 6, x * (x - 2) * (x - 3) / 2,
-                -x * (x - 1) * (x - 3) / 2, x * (x - 1) * (x - 2) / 6,
+                -(x - 1) * (x - 2) * (x - 3) / 6,
+                x * (x - 2) * (x - 3) / 2,
+                -x * (x - 1) * (x - 3) / 2,
+                x * (x - 1) * (x - 2) / 6,
             ]
-        )  # fmt: skip
+        )
         column = torch.arange(self.assembly.T)
         surfaces = []
         for number, surface in enumerate(self._nodes[0].surfaces):
@@ -262,7 +293,8 @@ class LightCurve(nn.Module):
             for name in surface.table:
                 stack = torch.stack([node.surfaces[number].table[name] for node in self._nodes])
                 table[name] = sum(
-                    (weights[k] * stack[first_node + k, column] for k in range(4)), start=torch.zeros_like(place)
+                    (weights[k] * stack[first_node + k, column] for k in range(4)),
+                    start=torch.zeros_like(place),
                 )
             surfaces.append(replace(surface, table=table))
         tables = replace(self._nodes[0], surfaces=tuple(surfaces))
@@ -270,11 +302,14 @@ class LightCurve(nn.Module):
 
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
         values = self.parameter_set.values(theta)
-        tables = self.make_tables(self.view(values), values, shares or self.assembly.needs_shares, compact=False)
+        tables = self.make_tables(
+            self.view(values), values, shares or self.assembly.needs_shares, compact=False
+        )
         return self.shine(tables, values, shares)
 
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
-        """Batches beyond the memory rule are cut along their leading axis; gradients need the whole and are never cut."""
+        """Batches beyond the memory rule are cut along their leading axis; gradients need the whole and are
+        never cut."""
         flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
         sizes = [table.numel() for surface in tables.surfaces for table in surface.table.values()]
         largest = max(sizes + [scatter.values for _, scatter in tables.scatter], default=1)
@@ -292,7 +327,8 @@ class LightCurve(nn.Module):
     # ------------------------------------------------------------------ geometry
 
     def view(self, values: Mapping[str, Tensor], rows: slice | None = None) -> View:
-        """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to surface."""
+        """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to
+        surface."""
         a = self.assembly
         context = a.context
         zero = torch.zeros(1, a.T, dtype=a.dtype, device=a.device)
@@ -322,19 +358,32 @@ class LightCurve(nn.Module):
         for effect in a.stage("pointing"):
             poses = effect.pointing(poses, a.own(effect, values), context)
         view = View(
-            nodes, state, rotation, to_sun, to_observer, 1e3 * range_km, poses, facets,
+            nodes,
+            state,
+            rotation,
+            to_sun,
+            to_observer,
+            1e3 * range_km,
+            poses,
+            facets,
             lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
-        )  # fmt: skip
+        )
         patches = tuple(
             Patch(
-                component=part.name, material=material, model=a.models[material],
+                component=part.name,
+                material=material,
+                model=a.models[material],
                 faces=[part.faces[i] for i in index.tolist()],
-                normal=one.normal[index], u=one.u[index], area=one.area[index],
-                pose=poses[number], part=number, select=index,
+                normal=one.normal[index],
+                u=one.u[index],
+                area=one.area[index],
+                pose=poses[number],
+                part=number,
+                select=index,
             )
             for number, (part, one) in enumerate(zip(a.shape.parts, facets, strict=True))
             for material, index in a.patches[number]
-        )  # fmt: skip
+        )
         lights = view.lights
         for effect in a.stage("light"):
             lights = effect.light(lights, view, a.own(effect, values), context)
@@ -344,7 +393,8 @@ class LightCurve(nn.Module):
         return replace(view, patches=patches)
 
     def tables(self, detail: bool = False) -> Tables:
-        """The tables of a model whose geometry is fixed, made on first use; with ``detail`` wings stay apart."""
+        """The tables of a model whose geometry is fixed, made on first use; with ``detail`` wings stay
+        apart."""
         if detail not in self._tables:
             with torch.no_grad():
                 values = self.parameter_set.values(self.parameter_set.start())
@@ -353,7 +403,8 @@ class LightCurve(nn.Module):
         return self._tables[detail]
 
     def _condensed(self, surface: Surface) -> Surface:
-        """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing reshapes the lobe."""
+        """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing
+        reshapes the lobe."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
         shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
@@ -362,10 +413,11 @@ class LightCurve(nn.Module):
             return surface
         if not hasattr(surface.model, "condense"):
             return surface
-        return replace(surface, table=surface.model.condense(table))
+        return replace(surface, table=surface.model.condense(table))  # pyright: ignore[reportAttributeAccessIssue]
 
     def make_tables(self, view: View, values: Mapping[str, Tensor], detail: bool, *, compact: bool) -> Tables:
-        """Angles and weights of every pair of facet and instant, reduced as far as the materials' models allow."""
+        """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
+        allow."""
         a = self.assembly
         phase = torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2
         phase_angle = 2 * torch.acos(phase[phase.shape[0] // 2].clamp(max=1 - 1e-15))
@@ -402,12 +454,13 @@ class LightCurve(nn.Module):
             by_component[component] = light if old is None else old + light
 
         for surface in tables.surfaces:
-            light = self.reflect(surface, values)
+            specular, diffuse = self.reflect(surface, values)
+            light = specular + diffuse
             if surface.scale is not None:
                 light = light * a.rows(values, surface.scale)
             add(surface.component, light, surface.sunlit)
 
-        def reflector(surface: Surface) -> Tensor:
+        def reflector(surface: Surface) -> tuple[Tensor, Tensor]:
             return self.reflect(surface, {name: value[..., None] for name, value in values.items()})
 
         for effect, scatter in tables.scatter:
@@ -427,16 +480,15 @@ class LightCurve(nn.Module):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
 
-    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> Tensor:
-        """Lobe and diffuse flux (..., T) of one surface together, through the effects of its material."""
+    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Lobe and diffuse flux (..., T) of one surface, through the effects of its material."""
         a = self.assembly
         own = a.material_values(surface.material, surface.model, values)
         reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
                 reflect = effect.material(reflect, surface, own, a.own(effect, values))
-        specular, diffuse = reflect(own)
-        return specular + diffuse
+        return reflect(own)
 
     def noise(self, theta: Tensor) -> Noise:
         """What the noise effects add to the quoted errors at natural values theta (..., P)."""
@@ -457,4 +509,5 @@ def _unit(vector: Tensor) -> Tensor:
 
 def degrees_between(a: Tensor, b: Tensor) -> Tensor:
     """Angle between unit vectors (..., 3), degrees, accurate at any size."""
-    return 2 * torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)) * (180 / math.pi)
+    apart, together = torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)
+    return torch.rad2deg(2 * torch.atan2(apart, together))

@@ -298,9 +298,9 @@ def _resumed(
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
     chain = backend.get_chain(discard=backend.iteration // 4)
-    return np.nan_to_num(
-        emcee.autocorr.integrated_time(chain, tol=0, quiet=True), nan=float(backend.iteration)
-    )
+    with np.errstate(invalid="ignore"):  # a walker that has not moved has no autocorrelation
+        tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)
+    return np.nan_to_num(tau, nan=float(backend.iteration))
 
 
 def _long_enough(backend: emcee.backends.Backend) -> bool:

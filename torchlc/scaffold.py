@@ -63,7 +63,7 @@ def read_elements(path: str | Path) -> list[ElementSet]:
     return found
 
 
-def nearest_elements(sets: list[ElementSet], date: str | None, source: Path) -> ElementSet:
+def nearest_elements(sets: list[ElementSet], date: str | float | None, source: Path) -> ElementSet:
     """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; all of one object."""
     numbers = sorted({one.lines[0][2:7] for one in sets})
     if len(numbers) > 1:
@@ -82,7 +82,7 @@ def nearest_elements(sets: list[ElementSet], date: str | None, source: Path) -> 
     if date is None:
         return sets[int(np.argmax(epochs))]
     try:
-        when: Any = instant(float(date) if date.replace(".", "", 1).isdigit() else date, "utc")
+        when: Any = instant(date, "utc")
     except UnreadableTime as error:
         raise InputError(None, "--date", repr(error.found), error.expected) from None
     return sets[int(np.argmin(np.abs(np.array(epochs) - float(when.jd))))]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
 from torchlc.recording import Recording
 from torchlc.recording.declared import VECTORS
+from torchlc.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -137,10 +138,14 @@ class SimulatedCurve:
         return f"<pre>{html.escape(repr(self))}</pre>"
 
 
-def simulated_curve(model: LightCurve, noise: float | None = None, seed: int = 0) -> SimulatedCurve:
+def simulated_curve(
+    scene: Scene, recording: Recording, noise: float | None = None, seed: int = 0
+) -> SimulatedCurve:
     """The curve of a model at its starting values; with normal errors of ``noise`` mag if given, which are
     quoted, widened by what the model's noise effects say, which is not.
     """
+    quoted = replace(recording, error=np.full(len(recording), 1.0 if noise is None else noise))
+    model = LightCurve(scene, quoted)
     theta = model.parameter_set.start()
     with torch.no_grad():
         brightness = model.brightness(theta, shares=True)
@@ -160,8 +165,8 @@ def simulated_curve(model: LightCurve, noise: float | None = None, seed: int = 0
         }
     shares = np.where(shares.sum(0) == 0, np.nan, shares)
     return SimulatedCurve(
-        name=model.scene.name,
-        recording=model.recording,
+        name=scene.name,
+        recording=recording if noise is None else quoted,
         columns=columns | _geometry(model, theta),
         shares=dict(zip(brightness.components, shares, strict=True)),
         warnings=model.assembly.warnings,

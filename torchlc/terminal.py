@@ -37,6 +37,8 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
         with quiet_libraries():
             found = action()
             sys.stdout.flush()
+        if found == INTERRUPTED:  # newer typer turns Ctrl-C into this exit code itself
+            raise KeyboardInterrupt
     except TorchlcError as error:
         say(f"error: {error}")
         return error.exit_code

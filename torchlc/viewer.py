@@ -12,7 +12,8 @@ import torch
 
 from torchlc.drawing import brightest, good_camera, posed_mesh
 from torchlc.effects.base import View
-from torchlc.model import LightCurve, degrees_between
+from torchlc.model import LightCurve
+from torchlc.orbit import angle_between
 from torchlc.raster import fan
 from torchlc.simulated import iso_times
 from torchlc.style import component_colour
@@ -86,13 +87,13 @@ def nearest_glints(view: View, rows: np.ndarray) -> tuple[np.ndarray, list[str]]
         if patch.pose is not None:
             directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0, index], one) for one in directions)
         cos_i, cos_r = (one @ patch.normal.T for one in directions[:2])
-        angle = degrees_between(directions[2][:, None], patch.normal)
+        angle = torch.rad2deg(angle_between(directions[2][:, None], patch.normal[None]))
         angle = torch.where((cos_i > 0) & (cos_r > 0), angle, math.inf)
         least = angle.min(1)
         for k in torch.nonzero(least.values < best)[:, 0].tolist():
             best[k] = least.values[k]
             names[k] = f"{patch.component} {patch.faces[int(least.indices[k])]}, {float(best[k]):.1f}°"
-    return degrees_between(to_sun, to_observer).numpy(), names
+    return torch.rad2deg(angle_between(to_sun, to_observer)).numpy(), names
 
 
 def simplified(triangles: np.ndarray, most: int) -> np.ndarray:

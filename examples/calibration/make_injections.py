@@ -608,14 +608,14 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        description="Write concealed-effect cases made by the brute-force reference."
+        description="Write concealed-effect cases; those already there are kept."
     )
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     options = parser.parse_args()
     for number, name in enumerate(names(), 70001):
-        if options.only in name:
+        if options.only in name and not (options.out / name / "answer.json").exists():
             print(write_case(name, options.out / name, number, options.seed), flush=True)
 
 

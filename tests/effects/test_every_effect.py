@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,7 +82,8 @@ def test_it_is_described_and_tested(name: str) -> None:
         assert quantity.meaning
         assert quantity.typical is not None
         assert quantity.low <= quantity.typical <= quantity.high
-        assert quantity.off is None or quantity.low <= quantity.off <= quantity.high
+        bounded = quantity.off is not None and math.isfinite(quantity.off)
+        assert not bounded or quantity.low <= quantity.off <= quantity.high
         assert quantity.prior != "loguniform" or quantity.low > 0
         assert quantity.prior not in ("normal", "halfnormal", "lognormal") or quantity.sigma is not None
 

@@ -45,7 +45,7 @@ def test_mirror_glint_is_that_of_ten_thousand_suns(tmp_path, n, half_phase_deg):
 
 
 def test_nothing_without_a_lobe_needs_a_disc(tmp_path):
-    """The mean of a plane's Lambert light over a small disc is that of its centre to the disc's area, 2e-5."""
+    """The mean of a plane's Lambert light over a small disc is that of its centre but for the disc's area."""
     scene = still(PLATE, material("white", 0.0, 0.0, 0.8))
     to_sun, to_observer = tilted(np.array([10.0, 40.0])), tilted(np.array([20.0, 30.0]), 90.0)
     recording = seen_from(scene, tmp_path, to_sun, to_observer)

@@ -60,14 +60,14 @@ def next_nights(first: Found, second: Found) -> list[Option]:
                 continue
             margin = _margin(first.refit, second.refit, scene, grid)
             if margin is not None:
-                options.append(Option(start.isot[:16], station.id, hours, hours * 3600 / ROWS, margin))
+                options.append(Option(str(start.isot)[:16], station.id, hours, hours * 3600 / ROWS, margin))
     return sorted(options, key=lambda one: -one.margin)
 
 
 def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -> Recording | None:
     """Rows of one night above the horizon with errors like the recording's; None if there are too few."""
     try:
-        grid = observation_grid(scene, start.isot, hours, hours * 3600 / ROWS, station)
+        grid = observation_grid(scene, str(start.isot), hours, hours * 3600 / ROWS, station)
         grid = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
     except TorchlcError:
         return None

@@ -53,9 +53,8 @@ GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 @dataclass(frozen=True)
 class Nodes:
-    """Instants of each row: seconds after the stamp (Q, T) and weights (Q, 1) or (Q, T) that sum to
-    1 over Q.
-    """
+    """Instants of each row: seconds after the stamp (Q, T) and weights (Q, 1) or (Q, T) that sum to 1 over
+    Q."""
 
     offset: Tensor
     weight: Tensor
@@ -64,8 +63,7 @@ class Nodes:
 @dataclass(frozen=True)
 class Request:
     """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit,
-    rad (1,) or (T,).
-    """
+    rad (1,) or (T,)."""
 
     observer_offset: Tensor
     object_offset: Tensor
@@ -131,8 +129,7 @@ class View:
 @dataclass(frozen=True)
 class Surface:
     """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if
-    its light is the Sun's; ``scale`` as of :class:`Light`.
-    """
+    its light is the Sun's; ``scale`` as of :class:`Light`."""
 
     component: str
     material: str
@@ -146,8 +143,7 @@ class Surface:
 @dataclass(frozen=True)
 class Sky:
     """What the shade stage sees: positions at every instant, their weights, and ``fixed`` if no free
-    parameter moves them.
-    """
+    parameter moves them."""
 
     state: State
     nodes: Nodes
@@ -157,8 +153,7 @@ class Sky:
 @dataclass(frozen=True)
 class Brightness:
     """Irradiance over the Sun's at 1 au, (..., T), and the component shares of the object's light (..., C,
-    T), or None if unasked.
-    """
+    T), or None if unasked."""
 
     flux: Tensor
     shares: Tensor | None
@@ -169,8 +164,7 @@ class Brightness:
 class Noise:
     """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag
     and time scale ``tau`` min; a share ``outliers`` of rows with errors ``width`` times as large. Each (...,
-    1) or None.
-    """
+    1) or None."""
 
     jitter: Tensor | None = None
     red: Tensor | None = None
@@ -186,16 +180,14 @@ def traced() -> bool:
 
 class Memory:
     """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY
-    bytes.
-    """
+    bytes."""
 
     def __init__(self) -> None:
         self._kept: dict[bytes, Sequence[Tensor]] = {}
 
     def recall(self, inputs: Sequence[Tensor], compute: Callable[[], Sequence[Tensor]]) -> Sequence[Tensor]:
         """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need
-        it traced.
-        """
+        it traced."""
         if traced():
             return compute()
         digest = hashlib.blake2b(digest_size=16)
@@ -249,17 +241,15 @@ class Context:
 
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]
-Reflector = Callable[[Surface], Tensor]
-"""Light (..., P, T) of a surface whose table has a leading axis P, by its material with all the effects on
-it.
-"""
+Reflector = Callable[[Surface], tuple[Tensor, Tensor]]
+"""Lobe and diffuse light (..., P, T) of a surface whose table has a leading axis P, by its material with all
+the effects on it."""
 
 
 @dataclass(frozen=True)
 class Scatter:
     """Further sunlight: ``light`` gives it by component, (..., T), from what materials and the effect's
-    parameters are at present; ``values`` is how many numbers it holds for one of them.
-    """
+    parameters are at present; ``values`` is how many numbers it holds for one of them."""
 
     light: Callable[[Reflector, Parameters], Mapping[str, Tensor]]
     values: int = 1
@@ -269,8 +259,7 @@ class Scatter:
 class Entry:
     """One item of a list of effects: ``name``, ``name[target]``, and, where the diagnosis divides an offset,
     ``name@curve`` (or ``@night``, ``@station``): a value for each, drawn from a normal of standard deviation
-    ``width`` (``name@curve~width``).
-    """
+    ``width`` (``name@curve~width``)."""
 
     name: str
     target: str | None = None
@@ -300,8 +289,7 @@ class Effect:
     lights; ``brdf`` is the reflection model of a surface that it adds; ``linear`` marks an effect of the
     geometry whose parameters only scale its light; ``divisible`` an offset that each curve or night may have
     for itself (``by`` names the division of this one, ``width`` the spread of its values); ``unable`` says
-    why what is not among its targets cannot be one.
-    """
+    why what is not among its targets cannot be one."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -338,15 +326,13 @@ class Effect:
 
     def prepared(self, context: Context) -> Effect:
         """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
-        ``nodes`` they need.
-        """
+        ``nodes`` they need."""
         return self
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:
-        """What the effect may be applied to: materials or components where ``per`` says so, else
-        the whole.
-        """
+        """What the effect may be applied to: materials or components where ``per`` says so, else the
+        whole."""
         if cls.per == "material":
             return context.materials
         if cls.per == "component":
@@ -386,8 +372,7 @@ class Effect:
 
     def scatter(self, view: View, context: Context) -> Scatter:
         """What geometry alone says of it is worked out here; the function that it returns adds materials and
-        parameters.
-        """
+        parameters."""
         return Scatter(lambda reflect, p: {})
 
     def material(

@@ -14,18 +14,24 @@ LIMB_DARKENING = 0.6
 
 
 def disc_nodes(dtype: torch.dtype, device: torch.device | str) -> tuple[torch.Tensor, torch.Tensor]:
-    """Points (D, 2) in radii of the disc and weights (D,) that sum to 1: a quadrature over the limb-darkened disc
-    1 - u (1 - sqrt(1 - r^2)) by Gauss-Legendre rings in r^2."""
+    """Points (D, 2) in radii of the disc and weights (D,) that sum to 1: a quadrature over the limb-darkened
+    disc 1 - u (1 - sqrt(1 - r^2)) by Gauss-Legendre rings in r^2."""
     rings, spokes = 4, 9
     x, w = torch.linalg.eigh(_legendre(rings))
     x, w = 0.5 * (x + 1), w[0] ** 2
     radius = torch.sqrt(x)
     brightness = 1 - LIMB_DARKENING * (1 - torch.sqrt(1 - x))
     weight = w * brightness
-    angle = 2 * math.pi * (torch.arange(spokes, dtype=x.dtype)[None] / spokes + torch.arange(rings)[:, None] / (2 * spokes))
+    angle = (
+        2
+        * math.pi
+        * (torch.arange(spokes, dtype=x.dtype)[None] / spokes + torch.arange(rings)[:, None] / (2 * spokes))
+    )
     points = torch.stack([radius[:, None] * torch.cos(angle), radius[:, None] * torch.sin(angle)], -1)
     weights = (weight / weight.sum())[:, None].expand(rings, spokes) / spokes
-    return points.reshape(-1, 2).to(dtype=dtype, device=device), weights.reshape(-1).to(dtype=dtype, device=device)
+    return points.reshape(-1, 2).to(dtype=dtype, device=device), weights.reshape(-1).to(
+        dtype=dtype, device=device
+    )
 
 
 def _legendre(order: int) -> torch.Tensor:
@@ -34,9 +40,11 @@ def _legendre(order: int) -> torch.Tensor:
 
 
 class FiniteSun(Effect):
-    """The limb-darkened disc of the Sun lights the object from 36 directions: a mirror glint is as wide as the Sun.
+    """The limb-darkened disc of the Sun lights the object from 36 directions: a mirror glint is as wide as
+    the Sun.
 
-    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. Neglects the softening of shadow edges, 9 mm at 2 m.
+    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. Neglects the softening of shadow edges, 9 mm at 2
+    m.
     """
 
     name = "finite_sun"
@@ -57,7 +65,8 @@ class FiniteSun(Effect):
 
 
 def _spread(light: Light, points: torch.Tensor, weights: torch.Tensor, radius: torch.Tensor) -> Light:
-    """Replace each source (L, Q, T) by the points of a disc of angular ``radius`` (Q, T) around it, (D L, Q, T)."""
+    """Replace each source (L, Q, T) by the points of a disc of angular ``radius`` (Q, T) around it, (D L, Q,
+    T)."""
     centre = light.direction
     axis = torch.nn.functional.one_hot(centre.abs().argmin(-1), 3).to(centre)
     first = torch.linalg.cross(centre, axis)

@@ -1,0 +1,341 @@
+"""The command line, as typed: exit codes, one line of error, nothing written on bad input, JSON, locks, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import torchlc
+from tests.bad_input_cases import CASES, Case
+from tests.small_case import write_case
+from torchlc.cli import run
+
+LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"
+TLE = """\
+TEST SATELLITE
+1 00001U 16037A   20284.07341138 -.00000354  00000-0  00000+0 0  9993
+2 00001   1.7237  67.2351 0007471   0.1818  88.7233  1.00273124 15966
+TEST SATELLITE
+1 00001U 16037A   20294.07341138 -.00000354  00000-0  00000+0 0  9994
+2 00001   1.7237  67.2351 0007471   0.1818  88.7233  1.00273124 15966
+"""
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    scene, recording = write_case(tmp_path_factory.mktemp("case"))
+    return str(scene), str(recording)
+
+
+def process(*arguments: str, **options) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "torchlc", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
+    for command in ("", "simulate", "fit", "diagnose", "period", "materials", "effects", "demo", "init"):
+        assert run([*command.split(), "--help"]) == 0
+        assert "Usage" in capsys.readouterr().out
+    assert run([]) == 0
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("torchlc 0.")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nonsense"], ["fit"], ["fit", "a.toml"], ["fit", "a", "b", "-o"], ["simulate", "a", "-o", "o", "--hours", "x"],
+     ["effects", "--sideways"], ["fit", "a", "b", "-o", "o", "--seed", "-1"], ["fit", "a", "b", "-o", "o", "--steps", "0"]],
+)  # fmt: skip
+def test_a_command_typed_wrongly_is_one_line_and_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1 and said.err.startswith("torchlc: error: ")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.outcome == "exit2"], ids=lambda case: case.name)
+def test_bad_input_is_one_line_and_2_and_nothing_is_written(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    scene, recording = case.write(folder)
+    assert run(["fit", str(scene), str(recording), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1
+    assert (
+        said.err.startswith("torchlc: error: ") and case.message in said.err and "Traceback" not in said.err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.outcome != "exit2"], ids=lambda case: case.name)
+def test_what_can_be_mended_is_told_in_the_result(case: Case, tmp_path: Path):
+    content = torchlc.fit(*case.write(tmp_path), steps=20).to_json()
+    if case.outcome == "dropped":
+        assert content["dropped"] == {case.message: 1}
+    else:
+        assert any(case.message in warning for warning in content["warnings"])
+
+
+def test_simulate_on_a_grid_and_at_rows(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = str(tmp_path / "out")
+    grid = ["--start", "2020-10-17T15:00:00", "--hours", "1", "--cadence", "600"]
+    assert run(["simulate", case[0], *grid, "-o", out]) == 0
+    assert "7 rows" in capsys.readouterr().out
+    first = Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv")
+    assert len(first) == 7 and "mag_err" not in first.colnames
+    jd = ["--start", "2459140.125", *grid[2:]]
+    assert run(["simulate", case[0], *jd, "-o", out, "--noise", "0.05", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    noisy = Table.read(told["file"], format="ascii.ecsv")
+    assert list(noisy["time"]) == list(first["time"]) and set(noisy["mag_err"]) == {0.05}
+    assert run(["simulate", *case, "-o", out, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    np.testing.assert_array_equal(
+        Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv")["time"],
+        Table.read(case[1], format="ascii.ecsv")["time"],
+    )
+    assert run(["simulate", *case, *grid, "-o", out]) == 2
+
+
+def test_fit_says_what_it_found(case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    arguments = ["fit", *case, "-o", str(tmp_path), "--steps", "60", "--seed", "4"]
+    assert run(arguments) == 0
+    said = capsys.readouterr()
+    assert "panel.n" in said.out and "±" in said.out and "report.html" in said.out
+    assert all(line.startswith("torchlc: warning: ") for line in said.err.splitlines())
+    content = json.loads((tmp_path / "fit.json").read_text())
+    assert (
+        content["provenance"]["command"].startswith("torchlc fit ")
+        and "--seed 4" in content["provenance"]["command"]
+    )
+
+
+def test_json_on_standard_output_is_that_of_the_file(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run(["fit", *case, "-o", str(tmp_path), "--steps", "40", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out) == json.loads((tmp_path / "fit.json").read_text())
+    assert said.err == ""
+
+
+def test_warnings_of_libraries_stay_away(
+    case: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    import torchlc.api
+
+    def noisy(*arguments: object, **options: object) -> object:
+        warnings.warn("from a library", DeprecationWarning, stacklevel=1)
+        return original(*arguments, **options)  # type: ignore[arg-type]
+
+    original = torchlc.api.simulate
+    monkeypatch.setattr("torchlc.api.simulate", noisy)
+    assert run(["simulate", *case, "-o", str(tmp_path)]) == 0
+    assert "from a library" not in capsys.readouterr().err
+
+
+def test_a_killed_fit_resumes_to_the_same_answer_and_a_second_one_is_refused(
+    case: tuple[str, str], tmp_path: Path
+):
+    """Ctrl-C ends with 130 and says how to go on; kill -9 leaves whole files; the result is that of an undisturbed run."""
+
+    def arguments(name: str) -> list[str]:
+        return ["fit", *case, "-o", str(tmp_path / name), "--steps", "500", "--seed", "3", "--quiet"]
+
+    first = process(*arguments("b"))
+    until(lambda: (tmp_path / "b" / "chain.h5").exists(), first)
+    second = process(*arguments("b"))
+    code, (_, error) = second.wait(60), second.communicate()
+    assert code == 2 and f"in use by another run: process {first.pid}" in error
+    assert len(error.splitlines()) == 1
+    first.send_signal(signal.SIGINT)
+    _, error = first.communicate(timeout=60)
+    assert first.returncode == 130
+    assert error.splitlines() == [
+        f"torchlc: interrupted; continue with: torchlc {' '.join(arguments('b'))} --resume"
+    ]
+    third = process(*arguments("b"), "--resume")
+    time.sleep(1.5)
+    third.kill()
+    third.communicate()
+    last = process(*arguments("b"), "--resume")
+    assert last.wait(120) == 0, last.communicate()
+    last.communicate()
+    assert run(arguments("a")) == 0
+    told = [json.loads((tmp_path / name / "fit.json").read_text()) for name in "ab"]
+    for one in told:
+        del one["seconds"], one["provenance"]
+    assert told[0] == told[1]
+    assert not [p for p in (tmp_path / "b").iterdir() if p.name.startswith(".")]
+
+
+def until(condition, worker: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert worker.poll() is None and time.monotonic() < end, worker.communicate()
+        time.sleep(0.02)
+
+
+def test_a_chain_of_other_data_is_not_resumed(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run(["fit", *case, "-o", str(tmp_path / "out"), "--steps", "40", "--quiet"]) == 0
+    other = Table.read(case[1], format="ascii.ecsv")
+    other["mag"] += 0.05
+    other.write(tmp_path / "other.ecsv", format="ascii.ecsv")
+    arguments = [
+        "fit",
+        case[0],
+        str(tmp_path / "other.ecsv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--steps",
+        "40",
+        "--resume",
+    ]
+    before = (tmp_path / "out" / "fit.json").read_bytes()
+    capsys.readouterr()
+    assert run(arguments) == 2
+    assert "a chain of other data" in capsys.readouterr().err
+    assert (tmp_path / "out" / "fit.json").read_bytes() == before
+
+
+@pytest.mark.skipif(shutil.which("prlimit") is None, reason="needs prlimit")
+def test_no_room_on_disk_is_3_and_leaves_no_half_file(case: tuple[str, str], tmp_path: Path):
+    limited = subprocess.run(
+        ["prlimit", "--fsize=20000", sys.executable, "-m", "torchlc", "fit", *case, "-o", str(tmp_path / "out"),
+         "--steps", "40"],
+        capture_output=True, text=True, check=False, env={**os.environ, "MPLCONFIGDIR": str(tmp_path)},
+    )  # fmt: skip
+    assert limited.returncode == 3, limited.stderr
+    assert limited.stderr.startswith("torchlc: error: no room on disk")
+    left = tmp_path / "out"
+    assert not left.exists() or all(
+        p.name == "fit.json" and json.loads(p.read_text()) for p in left.iterdir()
+    )
+
+
+def test_effects_and_materials_are_listed(capsys: pytest.CaptureFixture[str]):
+    from torchlc.effects import names
+
+    assert run(["effects", "--json"]) == 0
+    listed = {one["name"]: one for one in json.loads(capsys.readouterr().out)["effects"]}
+    assert set(listed) == set(names())
+    assert all(one["sentence"].endswith(".") for one in listed.values())
+    deg = listed["panel_offset"]["parameters"][0]
+    assert (deg["name"], deg["unit"], deg["low"], deg["high"], deg["sigma"]) == ("deg", "deg", -15, 15, 3)
+    assert run(["effects"]) == 0
+    assert "panel_offset" in capsys.readouterr().out
+    assert run(["materials", "--json"]) == 0
+    assert {one["name"] for one in json.loads(capsys.readouterr().out)["materials"]} >= {
+        "Kapton",
+        "GaAs",
+        "Al",
+    }
+    assert run(["materials"]) == 0
+    assert "Kapton (ashikhmin-shirley)" in capsys.readouterr().out
+
+
+def test_materials_of_a_posterior(case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run(["fit", *case, "-o", str(tmp_path), "--steps", "40", "--quiet"]) == 0
+    capsys.readouterr()
+    assert run(["materials", "--posterior", str(tmp_path), "--json"]) == 0
+    matches = json.loads(capsys.readouterr().out)["materials"]["panel"]
+    assert sum(one["probability"] for one in matches) == pytest.approx(1)
+    assert run(["materials", "--posterior", str(tmp_path / "nowhere")]) == 2
+
+
+@pytest.mark.skipif(not LAB_TABLE.exists(), reason="needs ../shared/data/starlink_v15")
+def test_a_laboratory_table_is_fitted(capsys: pytest.CaptureFixture[str]):
+    assert run(["materials", "fit", str(LAB_TABLE), "--model", "lambert", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["converged"] and 0 < told["parameters"]["albedo"]["value"] < 0.2
+    assert run(["materials", "fit", str(LAB_TABLE), "--model", "velvet"]) == 2
+
+
+def test_period_of_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    hours = np.linspace(0, 3, 200)
+    rows = [f"{2459000.5 + h / 24:.9f},{10 + 0.2 * np.sin(2 * np.pi * h / 0.25):.5f}" for h in hours]
+    (tmp_path / "obs.csv").write_text("\n".join(["time,mag", *rows]) + "\n")
+    assert run(["period", str(tmp_path / "obs.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["candidates"][0]["period_s"] == pytest.approx(900, rel=1e-3)
+    assert run(["period", str(tmp_path / "obs.csv")]) == 0
+    assert "min (900.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shape", ["box-wing", "cubesat", "rocket body", "cylinder"])
+def test_init_writes_a_scene_that_simulates(shape: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "tle.txt").write_text(TLE)
+    scene = str(tmp_path / "my.toml")
+    arguments = ["init", scene, "--tle", str(tmp_path / "tle.txt"), "--shape", shape]
+    assert run([*arguments, "--station", "weihai,37.536,122.05,110", "--date", "2020-10-11"]) == 0
+    text = Path(scene).read_text()
+    assert 'name = "TEST SATELLITE"' in text and "20284.07341138" in text, "the set nearest to the date"
+    assert text.count("\n# ") >= 5, "commented"
+    assert run(arguments) == 2, "an existing scene is not replaced"
+    grid = ["--start", "2020-10-12T14:00", "--hours", "1", "--cadence", "1200"]
+    assert run(["simulate", scene, *grid, "-o", str(tmp_path / "out"), "--quiet"]) == 0, (
+        capsys.readouterr().err
+    )
+    assert run([*arguments, "--force"]) == 0
+    assert "the station is a placeholder" in capsys.readouterr().err
+    assert "20294.07341138" in Path(scene).read_text(), "the latest set where no date is given"
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        (("9993", "9992"), [], "checksum"),
+        (("1 ", "7 "), [], "no two-line elements"),
+        (("", ""), ["--shape", "cubesatt"], "Did you mean 'cubesat'"),
+        (("", ""), ["--station", "weihai"], "--station"),
+        (("", ""), ["--station", "weihai,95,0,0"], "latitude"),
+        (("", ""), ["--date", "tomorrow"], "--date"),
+        (("", ""), ["--shape", "mesh"], "--mesh"),
+        (("", ""), ["--shape", "mesh", "--mesh", "none.obj"], "none.obj"),
+    ],
+)
+def test_init_refuses_what_would_not_load(
+    change: tuple[str, str],
+    options: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "tle.txt").write_text(TLE.replace(*change) if change[0] else TLE)
+    arguments = [
+        "init",
+        str(tmp_path / "my.toml"),
+        "--tle",
+        str(tmp_path / "tle.txt"),
+        "--date",
+        "2020-10-12",
+        *options,
+    ]
+    assert run(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.splitlines()) == 1
+    assert not (tmp_path / "my.toml").exists()

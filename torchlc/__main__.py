@@ -1,0 +1,5 @@
+"""``python -m torchlc``."""
+
+from torchlc.cli import main
+
+main()

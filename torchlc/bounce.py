@@ -335,7 +335,7 @@ def _led(way: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor]:
     height = ((b - origin) @ normal[..., None])[..., 0]
     flat = (b - origin) @ axes.mT - height[..., None] * slope[:, None]
     turned = (torch.linalg.cross(b[:, 2] - b[:, 0], b[:, 3] - b[:, 1]) * ahead).sum(-1) > 0
-    joints = Joints.of(Plate.hull, way.device)
+    joints = Joints.of(Plate.hull, way.device)  # pyright: ignore[reportArgumentType]
     start, end, present = outline(flat, height, torch.stack([turned, ~turned], -1), joints)
     area = covered_area((a - origin) @ axes.mT, start[:, None], end[:, None], present[:, None])
     return (area.reshape(rows, count),)

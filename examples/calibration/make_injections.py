@@ -46,7 +46,7 @@ from circumstances import (
     toml,
     tumbler,
 )
-from gain import Baseline, Make, sized, truth_of, with_effects
+from gain import Baseline, Make, gain, sized, truth_of, with_effects
 
 Rng = np.random.Generator
 Concealed = dict[str, dict[str, Any]]
@@ -305,7 +305,14 @@ def one_effect(effect: str, words: list[str], at: Mapping[str, Kind], rng: Rng) 
     setup, make = at[words[1] if len(words) > 1 else kind](rng), maker(rng)
     if effect == "interreflection":
         setup = with_effects(smaller_wings(1.0, setup)[0], ["self_shadowing"])
-    size = first if words[0] == "as_is" else sized(setup, make, first, limits, SIZES[words[0]])
+    size = first
+    if words[0] != "as_is":
+        size = sized(setup, make, first, limits, SIZES[words[0]])
+    elif effect == "earthshine":  # only where the Sun leaves it room
+        for _ in range(30):
+            if gain(*make(size, setup), linear=True) > 10.0:
+                break
+            setup = at[kind](rng)
     setup, concealed = make(size, setup)
     concealed = {k: {a: b for a, b in v.items() if a != "unused"} for k, v in concealed.items()}
     answer: dict[str, Any] = {"verdict": "missing_physics"}

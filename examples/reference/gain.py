@@ -73,7 +73,9 @@ class Baseline:
             ends = np.clip([theta[i] - step, theta[i] + step], low[i], high[i])
             pair = [self.curve(np.r_[theta[:i], end, theta[i + 1 :]], {}) for end in ends]
             columns.append((pair[1] - pair[0]) / (ends[1] - ends[0]) / self.sigma)
-        return np.vstack([np.array(columns).T, np.diag(self._prior(theta)[1])])
+        return np.vstack(
+            [np.array(columns).reshape(len(steps), len(self.sigma)).T, np.diag(self._prior(theta)[1])]
+        )
 
     def projected(self, change: sky.Array, tangents: sky.Array) -> sky.Array:
         """A whitened change (T,) less what the baseline can absorb, (T + P,)."""

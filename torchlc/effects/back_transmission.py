@@ -44,4 +44,4 @@ class BackTransmission(Effect):
         through = (sun * -observer).where((sun > 0) & (observer < 0), 0.0) @ facets.area
         irradiance = sum(light.irradiance.sum(0) for light in view.lights if light.primary)
         flux = (view.nodes.weight * irradiance * through / (math.pi * view.range_m**2)).sum(0)
-        return Scatter(lambda reflect, p: {self.target: p["t_d"] * flux})
+        return Scatter(lambda reflect, p: {context.parts[number].name: p["t_d"] * flux})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import shutil
@@ -25,17 +26,23 @@ class Page:
     def __init__(self, path: Path, *, width: int = 1200, height: int = 900, dark: bool = False) -> None:
         assert PROGRAM is not None
         self._profile = tempfile.mkdtemp(prefix="torchlc-chromium-")
-        command = [PROGRAM, *FLAGS, f"--user-data-dir={self._profile}"]
         ours_in, theirs_out = os.pipe()
         theirs_in, ours_out = os.pipe()
+        ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 10) for end in (theirs_in, theirs_out)]
+
+        def join_pipe() -> None:
+            os.dup2(ends[0], 3)
+            os.dup2(ends[1], 4)
+
         self._process = subprocess.Popen(
-            ["sh", "-c", f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}', "sh", *command],
-            pass_fds=(theirs_in, theirs_out),
+            [PROGRAM, *FLAGS, f"--user-data-dir={self._profile}"],
+            preexec_fn=join_pipe,
+            pass_fds=(3, 4),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        os.close(theirs_in)
-        os.close(theirs_out)
+        for end in (theirs_in, theirs_out, *ends):
+            os.close(end)
         self._read, self._write = os.fdopen(ours_in, "rb", 0), os.fdopen(ours_out, "wb", 0)
         self._number, self._rest, self._session = 0, b"", None
         self.problems: list[str] = []

@@ -1,4 +1,6 @@
-"""A small scene with an answer, for tests of what surrounds the model: a box-wing seen for four hours, three numbers free."""
+"""A small scene with an answer, for tests of what surrounds the model: a box-wing seen for four hours,
+three numbers free.
+"""
 
 from __future__ import annotations
 

@@ -50,7 +50,9 @@ def test_simulated_curve_has_every_column_and_shares_that_sum_to_one(case: tuple
 
 
 def test_eclipse_fraction_is_that_of_the_geometry_whatever_the_model(tmp_path: Path):
-    """A geostationary satellite two weeks from the equinox is in umbra around local midnight, and lit at dusk."""
+    """A geostationary satellite two weeks from the equinox is in umbra around local midnight, and lit at
+    dusk.
+    """
     scene, _ = write_case(tmp_path)
     curve = torchlc.simulate(scene, start="2020-10-10T10:00:00", hours=12, cadence=300)
     eclipse = curve.columns["eclipse_fraction"]
@@ -132,7 +134,9 @@ def test_fit_json_is_what_formats_says(result: FitResult, out: Path):
 
 
 def test_chi2_is_that_of_the_rows_at_the_map(result: FitResult, case: tuple[Path, Path]):
-    """Evaluated as a fixed scene: chi-square from the simulated curve and the recording, no code of the fit."""
+    """Evaluated as a fixed scene: chi-square from the simulated curve and the recording, no code of the
+    fit.
+    """
     text = case[0].read_text()
     for name, entry in result.parameters().items():
         short = name.rpartition(".")[2]
@@ -216,7 +220,9 @@ def test_noise_of_a_recording_without_errors_is_fitted(case: tuple[Path, Path], 
 
 
 def test_rows_below_the_horizon_are_dropped_and_counted(case: tuple[Path, Path], tmp_path: Path):
-    """Seen from the antipode of Weihai the satellite never rises; from a place at its horizon some rows are lost."""
+    """Seen from the antipode of Weihai the satellite never rises; from a place at its horizon some rows are
+    lost.
+    """
     scene = tmp_path / "scene.toml"
     scene.write_text(case[0].read_text().replace("122.05", "-57.95").replace("37.536", "-37.536"))
     with pytest.raises(InputError, match="below the horizon"):
@@ -273,7 +279,9 @@ def test_what_is_only_a_scale_of_relative_flux_is_not_informed(tmp_path: Path):
 
 
 def test_a_lobe_whose_glint_never_comes_near_is_not_informed(tmp_path: Path):
-    """The body of Object 2: no glint within 20 deg of any facet, so its exponent keeps its prior, with the reason."""
+    """The body of Object 2: no glint within 20 deg of any facet, so its exponent keeps its prior, with the
+    reason.
+    """
     scene, _ = write_case(tmp_path)
     text = scene.read_text().replace(
         "n = 1000.0", 'n = { value = 1000.0, low = 300.0, high = 1e6, prior = "loguniform" }'

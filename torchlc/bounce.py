@@ -24,7 +24,7 @@ from torchlc.table import ANGLES, EMPTY
 from torchlc.visibility.cover import covered_area
 from torchlc.visibility.lines import blocked, planes
 from torchlc.visibility.outline import Joints, outline
-from torchlc.visibility.rowwise import rowwise
+from torchlc.visibility.rowwise import picked, rowwise
 
 POINTS, CELLS = 4, 4
 """Points across the first facet and cells across the second."""
@@ -231,14 +231,11 @@ class Posed:
         (normal_1, u_1), (normal_2, u_2) = (tuple(one[:, None] for one in frame) for frame in frames)
         one = incidence(normal_1, u_1, self.to_sun[:, None], way)
         two = incidence(normal_2, u_2, -way, self.to_observer[:, None])
-        ahead = (one.cos_r > NEAR) & (two.cos_i > NEAR) & (cosine > 0)
-        area = rowwise(
-            _led,
-            torch.where(ahead[..., None], way, normal_1),
-            *(self.vertices[side.part][:, side.facets[0]] for side in (first, second)),
-        )[0]
-        weight = (self.gain * clear)[:, None] * area * 4 * cosine * size
-        weight = torch.where(ahead & (one.cos_i > 0) & (two.cos_r > 0), weight, 0.0)
+        gain = (self.gain * clear)[:, None] * 4 * cosine * size
+        ahead = (one.cos_i > 0) & (one.cos_r > NEAR) & (two.cos_i > NEAR) & (two.cos_r > 0) & (gain > 0)
+        corners = [self.vertices[side.part][:, side.facets[0]] for side in (first, second)]
+        (area,) = rowwise(_led, way, ahead.to(way), *corners)
+        weight = torch.where(ahead, gain * area, 0.0)
         row, k = _counted(weight)
         given = weight[row, k]
         there, none = (given > 0).to(given), torch.zeros_like(given)
@@ -322,12 +319,11 @@ def _clear(
     return (clear.expand(len(to_sun), -1, -1).to(to_sun),)
 
 
-def _led(way: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor]:
+def _led(way: Tensor, wanted: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor]:
     """Area (T, D) of the first quadrilateral (R, 4, 3) from which directions ``way`` (T, D, 3) lead to the
-    second."""
-    rows, count = way.shape[:2]
-    a, b = (one.expand(rows, -1, -1).repeat_interleave(count, 0) for one in (first, second))
-    ahead = way.flatten(0, 1)
+    second, where ``wanted`` (T, D) is not 0."""
+    row, column = wanted.nonzero(as_tuple=True)
+    a, b, ahead = picked(first, row), picked(second, row), way[row, column]
     origin = a.mean(1, keepdim=True)
     normal, along = _unit(torch.linalg.cross(a[:, 2] - a[:, 0], a[:, 3] - a[:, 1])), _unit(a[:, 1] - a[:, 0])
     axes = torch.stack([along, torch.linalg.cross(normal, along)], 1)
@@ -338,7 +334,7 @@ def _led(way: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor]:
     joints = Joints.of(Plate.hull, way.device)  # pyright: ignore[reportArgumentType]
     start, end, present = outline(flat, height, torch.stack([turned, ~turned], -1), joints)
     area = covered_area((a - origin) @ axes.mT, start[:, None], end[:, None], present[:, None])
-    return (area.reshape(rows, count),)
+    return (torch.zeros_like(wanted).index_put((row, column), area),)
 
 
 def _about(normal: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

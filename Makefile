@@ -6,6 +6,7 @@ PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf model fit output cli))
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: demo test lint format examples docs wheel minimum clean
@@ -41,7 +42,7 @@ wheel: .venv/develop
 minimum: constraints-minimum.txt
 	rm -rf .venv-minimum && $(PYTHON) -m venv .venv-minimum
 	.venv-minimum/bin/pip install --quiet --constraint constraints-minimum.txt --editable '.[mesh,dask,report,test]'
-	.venv-minimum/bin/python -m pytest --numprocesses 2 -m "not slow" -W default
+	.venv-minimum/bin/python -m pytest --numprocesses 2 -W default $(CORE)
 
 clean:
 	rm -rf build dist docs/_build .venv .venv-wheel .venv-minimum .pytest_cache .ruff_cache .hypothesis

@@ -1,6 +1,4 @@
-"""The command line, as typed: exit codes, one line of error, nothing written on bad input, JSON, locks,
-Ctrl-C.
-"""
+"""The command line, as typed: exit codes, one line of error, nothing written on bad input, JSON, locks, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -31,75 +29,138 @@ TEST SATELLITE
 TEST SATELLITE
 1 00001U 16037A   20294.07341138 -.00000354  00000-0  00000+0 0  9994
 2 00001   1.7237  67.2351 0007471   0.1818  88.7233  1.00273124 15966
-"""@pytest.fixture(scope="module") def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
-scene, recording = write_case(tmp_path_factory.mktemp("case")) return str(scene), str(recording)
+"""
 
-def process(*arguments: str, **options) -> subprocess.Popen[str]: return subprocess.Popen( [sys.executable,
-"-m", "torchlc", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options, )
 
-def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]): for command in ("",
-"simulate", "fit", "diagnose", "period", "materials", "effects", "demo", "init"): assert
-run([*command.split(), "--help"]) == 0 assert "Usage" in capsys.readouterr().out assert run([]) == 0 assert
-run(["--version"]) == 0 assert capsys.readouterr().out.splitlines()[-1].startswith("torchlc 0.")
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    scene, recording = write_case(tmp_path_factory.mktemp("case"))
+    return str(scene), str(recording)
 
-@pytest.mark.parametrize( "arguments", [["nonsense"], ["fit"], ["fit", "a.toml"], ["fit", "a", "b", "-o"],
-["simulate", "a", "-o", "o", "--hours", "x"], ["effects", "--sideways"], ["fit", "a", "b", "-o", "o",
-"--seed", "-1"], ["fit", "a", "b", "-o", "o", "--steps", "0"]], ) # fmt: skip def
-test_a_command_typed_wrongly_is_one_line_and_2( arguments: list[str], capsys: pytest.CaptureFixture[str],
-tmp_path: Path, monkeypatch: pytest.MonkeyPatch ): monkeypatch.chdir(tmp_path) assert run(arguments) == 2
-said = capsys.readouterr() assert said.out == "" and len(said.err.splitlines()) == 1 and
-said.err.startswith("torchlc: error: ") assert not any(tmp_path.iterdir())
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.outcome == "exit2"], ids=lambda case: case.name) def
-test_bad_input_is_one_line_and_2_and_nothing_is_written( case: Case, tmp_path: Path, capsys:
-pytest.CaptureFixture[str] ): folder = tmp_path / "in" folder.mkdir() scene, recording = case.write(folder)
-assert run(["fit", str(scene), str(recording), "-o", str(tmp_path / "out")]) == 2 said = capsys.readouterr()
-assert said.out == "" and len(said.err.splitlines()) == 1 assert ( said.err.startswith("torchlc: error: ")
-and case.message in said.err and "Traceback" not in said.err ) assert not (tmp_path / "out").exists()
+def process(*arguments: str, **options) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "torchlc", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.outcome != "exit2"], ids=lambda case: case.name) def
-test_what_can_be_mended_is_told_in_the_result(case: Case, tmp_path: Path): content =
-torchlc.fit(*case.write(tmp_path), steps=20).to_json() if case.outcome == "dropped": assert
-content["dropped"] == {case.message: 1} else: assert any(case.message in warning for warning in
-content["warnings"])
 
-def test_simulate_on_a_grid_and_at_rows( case: tuple[str, str], tmp_path: Path, capsys:
-pytest.CaptureFixture[str] ): out = str(tmp_path / "out") grid = ["--start", "2020-10-17T15:00:00",
-"--hours", "1", "--cadence", "600"] assert run(["simulate", case[0], *grid, "-o", out]) == 0 assert "7 rows"
-in capsys.readouterr().out first = Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv") assert
-len(first) == 7 and "mag_err" not in first.colnames jd = ["--start", "2459140.125", *grid[2:]] assert
-run(["simulate", case[0], *jd, "-o", out, "--noise", "0.05", "--json"]) == 0 told =
-json.loads(capsys.readouterr().out) noisy = Table.read(told["file"], format="ascii.ecsv") assert
-list(noisy["time"]) == list(first["time"]) and set(noisy["mag_err"]) == {0.05} assert run(["simulate",
-*case, "-o", out, "--quiet"]) == 0 assert capsys.readouterr().out == "" np.testing.assert_array_equal(
-Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv")["time"], Table.read(case[1],
-format="ascii.ecsv")["time"], ) assert run(["simulate", *case, *grid, "-o", out]) == 2
+def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
+    for command in ("", "simulate", "fit", "diagnose", "period", "materials", "effects", "demo", "init"):
+        assert run([*command.split(), "--help"]) == 0
+        assert "Usage" in capsys.readouterr().out
+    assert run([]) == 0
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("torchlc 0.")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nonsense"], ["fit"], ["fit", "a.toml"], ["fit", "a", "b", "-o"], ["simulate", "a", "-o", "o", "--hours", "x"],
+     ["effects", "--sideways"], ["fit", "a", "b", "-o", "o", "--seed", "-1"], ["fit", "a", "b", "-o", "o", "--steps", "0"]],
+)  # fmt: skip
+def test_a_command_typed_wrongly_is_one_line_and_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1 and said.err.startswith("torchlc: error: ")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.outcome == "exit2"], ids=lambda case: case.name)
+def test_bad_input_is_one_line_and_2_and_nothing_is_written(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    scene, recording = case.write(folder)
+    assert run(["fit", str(scene), str(recording), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1
+    assert (
+        said.err.startswith("torchlc: error: ") and case.message in said.err and "Traceback" not in said.err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.outcome != "exit2"], ids=lambda case: case.name)
+def test_what_can_be_mended_is_told_in_the_result(case: Case, tmp_path: Path):
+    content = torchlc.fit(*case.write(tmp_path), steps=20).to_json()
+    if case.outcome == "dropped":
+        assert content["dropped"] == {case.message: 1}
+    else:
+        assert any(case.message in warning for warning in content["warnings"])
+
+
+def test_simulate_on_a_grid_and_at_rows(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = str(tmp_path / "out")
+    grid = ["--start", "2020-10-17T15:00:00", "--hours", "1", "--cadence", "600"]
+    assert run(["simulate", case[0], *grid, "-o", out]) == 0
+    assert "7 rows" in capsys.readouterr().out
+    first = Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv")
+    assert len(first) == 7 and "mag_err" not in first.colnames
+    jd = ["--start", "2459140.125", *grid[2:]]
+    assert run(["simulate", case[0], *jd, "-o", out, "--noise", "0.05", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    noisy = Table.read(told["file"], format="ascii.ecsv")
+    assert list(noisy["time"]) == list(first["time"]) and set(noisy["mag_err"]) == {0.05}
+    assert run(["simulate", *case, "-o", out, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    np.testing.assert_array_equal(
+        Table.read(tmp_path / "out" / "curve.ecsv", format="ascii.ecsv")["time"],
+        Table.read(case[1], format="ascii.ecsv")["time"],
+    )
+    assert run(["simulate", *case, *grid, "-o", out]) == 2
+
 
 def test_fit_says_what_it_found(case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-arguments = ["fit", *case, "-o", str(tmp_path), "--steps", "60", "--seed", "4"] assert run(arguments) == 0
-said = capsys.readouterr() assert "panel.n" in said.out and "±" in said.out and "report.html" in said.out
-assert all(line.startswith("torchlc: warning: ") for line in said.err.splitlines()) content =
-json.loads((tmp_path / "fit.json").read_text()) assert (
-content["provenance"]["command"].startswith("torchlc fit ") and "--seed 4" in
-content["provenance"]["command"] )
+    arguments = ["fit", *case, "-o", str(tmp_path), "--steps", "60", "--seed", "4"]
+    assert run(arguments) == 0
+    said = capsys.readouterr()
+    assert "panel.n" in said.out and "±" in said.out and "report.html" in said.out
+    assert all(line.startswith("torchlc: warning: ") for line in said.err.splitlines())
+    content = json.loads((tmp_path / "fit.json").read_text())
+    assert (
+        content["provenance"]["command"].startswith("torchlc fit ")
+        and "--seed 4" in content["provenance"]["command"]
+    )
 
-def test_json_on_standard_output_is_that_of_the_file( case: tuple[str, str], tmp_path: Path, capsys:
-pytest.CaptureFixture[str] ): assert run(["fit", *case, "-o", str(tmp_path), "--steps", "40", "--json"]) ==
-0 said = capsys.readouterr() assert json.loads(said.out) == json.loads((tmp_path / "fit.json").read_text())
-assert said.err == ""
 
-def test_warnings_of_libraries_stay_away( case: tuple[str, str], tmp_path: Path, monkeypatch:
-pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str] ): import torchlc.api
+def test_json_on_standard_output_is_that_of_the_file(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run(["fit", *case, "-o", str(tmp_path), "--steps", "40", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out) == json.loads((tmp_path / "fit.json").read_text())
+    assert said.err == ""
 
-def noisy(*arguments: object, **options: object) -> object: warnings.warn("from a library",
-DeprecationWarning, stacklevel=1) return original(*arguments, **options) # type: ignore[arg-type]
 
-original = torchlc.api.simulate monkeypatch.setattr("torchlc.api.simulate", noisy) assert run(["simulate",
-*case, "-o", str(tmp_path)]) == 0 assert "from a library" not in capsys.readouterr().err
+def test_warnings_of_libraries_stay_away(
+    case: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    import torchlc.api
 
-def test_an_interrupted_fit_resumes_to_the_same_answer_and_a_second_one_is_refused( case: tuple[str, str],
-tmp_path: Path ):
-"""Ctrl-C ends with 130 and says how to go on; the result is that of an undisturbed run."""
+    def noisy(*arguments: object, **options: object) -> object:
+        warnings.warn("from a library", DeprecationWarning, stacklevel=1)
+        return original(*arguments, **options)  # type: ignore[arg-type]
+
+    original = torchlc.api.simulate
+    monkeypatch.setattr("torchlc.api.simulate", noisy)
+    assert run(["simulate", *case, "-o", str(tmp_path)]) == 0
+    assert "from a library" not in capsys.readouterr().err
+
+
+def test_a_killed_fit_resumes_to_the_same_answer_and_a_second_one_is_refused(
+    case: tuple[str, str], tmp_path: Path
+):
+    """Ctrl-C ends with 130 and says how to go on; kill -9 leaves whole files; the result is that of an undisturbed run."""
 
     def arguments(name: str) -> list[str]:
         return ["fit", *case, "-o", str(tmp_path / name), "--steps", "500", "--seed", "3", "--quiet"]
@@ -116,6 +177,10 @@ tmp_path: Path ):
     assert error.splitlines() == [
         f"torchlc: interrupted; continue with: torchlc {' '.join(arguments('b'))} --resume"
     ]
+    third = process(*arguments("b"), "--resume")
+    time.sleep(1.5)
+    third.kill()
+    third.communicate()
     last = process(*arguments("b"), "--resume")
     assert last.wait(120) == 0, last.communicate()
     last.communicate()

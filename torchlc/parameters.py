@@ -233,24 +233,16 @@ class ParameterSet:
 
     def to_natural(self, z: Tensor) -> Tensor:
         """Natural values theta (..., P) of unconstrained coordinates z (..., P)."""
-        return self.natural_with_log_det(z)[0]
-
-    def natural_with_log_det(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Natural values theta (..., P) and log |d theta / d z| (...), which turns a density of theta into
-        one of z."""
         columns: list[Tensor] = []
-        total = torch.zeros(z.shape[:-1], dtype=z.dtype, device=z.device)
         for index, (entry, column) in enumerate(zip(self.free, z.unbind(-1), strict=True)):
-            transform = self._transforms[index]
-            value: Tensor = transform(column)  # pyright: ignore[reportAssignmentType]
-            total = total + transform.log_abs_det_jacobian(column, value)
+            value: Tensor = self._transforms[index](column)  # pyright: ignore[reportAssignmentType]
             if index in self._second:
                 room = torch.clamp(1.0 - columns[self._second[index]], max=entry.prior.high) - entry.prior.low
-                width = entry.prior.high - entry.prior.low
-                total = total + torch.log(room / width)
-                value = entry.prior.low + (value - entry.prior.low) * room / width
+                value = entry.prior.low + (value - entry.prior.low) * room / (
+                    entry.prior.high - entry.prior.low
+                )
             columns.append(value)
-        return (torch.stack(columns, -1) if columns else z.clone()), total
+        return torch.stack(columns, -1) if columns else z.clone()
 
     def to_unconstrained(self, theta: Tensor) -> Tensor:
         """Inverse of :meth:`to_natural`; values on a bound are taken a billionth of the range inside."""
@@ -321,6 +313,36 @@ class ParameterSet:
             else:
                 columns.append(torch.exp(value) if prior.logarithmic else value)
         return torch.stack(columns, -1) if columns else y.clone()
+
+    def to_straight(self, theta: Tensor) -> Tensor:
+        """Coordinates x (..., P) in which light is nearly linear and posteriors are straight: logarithms of
+        log-scaled parameters, and r_diff (1 - r_spec), the share that leaves diffusely, for the second of a
+        pair.
+        """
+        columns = []
+        natural = theta.unbind(-1)
+        for index, (entry, value) in enumerate(zip(self.free, natural, strict=True)):
+            if index in self._second:
+                columns.append(value * (1.0 - natural[self._second[index]]))
+            else:
+                columns.append(torch.log(value.clamp(min=1e-300)) if entry.prior.logarithmic else value)
+        return torch.stack(columns, -1) if columns else theta.clone()
+
+    def from_straight(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Natural values theta (..., P) and log |d theta / d x| (...); theta may lie outside the priors."""
+        columns: list[Tensor] = []
+        log_det = torch.zeros(x.shape[:-1], dtype=x.dtype, device=x.device)
+        for index, (entry, value) in enumerate(zip(self.free, x.unbind(-1), strict=True)):
+            if index in self._second:
+                room = (1.0 - columns[self._second[index]]).clamp(min=1e-12)
+                columns.append(value / room)
+                log_det = log_det - torch.log(room)
+            elif entry.prior.logarithmic:
+                columns.append(torch.exp(value))
+                log_det = log_det + value
+            else:
+                columns.append(value)
+        return (torch.stack(columns, -1) if columns else x.clone()), log_det
 
     def prior_residuals(self, theta: Tensor) -> Tensor:
         """Peaked priors as rows of a least-squares problem: (..., number of peaked priors), zero at each

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 SHADOW_CELLS = 512
-AMBIENT = 0.30
+AMBIENT = 0.42
 EDGE = 1e-9
 
 

@@ -21,7 +21,7 @@ from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
 from torchlc.output import OutputDirectory
 from torchlc.parameters import Free
-from torchlc.results import FitResult, rounded, stated
+from torchlc.results import FitResult, decimals, rounded, stated
 from torchlc.simulated import iso_times
 from torchlc.viewer import viewer_data
 
@@ -311,13 +311,18 @@ def _row(result: FitResult, name: str, row: dict[str, Any]) -> dict[str, Any]:
     return {
         "name": name,
         "stated": stated(row),
-        "interval": f"{rounded(row['q05'], 4)} to {rounded(row['q95'], 4)}",
-        "best": rounded(row["map"], 4),
+        "interval": f"{plain_number(row['q05'], row['sd'])} to {plain_number(row['q95'], row['sd'])}",
+        "best": plain_number(row["map"], row["sd"]),
         "informed": row["informed"],
         "bar": None if entry is None else prior_bar(entry, row["q05"], row["q95"]),
         "rhat": None if row["rhat"] is None else f"{row['rhat']:.3f}",
         "ess": None if row["ess"] is None else f"{row['ess']:.0f}",
     }
+
+
+def plain_number(value: float, sd: float) -> str:
+    """``value`` with the digits its uncertainty bears."""
+    return rounded(value, 3) if abs(value) >= 1e5 or decimals(sd) > 8 else f"{value:.{decimals(sd)}f}"
 
 
 def prior_bar(entry: Free, low: float, high: float) -> tuple[float, float] | None:

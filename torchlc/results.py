@@ -413,7 +413,7 @@ def stated(row: Mapping[str, Any]) -> str:
     skew = (high - median) / max(median - low, 1e-300)
     if not math.isfinite(sd) or sd <= 0:
         return f"{median:.5g}{unit}"
-    digits = max(0, min(12, 1 - math.floor(math.log10(sd))))
+    digits = decimals(sd)
     if sd > 0.3 * abs(median) and not 0.5 < skew < 2:
         return f"{rounded(median, 2)} ({rounded(low, 2)} to {rounded(high, 2)}){unit}"
     if abs(median) >= 1e5 or digits > 8:
@@ -422,6 +422,11 @@ def stated(row: Mapping[str, Any]) -> str:
         place = 10 ** (math.floor(math.log10(sd)) - 1)
         return f"{round(median / place) * place:.0f} ± {round(sd / place) * place:.0f}{unit}"
     return f"{median:.{digits}f} ± {sd:.{digits}f}{unit}"
+
+
+def decimals(sd: float) -> int:
+    """Decimals that a number with this uncertainty bears: two digits of it."""
+    return max(0, min(12, 1 - math.floor(math.log10(sd)))) if math.isfinite(sd) and sd > 0 else 6
 
 
 def rounded(value: float, digits: int) -> str:

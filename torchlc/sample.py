@@ -1,8 +1,9 @@
 """The posterior by emcee, with the same module that Adam trained, in batches without gradients.
 
-The ensemble moves in the unconstrained coordinates of :class:`~torchlc.parameters.ParameterSet`, where no
-prior has a wall; densities carry the Jacobian, so the draws are those of the natural parameters. The chain
-lives in memory and is put on disk whole, in emcee's HDF5 layout, each time it has grown by a quarter: a
+The ensemble moves in the straight coordinates of :class:`~torchlc.parameters.ParameterSet`: brightness is a
+sum over surfaces, so what one surface gives and another takes lies on a line there, and on a thin banana
+elsewhere (six times the autocorrelation time for the paper's Object 1). Densities carry the Jacobian, so the
+draws are those of the natural parameters; beyond a prior's bounds the density is 0. The chain lives in memory and is put on disk whole, in emcee's HDF5 layout, each time it has grown by a quarter: a
 killed run resumes from there with the random state it had, to the same result.
 """
 
@@ -88,14 +89,14 @@ class Posterior:
 
 
 def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
-    """What emcee calls: unconstrained z (W, P) to log posterior densities (W,), batched, without gradients,
-    never NaN."""
+    """What emcee calls: straight coordinates x (W, P) to log posterior densities (W,), batched, without
+    gradients, never NaN."""
     parameters = likelihood.model.parameter_set
 
-    def call(z: np.ndarray) -> np.ndarray:
+    def call(x: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            point = torch.as_tensor(np.atleast_2d(z), dtype=parameters.dtype, device=parameters.device)
-            theta, log_det = parameters.natural_with_log_det(point)
+            point = torch.as_tensor(np.atleast_2d(x), dtype=parameters.dtype, device=parameters.device)
+            theta, log_det = parameters.from_straight(point)
             total = likelihood.log_prob(theta) + log_det
             return torch.where(torch.isfinite(total), total, -math.inf).cpu().numpy()
 
@@ -103,7 +104,7 @@ def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
-    """Starting points z (W, P) from the Laplace covariances of the modes, each mode with a share by its
+    """Starting points x (W, P) from the Laplace covariances of the modes, each mode with a share by its
     Laplace evidence."""
     likelihood = fit.likelihood
     parameters = likelihood.model.parameter_set
@@ -134,10 +135,10 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
             step = torch.where(mode.at_bound, 0.03 * inward * span, 1e-6 * span * (inward - 0.5))
             y = torch.where(y0 <= low + 1e-9, y + step, torch.where(y0 >= high - 1e-9, y - step, y))
             inside = y[((y > low) & (y < high)).all(-1)]
-            z = parameters.to_unconstrained(parameters.from_flat(inside))
+            theta = parameters.from_flat(inside)
             with torch.no_grad():
-                good = torch.isfinite(likelihood.log_prob(parameters.to_natural(z)))
-            points.append(z[good][:needed])
+                good = torch.isfinite(likelihood.log_prob(theta))
+            points.append(parameters.to_straight(theta)[good][:needed])
             needed -= len(points[-1])
             tries += 1
             if tries > 60:
@@ -231,7 +232,7 @@ def _next_check(iteration: int) -> int:
 
 
 def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -> None:
-    """The chain so far in emcee's HDF5 layout (unconstrained coordinates), whole or not at all."""
+    """The chain so far in emcee's HDF5 layout (straight coordinates), whole or not at all."""
     stream = io.BytesIO()
     with h5py.File(stream, "w") as file:
         group = file.create_group(BACKEND_NAME)
@@ -323,7 +324,7 @@ def _posterior(likelihood: Likelihood, backend: Any, names: list[str], steps: in
         reason += f"; {LONG_ENOUGH} are wanted: run on with --resume and more --steps"
     accepted = float(np.mean(backend.accepted / max(backend.iteration, 1)))
     with torch.no_grad():
-        theta = likelihood.model.parameter_set.to_natural(chain).transpose(0, 1).contiguous()
+        theta = likelihood.model.parameter_set.from_straight(chain)[0].transpose(0, 1).contiguous()
     return Posterior(
         names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin, converged, reason
     )

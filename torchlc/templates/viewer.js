@@ -10,7 +10,7 @@
   const slider = document.getElementById("object-time");
   const text = document.getElementById("object-text");
   const play = document.getElementById("object-play");
-  const SHADOW = 512, AMBIENT = 0.30, EDGE = 1e-6;
+  const SHADOW = 512, AMBIENT = 0.42, EDGE = 1e-6;
 
   const count = data.parts.reduce((sum, part) => sum + part.triangles.length, 0);
   const corners = new Float32Array(9 * count), normals = new Float32Array(3 * count), colours = new Float32Array(3 * count);
@@ -18,7 +18,7 @@
     part.rgb = [1, 3, 5].map(i => parseInt(part.colour.slice(i, i + 2), 16) / 255);
   });
 
-  let row = data.start, camera = data.camera, follow = null, timer = null;
+  let row = data.start, camera = data.camera, follow = null, timer = null, scale = 0;
 
   function place() {
     let k = 0;
@@ -144,10 +144,17 @@
       context.arc(tip[0], tip[1], 5, 0, 7);
       context.fill();
     }
+    return [tip[0] + 22 * x / (length || 1), tip[1] + 22 * y / (length || 1) - (length > 0.05 ? 0 : 18), name, ink];
+  }
+
+  /* Names beyond the tips of their arrows; the lower one makes room where they would overlap. */
+  function names(context, labels) {
+    const [low, high] = [...labels].sort((a, b) => b[1] - a[1]);
+    if (Math.abs(low[0] - high[0]) < 80 && low[1] - high[1] < 18) low[1] = high[1] + 18;
     context.font = "14px system-ui, sans-serif";
-    context.textAlign = x < -0.2 ? "right" : x > 0.2 ? "left" : "center";
+    context.textAlign = "center";
     context.textBaseline = "middle";
-    context.fillText(name, tip[0] + (x < -0.2 ? -12 : x > 0.2 ? 12 : 0), tip[1] + (y > 0.2 ? 16 : -16));
+    labels.forEach(([x, y, name, ink]) => { context.fillStyle = ink; context.fillText(name, x, y); });
   }
 
   function draw() {
@@ -157,21 +164,32 @@
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
     const context = canvas.getContext("2d"), fine = Math.min(Math.max(2, ratio), 1400 / width);
-    const scale = Math.min(width / (2.15 * data.radius), height / (1.5 * data.radius));
     place();
+    if (!scale) fit(width, height);
     paintObject(Math.round(width * fine), Math.round(height * fine), scale * fine);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     const centre = [width / 2, height / 2], reach = 0.42 * height;
     const arrows = [[data.sun[row], "Sun", colour("--sun")], [data.observer[row], "observer", colour("--observer")]];
     const behind = one => dot(camera[2], one[0]) < 0;
-    arrows.filter(behind).forEach(one => arrow(context, centre, reach, ...one));
+    const labels = arrows.filter(behind).map(one => arrow(context, centre, reach, ...one));
     context.imageSmoothingQuality = "high";
     context.drawImage(layer, 0, 0, width, height);
-    arrows.filter(one => !behind(one)).forEach(one => arrow(context, centre, reach, ...one));
+    labels.push(...arrows.filter(one => !behind(one)).map(one => arrow(context, centre, reach, ...one)));
+    names(context, labels);
     triad(context, height);
     drawStrip();
     say();
+  }
+
+  /* Pixels per metre at which the object, seen as now, fills the picture with room for the arrows. */
+  function fit(width, height) {
+    const extent = [0, 0];
+    for (let o = 0; o < corners.length; o += 3) for (let i = 0; i < 2; i++) {
+      const a = camera[i][0] * corners[o] + camera[i][1] * corners[o + 1] + camera[i][2] * corners[o + 2];
+      extent[i] = Math.max(extent[i], 2 * Math.abs(a));
+    }
+    scale = Math.min(0.82 * width / extent[0], 0.66 * height / extent[1]);
   }
 
   function triad(context, height) {
@@ -253,7 +271,8 @@
   const mark = () => views.forEach(b => b.setAttribute("aria-pressed", String((b.dataset.view || null) === follow && follow !== null)));
   views.forEach(button => button.addEventListener("click", () => {
     follow = button.dataset.view === "aside" ? null : button.dataset.view;
-    if (!follow) camera = data.camera;
+    camera = follow ? lookingAlong(data[follow][row], camera[1]) : data.camera;
+    scale = 0;
     mark();
     redraw();
   }));
@@ -283,7 +302,7 @@
     }
     play.textContent = timer ? "Pause" : "Play";
   });
-  window.addEventListener("resize", redraw);
+  window.addEventListener("resize", () => { scale = 0; redraw(); });
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   draw();
 })();

@@ -1,0 +1,200 @@
+"""The report in a real browser: it renders, the slider moves the object, and a hostile name stays text."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import torchlc
+from tests.chromium import PROGRAM, Page
+from tests.small_case import NAME, write_case
+from torchlc.raster import Mesh, looking_along, render
+from torchlc.results import FitResult
+
+browser = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> FitResult:
+    folder = tmp_path_factory.mktemp("case")
+    scene, recording = write_case(folder, name=NAME)
+    hostile = "pa<img src=x onerror=alert(2)>nel"
+    text = (
+        scene.read_text()
+        .replace('name = "panel"', f"name = '{hostile}'")
+        .replace("sigma = 0.02", "sigma = 0.002")
+    )
+    scene.write_text(text)
+    return torchlc.fit(scene, recording, steps=60)
+
+
+@pytest.fixture(scope="module")
+def page(result: FitResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return result.write_report(tmp_path_factory.mktemp("report") / "report.html")
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_the_page_asks_nothing_of_any_network_and_holds_no_foreign_tag(page: Path):
+    text = page.read_text()
+    reader = Reader(text)
+    assert "alert(1)</script>" not in text and "onerror=alert(2)>" not in text
+    assert [tag for tag, _ in reader.tags].count("script") == 2, "the data and the viewer"
+    for tag, attributes in reader.tags:
+        for name in ("src", "href", "xlink:href"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+    assert not re.search(r"url\(\s*['\"]?https?:", text) and "@import" not in text
+
+
+def test_everything_drawn_has_words_for_those_who_do_not_see_it(page: Path):
+    reader = Reader(page.read_text())
+    pictures = [
+        attributes
+        for tag, attributes in reader.tags
+        if tag == "canvas" or (tag == "svg" and "role" in attributes)
+    ]
+    assert len(pictures) == 6
+    assert all(len(one.get("aria-label") or "") > 20 for one in pictures)
+    controls = [a for tag, a in reader.tags if tag == "input"]
+    assert all(one.get("aria-label") for one in controls)
+    assert dict(reader.tags)["html"] == {"lang": "en"}
+
+
+def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
+    from torchlc.report import words
+
+    text = " ".join(words(result))
+    assert "49 rows" in text and "panel: n = " in text and "Not determined by these data: zero_point" in text
+    assert "chi-square is" in text
+    shown = page.read_text()
+    assert shown.index("49 rows to") < shown.index("What it is made of")
+    assert result.provenance["inputs"]["recording"]["sha256"] in shown
+
+
+@browser
+def test_it_renders_and_the_slider_moves_the_object(page: Path):
+    with Page(page) as tab:
+        tab.settle()
+        title = tab.run("document.querySelector('h1').textContent")
+        assert title == NAME
+        assert tab.run("window.alerted === undefined && document.querySelectorAll('img').length") == 0
+        picture = "document.getElementById('object-canvas').toDataURL()"
+        painted = "(() => { const c = document.getElementById('object-canvas'); const d = c.getContext('2d')"
+        painted += ".getImageData(0, 0, c.width, c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 250;"
+        painted += " return n / (c.width * c.height); })()"
+        assert 0.01 < tab.run(painted) < 0.8
+        before, told = tab.run(picture), tab.run("document.getElementById('object-text').textContent")
+        slide = "(() => { const s = document.getElementById('object-time'); s.value = '3'; s.dispatchEvent(new Event('input')); })()"
+        tab.run(slide)
+        tab.settle()
+        assert tab.run(picture) != before
+        assert tab.run("document.getElementById('object-text').textContent") != told
+        before = tab.run(picture)
+        tab.run(
+            "document.getElementById('object-canvas').dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowLeft'}))"
+        )
+        tab.settle()
+        assert tab.run(picture) != before, "arrow keys turn it"
+        before = tab.run(picture)
+        tab.run("document.querySelector('[data-view=observer]').click()")
+        tab.settle()
+        assert tab.run(picture) != before
+        assert (
+            tab.run("document.querySelector('[data-view=observer]').getAttribute('aria-pressed')") == "true"
+        )
+        assert tab.problems == []
+
+
+CONTRAST = """
+(() => {
+  const level = c => { const v = c / 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
+  const rgb = text => text.match(/[\\d.]+/g).map(Number);
+  const light = c => 0.2126 * level(c[0]) + 0.7152 * level(c[1]) + 0.0722 * level(c[2]);
+  const ground = e => { for (; e; e = e.parentElement) { const c = rgb(getComputedStyle(e).backgroundColor);
+    if (c.length < 4 || c[3] > 0) return c; } return [255, 255, 255]; };
+  let worst = [99, ''];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const element = walker.currentNode.parentElement;
+    if (!walker.currentNode.textContent.trim() || ['SCRIPT', 'STYLE', 'NOSCRIPT'].includes(element.tagName)) continue;
+    if (element.closest('defs') || !element.getClientRects().length) continue;
+    const style = getComputedStyle(element), svg = element.closest('svg');
+    const [a, b] = [light(rgb(svg ? style.fill : style.color)), light(ground(element))].sort((x, y) => y - x);
+    const ratio = (a + 0.05) / (b + 0.05);
+    if (ratio < worst[0]) worst = [ratio, element.outerHTML.slice(0, 120)];
+  }
+  return worst;
+})()
+"""
+
+
+@browser
+@pytest.mark.parametrize("dark", [False, True])
+def test_contrast_is_that_of_wcag_aa_in_light_and_dark(page: Path, dark: bool):
+    with Page(page, dark=dark) as tab:
+        ratio, where = tab.run(CONTRAST)
+        assert ratio >= 4.5, where
+        paper = tab.run("getComputedStyle(document.body).backgroundColor")
+        assert (paper == "rgb(20, 23, 27)") == dark
+
+
+@browser
+def test_it_fits_a_phone_and_prints(page: Path):
+    with Page(page, width=360, height=740) as tab:
+        tab.settle()
+        wide = tab.run("document.documentElement.scrollWidth")
+        assert wide == 360, "only figures and tables scroll sideways"
+        assert tab.run("parseFloat(getComputedStyle(document.body).fontSize)") >= 16
+        assert tab.pdf().startswith(b"%PDF")
+        assert tab.problems == []
+
+
+def test_the_picture_of_a_plate_has_its_area_and_its_shadow():
+    """A 2 m plate facing the camera fills (2 / span)^2 of the picture; one half as large before it shades a quarter."""
+
+    def square(side: float, z: float) -> np.ndarray:
+        a = side / 2
+        corners = np.array([[-a, -a, z], [a, -a, z], [a, a, z], [-a, a, z]])
+        return np.stack([corners[[0, 1, 2]], corners[[0, 2, 3]]])
+
+    z = np.array([0.0, 0.0, 1.0])
+    camera = looking_along(z, np.array([0.0, 1.0, 0.0]))
+    alone = render(Mesh(square(2.0, 0.0), np.ones((2, 3))), camera, z, 300, 4.0)
+    assert (alone[..., 3] > 0).mean() == pytest.approx(0.25, abs=0.005)
+    assert alone[..., 0].max() == pytest.approx(1.0, abs=0.01), "full Sun on a white plate"
+    colours = np.repeat([[1.0, 1, 1], [0.0, 0, 0]], 2, axis=0)
+    both = Mesh(np.concatenate([square(2.0, 0.0), square(1.0, 3.0)]), colours)
+    sun = np.array([0.0, 0.0, 1.0])
+    aside = looking_along(np.array([0.9, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
+    image = render(both, aside, sun, 600, 8.0)
+    white = (image[..., 3] > 0) & (image[..., 0] > 0.2)
+    assert (image[..., 0][white] < 0.5).mean() == pytest.approx(0.25, abs=0.02)
+
+
+def test_an_ever_coarser_mesh_keeps_its_extent():
+    from torchlc.viewer import simplified
+
+    t = np.linspace(0, 2 * np.pi, 201)
+    rings = np.stack([np.cos(t), np.sin(t)], -1)
+    heights = np.linspace(-1, 1, 41)
+    grid = np.concatenate([np.column_stack([rings, np.full(201, z)])[None] for z in heights])
+    quads = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    fewer = simplified(triangles, 3000)
+    assert 500 < len(fewer) <= 3000
+    np.testing.assert_allclose(np.ptp(fewer.reshape(-1, 3), axis=0), [2, 2, 2], atol=0.15)

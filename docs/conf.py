@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torchlc
+from torchlc.diagnose import evidence, families, gate, run, search, where
 from torchlc.effects import registry
 from torchlc.listing import effects_listing
 
@@ -16,7 +17,24 @@ project_copyright = "2026, the torchlc authors"
 version = release = torchlc.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
-myst_enable_extensions = ["dollarmath", "deflist"]
+myst_enable_extensions = ["dollarmath", "deflist", "substitution"]
+myst_substitutions = {
+    "adequate_p": f"{run.ADEQUATE_P:g}",
+    "consistent": f"{run.CONSISTENT:g}",
+    "draws": gate.DRAWS,
+    "evidence_gain": f"{search.EVIDENCE_GAIN:g}",
+    "excess_share": f"{100 * search.EXCESS_SHARE:g} %",
+    "heldout_gain": f"{search.HELDOUT_GAIN:g}",
+    "longest_tau": f"{evidence.LONGEST_TAU_MIN:g}",
+    "most_effects": search.MOST_EFFECTS,
+    "noise_evidence": f"{run.NOISE_EVIDENCE:g}",
+    "noise_heldout": f"{run.NOISE_HELDOUT:g}",
+    "quick_refits": run.QUICK_REFITS,
+    "seen_sigma": f"{where.SEEN_SIGMA:g}",
+    "tied_distance": f"{families.TIED_DISTANCE:g}",
+    "tied_evidence": f"{families.TIED_EVIDENCE:g}",
+}
+"""The thresholds of the verdict, as the code has them."""
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "effects/_library.md"]
 autodoc_typehints = "description"

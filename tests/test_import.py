@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 
-RUNS = 5
+RUNS = 3
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 

@@ -60,22 +60,28 @@ def test_the_sampler_calls_the_module_that_adam_trains(demo):
     model = demo.model
     parameters = model.parameter_set
     theta = parameters.sample_prior(32, torch.Generator().manual_seed(3))
-    batched = log_density(demo)(parameters.to_unconstrained(theta).numpy())
+    batched = log_density(demo)(parameters.to_straight(theta).numpy())
     sigma = torch.as_tensor(model.recording.error)
     constant = -torch.log(sigma * math.sqrt(2 * math.pi)).sum()
     for row, value in zip(theta, batched, strict=True):
-        z = parameters.to_unconstrained(row).requires_grad_(True)
-        natural = parameters.to_natural(z)
+        x = parameters.to_straight(row).requires_grad_(True)
+        natural, log_det = parameters.from_straight(x)
         residual = demo.residuals(natural).delta / sigma
-        one = (
-            -0.5 * residual.square().sum()
-            + parameters.log_prior(natural)
-            + parameters.natural_with_log_det(z)[1]
-            + constant
-        )
-        (slope,) = torch.autograd.grad(one, z)
+        one = -0.5 * residual.square().sum() + parameters.log_prior(natural) + log_det + constant
+        (slope,) = torch.autograd.grad(one, x)
         assert torch.isfinite(slope).all()
         assert float(value) == pytest.approx(float(one.detach()), rel=1e-12)
+
+
+def test_straight_coordinates_carry_their_jacobian(demo):
+    """log |d theta / d x| against the determinant of the Jacobian by torch.func; there and back again."""
+    parameters = demo.model.parameter_set
+    for row in parameters.sample_prior(8, torch.Generator().manual_seed(4)):
+        x = parameters.to_straight(row)
+        natural, log_det = parameters.from_straight(x)
+        torch.testing.assert_close(natural, row, rtol=1e-12, atol=1e-14)
+        jacobian = torch.func.jacfwd(lambda point: parameters.from_straight(point)[0])(x)
+        assert float(log_det) == pytest.approx(float(torch.linalg.slogdet(jacobian)[1]), rel=1e-10)
 
 
 def test_a_fit_keeps_the_module_it_was_given(panel_night):

@@ -29,7 +29,7 @@ def disc(centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("n", [1e2, 1e3, 1e4, 1e5, 1e6])
 @pytest.mark.parametrize("half_phase_deg", [5.0, 30.0])
 def test_mirror_glint_is_that_of_ten_thousand_suns(tmp_path, n, half_phase_deg):
-    """From the middle of the glint to 0.3 deg off it: 0.2 % of the peak."""
+    """From the middle of the glint to 0.3 deg off it, where the narrowest has fallen to 1e-2: within 0.2 % all the way."""
     scene = still(PLATE, material("white", n, 0.9, 0.0))
     off = np.linspace(0.0, 0.3, 7)
     to_sun, to_observer = tilted(half_phase_deg + off), tilted(half_phase_deg, 180.0) + 0 * off[:, None]
@@ -41,7 +41,7 @@ def test_mirror_glint_is_that_of_ten_thousand_suns(tmp_path, n, half_phase_deg):
         folder.mkdir()
         single = flux(scene, seen_from(scene, folder, points, np.tile(observer, (POINTS, 1))))
         expected.append(float(weight @ np.asarray(single)))
-    np.testing.assert_allclose(np.asarray(found), expected, atol=2e-3 * max(expected))
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=2e-3, atol=1e-5 * max(expected))
 
 
 def test_nothing_without_a_lobe_needs_a_disc(tmp_path):

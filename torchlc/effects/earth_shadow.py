@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from torchlc.effects.base import Effect
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
@@ -12,7 +13,7 @@ EARTH_RADIUS_KM = 6378.137
 FLATTENING = 1 / 298.257223563
 
 
-def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tensor) -> torch.Tensor:
+def sunlit_fraction(position: Tensor, sun: Tensor, h0_km: Tensor) -> Tensor:
     """Share of the limb-darkened Sun (...) that an object at ``position`` (..., 3) km sees past an Earth
     raised by ``h0_km`` of opaque air; ``sun`` is object to Sun, km. The ellipsoid is made a sphere by
     stretching z, and its limb across the disc is an arc.
@@ -42,7 +43,7 @@ def sunlit_fraction(position: torch.Tensor, sun: torch.Tensor, h0_km: torch.Tens
     return torch.where((towards * r).sum(-1) > 0, torch.ones_like(seen), seen)
 
 
-def _stretch_across(position: torch.Tensor, sun: torch.Tensor, stretch: torch.Tensor) -> torch.Tensor:
+def _stretch_across(position: Tensor, sun: Tensor, stretch: Tensor) -> Tensor:
     """By how much the stretch lengthens the Sun's radius that points to the Earth's centre, (...)."""
     along = (position * sun).sum(-1, keepdim=True) / (sun * sun).sum(-1, keepdim=True)
     across = position - along * sun
@@ -52,7 +53,7 @@ def _stretch_across(position: torch.Tensor, sun: torch.Tensor, stretch: torch.Te
     return torch.sqrt(torch.where(apart, ratio, 1.0))
 
 
-def _chords(like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _chords(like: Tensor) -> tuple[Tensor, Tensor]:
     """Chord positions y and their weights, (48,): midpoints in the angle, which is smooth at the ends of the
     disc.
     """
@@ -65,7 +66,7 @@ def _chords(like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return y, w / w.sum()
 
 
-def _chord_share(edge: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
+def _chord_share(edge: Tensor, half: Tensor) -> Tensor:
     """Share of a chord's light beyond x = edge * half, for brightness 1 - u + u sqrt(half^2 - x^2)."""
     inside = edge.clamp(-1 + 1e-15, 1 - 1e-15)
     flat = (1 - LIMB_DARKENING) * half * (1 - inside)
@@ -112,7 +113,7 @@ class EarthShadow(Effect):
         return factor
 
 
-def _near_shadow(position: torch.Tensor, sun: torch.Tensor) -> torch.Tensor:
+def _near_shadow(position: Tensor, sun: Tensor) -> Tensor:
     """Rows (T,) that a shadow with any h0 could touch: the Sun within half a degree of the raised limb."""
     cosine = -(position * sun).sum(-1) / (
         torch.linalg.vector_norm(position, dim=-1) * torch.linalg.vector_norm(sun, dim=-1)

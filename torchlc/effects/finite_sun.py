@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from torchlc.effects.base import Effect, Light
 
@@ -13,45 +16,47 @@ SUN_RADIUS_KM = 695_700.0
 LIMB_DARKENING = 0.6
 
 
-def disc_nodes(dtype: torch.dtype, device: torch.device | str) -> tuple[torch.Tensor, torch.Tensor]:
-    """Points (D, 2) in radii of the disc and weights (D,) that sum to 1: a quadrature over the limb-darkened
-    disc 1 - u (1 - sqrt(1 - r^2)) by Gauss-Legendre rings in r^2."""
-    rings, spokes = 4, 9
-    x, w = torch.linalg.eigh(_legendre(rings))
-    x, w = 0.5 * (x + 1), w[0] ** 2
-    radius = torch.sqrt(x)
-    brightness = 1 - LIMB_DARKENING * (1 - torch.sqrt(1 - x))
-    weight = w * brightness
-    angle = (
-        2
-        * math.pi
-        * (torch.arange(spokes, dtype=x.dtype)[None] / spokes + torch.arange(rings)[:, None] / (2 * spokes))
-    )
-    points = torch.stack([radius[:, None] * torch.cos(angle), radius[:, None] * torch.sin(angle)], -1)
-    weights = (weight / weight.sum())[:, None].expand(rings, spokes) / spokes
-    return points.reshape(-1, 2).to(dtype=dtype, device=device), weights.reshape(-1).to(
-        dtype=dtype, device=device
-    )
+SPOKES = (5, 8, 10, 12)
+"""Points of each ring, from the innermost."""
 
 
-def _legendre(order: int) -> torch.Tensor:
-    k = torch.arange(1, order, dtype=torch.float64)
-    return torch.diag(k / torch.sqrt(4 * k * k - 1), 1) + torch.diag(k / torch.sqrt(4 * k * k - 1), -1)
+@functools.cache
+def rings() -> tuple[np.ndarray, np.ndarray]:
+    """Radii and weights of the Gauss rule in r^2 whose weight function is the disc's limb-darkened
+    brightness."""
+    x, w = np.polynomial.legendre.leggauss(64)
+    x = 0.5 * (x + 1)
+    light = w * (1 - LIMB_DARKENING * (1 - np.sqrt(1 - x)))
+    orthonormal, _ = np.linalg.qr(
+        np.sqrt(light)[:, None] * np.polynomial.legendre.legvander(x, len(SPOKES) - 1)
+    )
+    nodes, vectors = np.linalg.eigh(orthonormal.T @ (x[:, None] * orthonormal))
+    return np.sqrt(nodes), vectors[0] ** 2
+
+
+def disc_nodes(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (D, 2) on the disc, in radii of it, and their weights (D,), which sum to 1."""
+    points, weights = [], []
+    for number, (radius, weight, spokes) in enumerate(zip(*rings(), SPOKES, strict=True)):
+        angle = 2 * math.pi * (np.arange(spokes) + 0.5 * (number % 2)) / spokes
+        points.append(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
+        weights.append(np.full(spokes, weight / spokes))
+    return torch.as_tensor(np.concatenate(points)).to(like), torch.as_tensor(np.concatenate(weights)).to(like)
 
 
 class FiniteSun(Effect):
-    """The limb-darkened disc of the Sun lights the object from 36 directions: a mirror glint is as wide as
+    """The limb-darkened disc of the Sun lights the object from 35 directions: a mirror glint is as wide as
     the Sun.
 
-    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. Neglects the softening of shadow edges, 9 mm at 2
-    m.
+    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5; the rule is within 0.2 % up to n = 1e6, to 1e-3
+    of the peak. Neglects the softening of shadow edges, 9 mm at 2 m.
     """
 
     name = "finite_sun"
     stage = "light"
     known = True
     order = 1
-    nodes = 36
+    nodes = sum(SPOKES)
 
     def missing(self, context):
         if all(context.models[name].additive for name in context.materials):
@@ -59,14 +64,14 @@ class FiniteSun(Effect):
         return None
 
     def light(self, lights, view, p, context):
-        points, weights = disc_nodes(view.to_sun.dtype, view.to_sun.device)
+        points, weights = disc_nodes(view.to_sun)
         radius = SUN_RADIUS_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)
         return tuple(_spread(one, points, weights, radius) if one.primary else one for one in lights)
 
 
-def _spread(light: Light, points: torch.Tensor, weights: torch.Tensor, radius: torch.Tensor) -> Light:
-    """Replace each source (L, Q, T) by the points of a disc of angular ``radius`` (Q, T) around it, (D L, Q,
-    T)."""
+def _spread(light: Light, points: Tensor, weights: Tensor, radius: Tensor) -> Light:
+    """Replace each source (L, Q, T) by the points of a disc of angular ``radius`` (Q, T) around it, (D L,
+    Q, T)."""
     centre = light.direction
     axis = torch.nn.functional.one_hot(centre.abs().argmin(-1), 3).to(centre)
     first = torch.linalg.cross(centre, axis)

@@ -20,6 +20,7 @@ import torch
 from torchlc import __version__
 from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
+from torchlc.effects.base import Entry
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
 from torchlc.likelihood import Likelihood
@@ -293,7 +294,9 @@ def _search(
     errors are too small.
     """
     found = fit_map(likelihood, seed=seed, progress=progress)
-    effects = [_listed(effect) for effect in likelihood.model.effects]
+    effects = [
+        str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in likelihood.model.effects
+    ]
     doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
     if not doubtful:
         return found, []
@@ -306,7 +309,3 @@ def _search(
     found = fit_map(Likelihood(model), seed=seed, progress=progress)
     warning = f"{said}: a jitter was added to the errors; torchlc diagnose looks for what the model lacks"
     return found, [warning]
-
-
-def _listed(effect: Any) -> str:
-    return effect.name + (f"[{effect.target}]" if effect.target else "")

@@ -1,9 +1,7 @@
-"""The figures of a fit, in matplotlib: each takes a result and draws; none computes physics."""
+"""Shares, posterior and chain of a fit, and simulated curves, in matplotlib; no physics is computed here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import matplotlib
@@ -11,135 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchlc.recording import Recording
+from torchlc.curves import stretches
 from torchlc.simulated import SimulatedCurve, iso_times
-from torchlc.style import DATA, MODEL, PALETTE, component_colour, plain, style
+from torchlc.style import PALETTE, component_colour, plain, style
 
 if TYPE_CHECKING:
     from torchlc.results import FitResult
 
-MOST_PANELS = 24
+MOST_TRACES = 24
 MOST_CORNER = 10
-LONGEST_GAP = 5.0
-"""A line breaks where the time between rows exceeds this many times their median."""
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Rows drawn in one panel: their index, hours since their first, and a title."""
-
-    rows: np.ndarray
-    hours: np.ndarray
-    title: str
-
-
-def stretches(recording: Recording) -> list[Stretch]:
-    """Rows by night, or by curve where each curve has a gain of its own, in order of time."""
-    key, ids = (
-        (recording.night, recording.night_ids)
-        if recording.kind == "mag"
-        else (recording.curve, recording.curve_ids)
-    )
-    found = []
-    for one in dict.fromkeys(key.tolist()):
-        rows = np.flatnonzero(key == one)
-        found.append(Stretch(rows, (recording.seconds[rows] - recording.seconds[rows[0]]) / 3600, ids[one]))
-    return found
-
-
-def curve(
-    result: FitResult, axes: Sequence[Axes] | None = None, figure: Figure | None = None
-) -> Sequence[Axes]:
-    """Recording and model with its 90 % band, residuals below: a pair of axes for each night, or curve of
-    relative flux.
-    """
-    panels = stretches(result.recording)[:MOST_PANELS]
-    with matplotlib.rc_context(style()):
-        if axes is None:
-            columns = _columns(len(panels))
-            bands = -(-len(panels) // columns)
-            figure = figure if figure is not None else _figure(curve_size(len(panels)))
-            grid = figure.add_gridspec(bands, columns, hspace=0.45, wspace=0.3)
-            made: list[Axes] = []
-            for k in range(len(panels)):
-                cell = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.08)
-                made.append(figure.add_subplot(cell[0]))
-                made.append(figure.add_subplot(cell[1], sharex=made[-1]))
-            axes = made
-        for k, stretch in enumerate(panels):
-            _curve_panel(result, stretch, axes[2 * k], axes[2 * k + 1], titled=len(panels) > 1, first=k == 0)
-    return axes
-
-
-def curve_size(panels: int) -> tuple[float, float]:
-    """Inches of the light curve's figure."""
-    return (8.2, 4.8) if panels == 1 else (8.2, 0.6 + 2.5 * -(-panels // _columns(panels)))
-
-
-def _columns(panels: int) -> int:
-    return min(panels, 4 if panels > 4 else 2)
-
-
-def _curve_panel(
-    result: FitResult, stretch: Stretch, upper: Axes, lower: Axes, *, titled: bool, first: bool
-) -> None:
-    recording, rows, hours = result.recording, stretch.rows, stretch.hours
-    error = result.error[rows]
-    observed, predicted = recording.observed[rows], result.prediction[rows]
-    limit = recording.upper_limit[rows]
-    stations = np.unique(recording.station)
-    for station in stations:
-        here = (recording.station[rows] == station) & ~limit
-        colour = DATA if len(stations) == 1 else PALETTE[(int(station) + 3) % len(PALETTE)]
-        label = "recording" if len(stations) == 1 else plain(recording.station_ids[station])
-        for ax, values in ((upper, observed), (lower, result.delta[rows])):
-            ax.errorbar(
-                hours[here], values[here], error[here], fmt="o", ms=2.6, lw=0, elinewidth=0.7, color=colour,
-                alpha=0.75, label=label if ax is upper else None, zorder=2, rasterized=len(rows) > 3000,
-            )  # fmt: skip
-    if limit.any():
-        upper.plot(hours[limit], observed[limit], "v", ms=4, color=DATA, label="upper limit")
-    band = result.band
-    for piece in _pieces(recording, rows):
-        upper.plot(
-            hours[piece],
-            predicted[piece],
-            color=MODEL,
-            lw=1.4,
-            zorder=3,
-            label="model" if piece[0] == 0 else None,
-        )
-        if band is not None:
-            upper.fill_between(
-                hours[piece], band[0, rows][piece], band[2, rows][piece], color=MODEL, alpha=0.2, lw=0
-            )
-    lower.axhline(0.0, color=MODEL, lw=1.0)
-    if recording.kind == "mag":
-        visible = np.concatenate([observed[np.isfinite(observed)], predicted[np.isfinite(predicted)]])
-        pad = 0.06 * max(np.ptp(visible), 0.1)
-        upper.set_ylim(min(visible.max(), observed.max() + 2.0) + pad, visible.min() - pad)
-        upper.set_ylabel("magnitude" if first else "")
-    else:
-        upper.set_ylabel("relative flux" if first else "")
-    if first:
-        upper.legend(loc="best", fontsize=8)
-        lower.set_ylabel("obs. − model" if not titled else "o − m")
-    if titled:
-        upper.set_title(plain(stretch.title), fontsize=9)
-    start = iso_times(recording)[rows[0]][:16].replace("T", " ")
-    lower.set_xlabel(f"hours after {start} {recording.time.scale.upper()}" if not titled else "h", fontsize=9)
-    upper.tick_params(labelbottom=False)
-    for ax in (upper, lower):
-        ax.grid(visible=True)
-
-
-def _pieces(recording: Recording, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """Places within ``rows`` that a line may join: one curve, no long gap."""
-    for one in np.unique(recording.curve[rows]):
-        place = np.flatnonzero(recording.curve[rows] == one)
-        step = np.diff(recording.seconds[rows][place])
-        longest = LONGEST_GAP * np.median(step) if len(step) else 0.0
-        yield from np.split(place, np.flatnonzero(step > max(longest, 60.0)) + 1)
 
 
 def shares(result: FitResult, axes: Axes | None = None, figure: Figure | None = None) -> Axes:
@@ -225,7 +103,7 @@ def traces(result: FitResult, figure: Figure | None = None) -> Figure:
     posterior = result.posterior
     if posterior is None:
         raise ValueError("nothing was free: there is no posterior")
-    names = posterior.names[:MOST_PANELS]
+    names = posterior.names[:MOST_TRACES]
     columns = 2 if len(names) > 1 else 1
     bands = -(-len(names) // columns)
     step = posterior.burn + posterior.thin * np.arange(posterior.theta.shape[1])

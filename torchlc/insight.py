@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchlc.assemble import COMPONENT_SIZES, assemble
 from torchlc.effects import GEOMETRY_STAGES
-from torchlc.effects.base import View
+from torchlc.effects.base import Entry, View
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import angle_between
@@ -57,7 +57,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
     natural values theta (P,).
     """
     moving = [
-        effect.name + (f"[{effect.target}]" if effect.target else "")
+        str(Entry(effect.name, effect.target, effect.by, effect.width))
         for effect in model.effects
         if effect.stage in GEOMETRY_STAGES
         and effect.nodes == 1

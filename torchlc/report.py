@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchlc import __version__, figures, style
+from torchlc.curves import MOST_PANELS, curve_size, draw_curves, stretches
 from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
 from torchlc.output import OutputDirectory
@@ -34,6 +35,7 @@ INKS = {
     style.GRID: "--grid",
     style.DATA: "--data",
     style.MODEL: "--model",
+    style.BEFORE: "--before",
     style.SUN: "--sun",
     style.OBSERVER: "--observer",
 }
@@ -63,19 +65,18 @@ def write_fit(
 
 def fit_figures(result: FitResult) -> dict[str, Figure]:
     """The figures of a fit by the name of their file."""
-    panels = len(figures.stretches(result.recording)[: figures.MOST_PANELS])
     drawn = {
-        "curve": Figure(figsize=figures.curve_size(panels)),
+        "curve": Figure(figsize=curve_size(result.recording)),
         "shares": Figure(figsize=(8.2, 2.8)),
         "object": Figure(figsize=(5.6, 5.0)),
     }
-    figures.curve(result, figure=drawn["curve"])
+    draw_curves(result.comparison, drawn["curve"])
     figures.shares(result, figure=drawn["shares"])
     result.plot_object(axes=drawn["object"].subplots())
     if result.posterior is not None:
         side = 1.2 + 1.35 * len(figures.corner_names(result))
         drawn["corner"] = figures.corner_plot(result, Figure(figsize=(side, side)))
-        bands = -(-min(len(result.names), figures.MOST_PANELS) // 2)
+        bands = -(-min(len(result.names), figures.MOST_TRACES) // 2)
         drawn["traces"] = figures.traces(result, Figure(figsize=(8.2, 0.6 + 1.2 * bands)))
     return drawn
 
@@ -251,8 +252,8 @@ def _chain_words(result: FitResult) -> str:
 
 
 def _curve_caption(result: FitResult) -> str:
-    total = len(figures.stretches(result.recording))
-    more = f" The first {figures.MOST_PANELS} of {total} are drawn." if total > figures.MOST_PANELS else ""
+    total = len(stretches(result.recording))
+    more = f" The first {MOST_PANELS} of {total} are drawn." if total > MOST_PANELS else ""
     band = " with the 90 % band of the posterior" if result.posterior is not None else ""
     return f"Recording (dots) and model (line){band}; below, what is left.{more}"
 

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from torchlc.curves import Comparison
+
 FIT_SCHEMA = "torchlc-fit/1"
 NOISE_DRAWS = 400
 BAND_DRAWS = 200
@@ -131,6 +133,14 @@ class FitResult:
             if noise.jitter is not None:
                 sigma = torch.sqrt(sigma**2 + (noise.jitter * found.scale) ** 2)
             return sigma.expand(found.delta.shape).numpy()
+
+    @property
+    def comparison(self) -> Comparison:
+        """Recording and model as the light curve's figure shows them."""
+        from torchlc.curves import Comparison
+
+        band = None if self.band is None else self.band[[0, 2]]
+        return Comparison(self.recording, self.prediction, self.error, band)
 
     # ------------------------------------------------------------------ numbers
 
@@ -334,10 +344,17 @@ class FitResult:
     # ------------------------------------------------------------------ pictures
 
     def plot_curve(self, axes: Sequence[Axes] | None = None) -> Sequence[Axes]:
-        """Recording, model with its 90 % band, and residuals below."""
-        from torchlc import figures
+        """Recording, model with its 90 % band, and residuals below: a pair of axes for each night, or curve
+        of relative flux.
+        """
+        from torchlc.curves import curve_size, draw_curves, draw_on
 
-        return figures.curve(self, axes)
+        if axes is not None:
+            draw_on(self.comparison, axes)
+            return axes
+        import matplotlib.pyplot as plt
+
+        return draw_curves(self.comparison, plt.figure(figsize=curve_size(self.recording)))
 
     def plot_shares(self, axes: Axes | None = None) -> Axes:
         """Light of each component along the recording."""

@@ -333,6 +333,8 @@ def _led(way: Tensor, wanted: Tensor, first: Tensor, second: Tensor) -> tuple[Te
     turned = (torch.linalg.cross(b[:, 2] - b[:, 0], b[:, 3] - b[:, 1]) * ahead).sum(-1) > 0
     joints = Joints.of(Plate.hull, way.device)  # pyright: ignore[reportArgumentType]
     start, end, present = outline(flat, height, torch.stack([turned, ~turned], -1), joints)
+    if not start.shape[1]:
+        return (torch.zeros_like(wanted),)
     area = covered_area((a - origin) @ axes.mT, start[:, None], end[:, None], present[:, None])
     return (torch.zeros_like(wanted).index_put((row, column), area),)
 

@@ -14,7 +14,7 @@ class BackTransmission(Effect):
     """A share ``t_d`` of the light on one side of a plate leaves the other side by Lambert's law: t_d A
     |mu0 mu| / (pi range^2).
 
-    At t_d = 0.02 two wings of 11 m2 reach magnitude 14 at GEO. Neglected: light that passes straight
+    At t_d = 0.02 two wings of 11 m2 reach magnitude 13.3 at GEO. Neglected: light that passes straight
     through, and what shadows and hides the plate: the share of its area that other parts cover.
     """
 

@@ -14,7 +14,7 @@ class NormalDispersion(Effect):
     is conserved.
 
     Inseparable from n but by a prior on one of them. Neglected: what the tilts do to the diffuse part, of
-    relative size variance x (cos(phase) / (mu0 mu) - 2): 0.005 mag at 4 deg and normal incidence, 0.06 mag
+    relative size variance x (cos(phase) / (mu0 mu) - 2): 0.005 mag at 4 deg and normal incidence, 0.05 mag
     where both cosines are 0.3; and the lumps that few wrinkles leave.
     """
 

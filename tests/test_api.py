@@ -165,7 +165,7 @@ def test_posterior_files_hold_the_draws(result: FitResult, out: Path):
     np.testing.assert_array_equal(data["posterior"]["panel.n"].values, posterior.theta[..., 0].numpy())
     backend = emcee.backends.HDFBackend(str(out / "chain.h5"), read_only=True)
     chain = backend.get_chain(discard=posterior.burn, thin=posterior.thin)
-    natural = result.model.parameter_set.to_natural(torch.as_tensor(chain)).transpose(0, 1)
+    natural = result.model.parameter_set.from_straight(torch.as_tensor(chain))[0].transpose(0, 1)
     torch.testing.assert_close(natural, posterior.theta)
     names = {path.name for path in out.iterdir()}
     assert names == {

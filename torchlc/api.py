@@ -184,7 +184,8 @@ def diagnose(
     """Say whether physics is missing from the scene's model, which, where, and what that changes.
 
     ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and
-    most refits. With ``out`` diagnosis.json is written there.
+    most refits. With ``out`` diagnosis.json, figures and report.html are
+    written there.
     """
     from torchlc.diagnose.run import diagnose as run
 
@@ -197,8 +198,9 @@ def diagnose(
         stack.enter_context(resources(None if directory is None else directory.path))
         result = run(scene, rows, quick=quick, effects=effects, seed=seed, progress=progress)
         if directory is not None:
-            content = result.to_json() | {"provenance": provenance(scene, rows, seed, command)}
-            directory.write_json("diagnosis.json", content)
+            from torchlc.diagnosis_report import write_diagnosis
+
+            write_diagnosis(result, provenance(scene, rows, seed, command), directory)
     return result
 
 

@@ -22,6 +22,7 @@ from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
 from torchlc.output import OutputDirectory
 from torchlc.parameters import Free
+from torchlc.recording import Recording
 from torchlc.results import FitResult, decimals, rounded, stated
 from torchlc.simulated import iso_times
 from torchlc.viewer import viewer_data
@@ -46,7 +47,10 @@ GOOD_MATCH = 0.05
 
 
 def write_fit(
-    result: FitResult, directory: OutputDirectory, progress: Callable[[str, float], None] | None = None
+    result: FitResult,
+    directory: OutputDirectory,
+    progress: Callable[[str, float], None] | None = None,
+    diagnosis: dict[str, Any] | None = None,
 ) -> None:
     """fit.json, posterior.nc, the figures and report.html, in this order."""
     directory.write_json("fit.json", result.to_json())
@@ -58,7 +62,7 @@ def write_fit(
         directory.write_bytes(f"{name}.png", png(figure))
         if progress is not None:
             progress("report", (number + 1) / (len(drawn) + 1))
-    directory.write_text("report.html", render_fit(result, drawn))
+    directory.write_text("report.html", render_fit(result, drawn, diagnosis))
     if progress is not None:
         progress("report", 1.0)
 
@@ -105,16 +109,23 @@ def svg(figure: Figure, alt: str, name: str = "") -> str:
     return text.replace("<svg", label, 1)
 
 
-def render_fit(result: FitResult, drawn: dict[str, Figure] | None = None) -> str:
-    """The page of a fit."""
+def markup(figure: Figure, alt: str, *, square: bool = False) -> Any:
+    """A figure as SVG that the template does not escape: ours, with names escaped by matplotlib."""
     from markupsafe import Markup
 
+    return Markup(svg(figure, alt, "square" if square else ""))
+
+
+def render_fit(
+    result: FitResult, drawn: dict[str, Figure] | None = None, diagnosis: dict[str, Any] | None = None
+) -> str:
+    """The page of a fit; with ``diagnosis``, from :func:`~torchlc.diagnosis_report.context`, what it lacks as
+    well.
+    """
     drawn = fit_figures(result) if drawn is None else drawn
     alts = _alts(result)
     pictures = {
-        key: Markup(
-            svg(figure, alts[key], "square" if key == "corner" else "")
-        )  # ours, with names escaped by matplotlib
+        key: markup(figure, alts[key], square=key == "corner")
         for key, figure in drawn.items()
         if key != "object"
     }
@@ -125,8 +136,9 @@ def render_fit(result: FitResult, drawn: dict[str, Figure] | None = None) -> str
             version=__version__,
             title=f"{result.model.scene.name}: fit",
             name=result.model.scene.name,
-            kicker=_kicker(result),
+            kicker=origin(result.recording),
             words=words(result),
+            diagnosis=diagnosis,
             warnings=result.all_warnings,
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
             matches=[(material, _match_words(found)) for material, found in result.materials().items()],
@@ -226,11 +238,10 @@ def _match_words(found: list[dict[str, Any]]) -> str:
     )
 
 
-def _kicker(result: FitResult) -> str:
-    recording = result.recording
-    first, last = (
-        text[:16].replace("T", " ") for text in (iso_times(recording)[0], iso_times(recording)[-1])
-    )
+def origin(recording: Recording) -> str:
+    """File, rows, times and stations of a recording in one line."""
+    times = iso_times(recording)
+    first, last = (text[:16].replace("T", " ") for text in (times[0], times[-1]))
     places = ", ".join(recording.station_ids[i] for i in np.unique(recording.station))
     nights = len(recording.night_ids)
     source = recording.source.name if recording.source is not None else "a recording"

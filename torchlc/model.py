@@ -404,14 +404,14 @@ class LightCurve(nn.Module):
 
     def _condensed(self, surface: Surface) -> Surface:
         """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing
-        reshapes the lobe."""
+        reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
         shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
         reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
         if not MOST_SLOTS < pairs < MOST_CONDENSED / self.assembly.T or not shared or reshaped:
             return surface
-        if not hasattr(surface.model, "condense"):
+        if not self.names or not hasattr(surface.model, "condense"):
             return surface
         return replace(surface, table=surface.model.condense(table))  # pyright: ignore[reportAttributeAccessIssue]
 

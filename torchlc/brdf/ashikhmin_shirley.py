@@ -13,6 +13,8 @@ from torchlc.brdf.base import Brdf, Incidence, coupled_diffuse, lobe, per_epoch,
 from torchlc.parameters import Quantity
 
 GRID_STEP = 0.08
+COLUMNS_AT_ONCE = 48
+"""Rows condensed at once: their pairs stay in the cache."""
 GRID_STEPS = math.ceil(math.log1p(1e6) / GRID_STEP)
 """Of the grid in log(1 + n) on which condensed tables stand, up to n = 1e6."""
 
@@ -57,28 +59,13 @@ class AshikhminShirley(Brdf):
         interpolation of their logarithms (relative error 1e-7 per unit of n log(n.h)): a call then costs the
         same however many facets, instants or lights there are.
         """
-        x = (
-            torch.arange(GRID_STEPS + 1, dtype=table["diffuse"].dtype, device=table["diffuse"].device)
-            * GRID_STEP
-        )
-        rows: dict[str, list[Tensor]] = {
-            f"{kind}_{name}": [] for kind in ("log", "slope") for name in ("normal", "grazing")
+        columns = range(0, table["diffuse"].shape[-1], COLUMNS_AT_ONCE)
+        cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
+        pieces = [_condensed({name: one[..., cut] for name, one in table.items()}) for cut in cuts]
+        return {
+            "diffuse": table["diffuse"],
+            **{name: torch.cat([piece[name] for piece in pieces], -1) for name in pieces[0]},
         }
-        for one in x:
-            n = torch.expm1(one)
-            wide, _ = widened(table, n, n)
-            shape = lobe(torch.addcmul(torch.log1p(wide), wide, table["log_half"]))
-            turning = torch.where(wide < n, 0.0, 1 + (n + 1) * table["log_half"])
-            for name in ("normal", "grazing"):
-                light = table[name] * shape
-                total = light.sum(-2)
-                dark = total <= 1e-280
-                rows[f"log_{name}"].append(torch.where(dark, -1e3, torch.log(torch.where(dark, 1.0, total))))
-                rows[f"slope_{name}"].append(
-                    torch.where(dark, 0.0, (light * turning).sum(-2) / torch.where(dark, 1.0, total))
-                    * GRID_STEP
-                )
-        return {"diffuse": table["diffuse"], **{name: torch.stack(found) for name, found in rows.items()}}
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -113,6 +100,41 @@ class AshikhminShirley(Brdf):
         if "n" in values:
             return {**values, "n": wider}
         return {**values, "n_u": wider, "n_v": wider if n_u is n_v else n_v / (1 + n_v * variance)}
+
+
+def _condensed(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Logarithms of the two sums (G, T) and their derivatives per grid step; -1000 where there is no light."""
+    log_half = table["log_half"]
+    light = torch.stack([table["normal"], table["grazing"]])
+    spread = table.get("spread")
+    most = torch.full_like(log_half[:1], math.inf) if spread is None else 1 / spread.clamp(min=1e-12)
+    widest = torch.addcmul(torch.log1p(most), most, log_half) if spread is not None else log_half
+    idle = (light == 0).all(0)
+    logs, slopes = [], []
+    for x in torch.arange(GRID_STEPS + 1, dtype=light.dtype, device=light.device) * GRID_STEP:
+        n = torch.expm1(x)
+        if logs and bool(((n > most) | idle).all()):
+            logs.append(logs[-1])
+            slopes.append(torch.zeros_like(logs[-1]))
+            continue
+        exponent = torch.addcmul(x, n, log_half)
+        turning = torch.addcmul(torch.ones_like(n), n + 1, log_half)
+        if spread is not None:
+            free = n <= most
+            exponent, turning = torch.where(free, exponent, widest), turning * free
+        shone = light * lobe(exponent)
+        total = shone.sum(-2)
+        dark = total <= 1e-280
+        safe = torch.where(dark, 1.0, total)
+        logs.append(torch.where(dark, -1e3, torch.log(safe)))
+        slopes.append(torch.where(dark, 0.0, (shone * turning).sum(-2) / safe) * GRID_STEP)
+    (log_normal, log_grazing), (slope_normal, slope_grazing) = (
+        torch.stack(found, 1).unbind() for found in (logs, slopes)
+    )
+    return {
+        "log_normal": log_normal, "slope_normal": slope_normal,
+        "log_grazing": log_grazing, "slope_grazing": slope_grazing,
+    }  # fmt: skip
 
 
 def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor]:

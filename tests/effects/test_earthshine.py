@@ -4,6 +4,7 @@ own limits."""
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from tests.effects.cases import (
     unit,
 )
 from torchlc.effects.earthshine import EARTH_RADIUS_KM, sunlit_tiles
+from torchlc.model import LightCurve
 
 LAMBERT = '[materials.white]\nmodel = "lambert"\nalbedo = 1.0\n'
 CUBE = """
@@ -165,3 +167,20 @@ def test_contract(tmp_path):
     position = 8000.0 * tilted(np.linspace(0, 140, 6), 30.0)
     recording = seen_from(scene, tmp_path, tilted(25.0), tilted(70.0, 130.0), position=position)
     check_contract(scene, recording, "earthshine")
+
+
+def test_five_thousand_observations_a_second(tmp_path):
+    """A cube's six faces under 256 tiles, by the processor's clock of one thread and with tables made."""
+    scene = still(CUBE, material("white", 200.0, 0.3, 0.3))
+    turn = np.linspace(0.0, 360.0, 2000)
+    position = 42164.0 * tilted(90.0, turn)
+    recording = seen_from(
+        scene, tmp_path, tilted(70.0, turn + 40.0), tilted(100.0, turn + 180.0), position=position
+    )
+    model = LightCurve(scene, recording, effects=["earthshine"])
+    with torch.no_grad():
+        model.brightness()
+        start = time.process_time()
+        model.brightness()
+        spent = time.process_time() - start
+    assert 2000 / spent > 5000

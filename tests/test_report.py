@@ -76,11 +76,13 @@ def test_everything_drawn_has_words_for_those_who_do_not_see_it(page: Path):
 
 
 def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
-    from torchlc.report import words
+    from torchlc.report import substances, words
 
     text = " ".join(words(result))
-    assert "49 rows" in text and "panel: n = " in text and "Not determined by these data: zero_point" in text
-    assert "chi-square is" in text
+    assert "49 rows" in text and "chi-square is" in text
+    assert "Not determined by these data: zero_point" in text
+    ((material, values),) = substances(result)
+    assert material == "panel" and values.startswith("n = 20") and "r_diff = 0.05" in values
     shown = page.read_text()
     assert shown.index("49 rows to") < shown.index("What it is made of")
     assert result.provenance["inputs"]["recording"]["sha256"] in shown

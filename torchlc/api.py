@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+import multiprocessing
 import platform
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -26,7 +28,7 @@ from torchlc.fit import Fit, fit_map
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
-from torchlc.output import OutputDirectory, resources, write_whole
+from torchlc.output import OutputDirectory, resources
 from torchlc.recording import Recording, load_recording
 from torchlc.results import FitResult
 from torchlc.sample import sample
@@ -41,6 +43,8 @@ Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
 MIN_ROWS = 2
+DEMO_STEPS = 3000
+"""Of the chain: some twenty autocorrelation times, in a third of a minute."""
 
 
 @overload
@@ -207,19 +211,41 @@ def diagnose(
 def demo(
     out: str | Path, *, seed: int = 0, progress: Progress | None = None, command: str | None = None
 ) -> FitResult:
-    """Fit the example that comes with the package; its two files are put beside the results."""
+    """Fit and diagnose the example that comes with the package, side by side on two cores; one report tells
+    both.
+
+    Its two files are put beside the results.
+    """
+    from torchlc import report
+
     source = Path(__file__).parent / "demo"
-    result = fit(
-        source / "scene.toml",
-        source / "recording.ecsv",
-        out=out,
-        seed=seed,
-        progress=progress,
-        command=command,
-    )
-    for name in ("scene.toml", "recording.ecsv"):
-        write_whole(Path(out) / name, lambda partial, name=name: shutil.copyfile(source / name, partial))
+    files = source / "scene.toml", source / "recording.ecsv"
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as aside, OutputDirectory(out) as directory:
+        diagnosing = aside.submit(_diagnosed, *files, seed, command)
+        result = fit(*files, steps=DEMO_STEPS, seed=seed, progress=progress, command=command)
+        content, told = diagnosing.result()
+        for file in files:
+            directory.write(file.name, lambda partial, file=file: shutil.copyfile(file, partial))
+        directory.write_json("diagnosis.json", content)
+        report.write_fit(result, directory, progress, told)
     return result
+
+
+def _diagnosed(
+    scene: Path, recording: Path, seed: int, command: str | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """diagnosis.json and what a report shows of it, from a process of its own."""
+    from torchlc.diagnosis_report import context
+    from torchlc.terminal import quiet_libraries
+
+    torch.set_num_threads(1)
+    with quiet_libraries():
+        found = diagnose(scene, recording, quick=True, seed=seed)
+        made = provenance(
+            found.baseline.refit.model.scene, found.baseline.refit.model.recording, seed, command
+        )
+        return found.to_json() | {"provenance": made}, context(found)
 
 
 def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:

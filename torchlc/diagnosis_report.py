@@ -77,16 +77,19 @@ def context(diagnosis: Diagnosis) -> dict[str, Any]:
     where = content["where"] or {"intervals": [], "components": [], "coordinate": None}
     alt = f"Light curve with the model before and after; {len(where['intervals'])} stretches where they differ are marked."
     tried = [row for row in content["candidates"] if row["delta_log_evidence"] is not None]
+    physics = [row for row in tried if row["effect"] not in NOISE]
     return {
         "verdict": content["verdict"],
         "words": words(content, added_parameters(diagnosis)),
+        "substances": _substances(content["materials"]["after"]),
         "curve": markup(comparison_figure(diagnosis), alt),
         "intervals": where["intervals"][:MOST_INTERVALS],
         "more_intervals": max(len(where["intervals"]) - MOST_INTERVALS, 0),
         "components": where["components"],
         "coordinate": where["coordinate"],
-        "candidates": [_candidate(row) for row in tried[:MOST_CANDIDATES]],
-        "screened": len(content["candidates"]) - len(tried[:MOST_CANDIDATES]),
+        "candidates": [_candidate(row) for row in physics[:MOST_CANDIDATES]],
+        "noise": [_candidate(row) for row in tried if row["effect"] in NOISE],
+        "screened": len(content["candidates"]) - len(tried) + max(len(physics) - MOST_CANDIDATES, 0),
         "improvement": _improvement(content["improvement"]) if content["named"] else [],
         "materials": _changes(content["materials"]),
         "global_p": _chance(content["global_p"]),
@@ -150,10 +153,19 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         paragraphs.append(f"{proof}.{values} {' '.join(meant)}")
     if content["where"] is not None:
         paragraphs.append(_place(content["where"]))
-    paragraphs.append(_first_upper(content["remaining"]["note"]) + ".")
+    paragraphs.append(f"What is left: {content['remaining']['note']}.")
     if content["next_observation"]:
         paragraphs.append(_first_upper(content["next_observation"]).rstrip(".") + ".")
     return paragraphs
+
+
+def _substances(after: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Each material with its values in the final model."""
+    by_owner: dict[str, list[str]] = {}
+    for name, row in after.items():
+        owner, _, short = name.rpartition(".")
+        by_owner.setdefault(owner, []).append(f"{short} = {_row(row)}")
+    return [(owner, ", ".join(values)) for owner, values in by_owner.items()]
 
 
 def _place(where: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ def effects_listing() -> list[dict[str, Any]]:
 def first_sentence(effect: type[Effect]) -> str:
     """The first paragraph of an effect's docstring, up to its first full stop or colon."""
     paragraph = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
-    return " ".join(paragraph.split())
+    return " ".join(paragraph.split()).replace("``", "")
 
 
 def _told(quantity: Quantity) -> dict[str, Any]:

@@ -42,6 +42,7 @@ INKS = {
 }
 """Colours of the figures that follow the page's light or dark dress."""
 PNG_DPI = 130
+GOOD_RHAT = 1.03
 GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
 
@@ -138,6 +139,7 @@ def render_fit(
             name=result.model.scene.name,
             kicker=origin(result.recording),
             words=words(result),
+            substances=substances(result),
             diagnosis=diagnosis,
             warnings=result.all_warnings,
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
@@ -172,37 +174,33 @@ def environment() -> Environment:
 
 
 def words(result: FitResult) -> list[str]:
-    """What a reader should take home: how well it fits, the materials, what is not determined."""
-    found = [_quality(result)]
-    informed = result.insight.informed
-    parameters = result.parameters()
-    sentences = []
-    for material in result.model.scene.materials:
-        known = [
-            f"{name.rpartition('.')[2]} = {stated(parameters[name])}"
-            for name in result.names
-            if name.rpartition(".")[0] == material and informed[name]
-        ]
-        if not known:
-            continue
-        likely = [one for one in result.materials().get(material, []) if one["probability"] >= GOOD_MATCH]
-        like = f"; most like {_match_words(likely)}" if likely and likely[0]["name"] != OTHER else ""
-        sentences.append(f"{material}: {', '.join(known)}{like}.")
-    others = [
-        f"{name} = {stated(parameters[name])}"
-        for name in result.names
-        if name.rpartition(".")[0] not in result.model.scene.materials and informed[name]
+    """What a reader should take home: how well it fits, and what is not determined."""
+    silent = [name for name in result.names if not result.insight.informed[name]]
+    if not silent:
+        return [_quality(result)]
+    return [
+        _quality(result),
+        f"Not determined by these data: {', '.join(silent)}. What is quoted for "
+        f"{'it' if len(silent) == 1 else 'them'} is what was assumed beforehand; the reasons are below.",
     ]
-    if others:
-        sentences.append(f"Beside the materials, {', '.join(others)}.")
-    if sentences:
-        found.append(" ".join(sentences))
-    silent = [name for name in result.names if not informed[name]]
-    if silent:
-        found.append(
-            f"Not determined by these data: {', '.join(silent)}. What is quoted for "
-            f"{'it' if len(silent) == 1 else 'them'} is what was assumed beforehand; the reasons are below."
-        )
+
+
+def substances(result: FitResult) -> list[tuple[str, str]]:
+    """Each material, with what the data say of it and what it is most like; then the other informed numbers."""
+    informed, parameters = result.insight.informed, result.parameters()
+    by_owner: dict[str, list[str]] = {}
+    for name in result.names:
+        owner, _, short = name.rpartition(".")
+        if informed[name]:
+            key = owner if owner in result.model.scene.materials else name
+            value = stated(parameters[name])
+            by_owner.setdefault(key, []).append(value if key == name else f"{short} = {value}")
+    found = []
+    matches = result.materials()
+    for owner, values in by_owner.items():
+        likely = [one for one in matches.get(owner, []) if one["probability"] >= GOOD_MATCH]
+        like = f"; most like {_match_words(likely)}" if likely and likely[0]["name"] != OTHER else ""
+        found.append((owner, ", ".join(values) + like))
     return found
 
 
@@ -220,14 +218,20 @@ def _quality(result: FitResult) -> str:
     else:
         judged = f"chi-square is {result.fit.chi2:.0f} for {result.fit.dof} degrees of freedom"
         judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
-    trust = (
-        "Search and chain converged."
-        if result.converged
-        else "The result is not final: " + result.reason + "."
-    )
-    if result.posterior is None:
-        trust = "Nothing was free, so nothing was sampled."
+    trust = _trust(result)
     return f"The model follows {len(recording)} rows to {size} (root mean square); {judged}. {trust}"
+
+
+def _trust(result: FitResult) -> str:
+    """Whether search and chain may be believed."""
+    if result.posterior is None:
+        return "Nothing was free, so nothing was sampled."
+    if result.converged:
+        return "Search and chain converged."
+    worst = float(np.nanmax(result.posterior.rhat()))
+    if result.fit.converged and worst < GOOD_RHAT:
+        return f"The search converged; the chain is shorter than it should be, but its parts agree (R-hat up to {worst:.2f})."
+    return f"The result is not final: {result.reason}."
 
 
 def _match_words(found: list[dict[str, Any]]) -> str:

@@ -31,8 +31,8 @@ POINTS, CELLS = 4, 4
 RINGS, SPOKES = 20, 8
 SHARPEST = 3e-4
 """Half vectors about a normal: rings of angle from SHARPEST rad to 90 deg in equal ratios, and azimuths. A
-lobe is smooth in the angle's logarithm, so that equal steps of it are a rule of high order for every exponent
-up to 1e6."""
+lobe is smooth in the angle's logarithm, so that equal steps of it are a rule of high order for every
+exponent up to 1e6."""
 MOST_FACETS = 32
 """Facets that stand for a curved side."""
 SMOOTH = 0.6
@@ -42,8 +42,8 @@ SUNS = 64
 NEAR = 1e-6
 FAR = 1e3
 BLANK = EMPTY + EMPTY + (0.0,) * 4
-"""What a way holds: angles, least variance of the lobe and weight of the first reflection and of the second,
-and which products count: lobe then diffuse, diffuse then lobe, lobe twice, diffuse twice."""
+"""What a way holds: angles, least variance of the lobe and weight of the first reflection and of the
+second, and which products count: lobe then diffuse, diffuse then lobe, lobe twice, diffuse twice."""
 FIRST, SECOND = slice(0, ANGLES + 2), slice(ANGLES + 2, 2 * ANGLES + 4)
 
 Ways = tuple[Tensor, ...]
@@ -51,8 +51,8 @@ Ways = tuple[Tensor, ...]
 
 @dataclass(frozen=True)
 class Side:
-    """Facets of one part that share a label and a material; each of ``facets`` (F,) stands for ``share`` (F,)
-    of them."""
+    """Facets of one part that share a label and a material; each of ``facets`` (F,) stands for ``share``
+    (F,) of them."""
 
     part: int
     material: str
@@ -122,8 +122,8 @@ def _turned_to(suns: Tensor, context: Context, side: Side) -> tuple[Tensor, Tens
 class Posed:
     """The object in T rows at mid-exposure.
 
-    to_sun, to_observer (T, 3); gain (T,) irradiance over range^2; of each part vertices (R, F, 4, 3), normal,
-    u (R, F, 3) and the corners (R, H, 3) of its hull.
+    to_sun, to_observer (T, 3); gain (T,) irradiance over range^2; of each part vertices (R, F, 4, 3),
+    normal, u (R, F, 3) and the corners (R, H, 3) of its hull.
     """
 
     parts: Sequence[Part]
@@ -155,20 +155,21 @@ class Posed:
             corners.append((hull - pivot) @ turn.mT + pivot)
         return cls(context.parts, to_sun, to_observer, gain, vertices, normal, u, corners)
 
-    def ways(self, first: Side, second: Side) -> list[Ways]:
-        """Row (N,) and the values of BLANK, (N,) each, of ways from the first side to the second.
+    def ways(self, first: Side, second: Side) -> list[tuple[Ways, bool]]:
+        """Row (N,) and the values of BLANK, (N,) each, of ways from the first side to the second, and
+        whether diffuse light alone takes them.
 
         Between flat sides diffuse light goes from points to cells, and what is a lobe at one end or both
         about mirrored directions; between others all goes from points to cells, so that no lobe is narrower
         than a cell.
         """
-        flat = first.flat and second.flat
-        by_cells, clear = self._by_cells(
-            first, second, (0.0, 0.0, 0.0, 1.0) if flat else (1.0, 1.0, 1.0, 1.0)
-        )
-        if not flat:
-            return [by_cells]
-        return [by_cells, self._by_mirror(first, second, clear, 0), self._by_mirror(first, second, clear, 1)]
+        if not (first.flat and second.flat):
+            return [(self._by_cells(first, second, (1.0, 1.0, 1.0, 1.0))[0], False)]
+        by_cells, clear = self._by_cells(first, second, (0.0, 0.0, 0.0, 1.0))
+        return [
+            (by_cells, True),
+            *((self._by_mirror(first, second, clear, which), False) for which in (0, 1)),
+        ]
 
     def _by_cells(self, first: Side, second: Side, counts: tuple[float, ...]) -> tuple[Ways, Tensor]:
         """Ways from every point of the first side to every cell of the second; and the share (T,) of them
@@ -219,8 +220,8 @@ class Posed:
         the one that mirrors the observer in the second (1).
 
         The area that a direction leads from facet to facet is exact; of it a share ``clear`` (T,) is not
-        blocked. What is a lobe at both ends is divided between the two sets by how densely the directions of
-        each lie there.
+        blocked. What is a lobe at both ends is divided between the two sets by how densely the directions
+        of each lie there.
         """
         frames = [tuple(one[:, 0] for one in self._frame(side, 1)) for side in (first, second)]
         known = (self.to_sun, self.to_observer)[which]
@@ -292,8 +293,8 @@ class Posed:
         return normal, u
 
     def _clear(self, first: Side, second: Side, start: Tensor, end: Tensor) -> Tensor:
-        """1 where point and cell (T, N, M) see each other, the point the Sun and the cell the observer, else
-        0."""
+        """1 where point and cell (T, N, M) see each other, the point the Sun and the cell the observer,
+        else 0."""
         bodies = [k for k, part in enumerate(self.parts) if part.hull is not None]
         function = partial(_clear, self.parts, bodies, first.part, second.part)
         given = (self.to_sun, self.to_observer, start, end, *(self.corners[k] for k in bodies))
@@ -355,7 +356,8 @@ def _about(normal: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def form_factor(corners: Tensor, normal: Tensor) -> Tensor:
-    """Share (...) of a Lambert point's light that a polygon with corners (..., V, 3) relative to it receives.
+    """Share (...) of a Lambert point's light that a polygon with corners (..., V, 3) relative to it
+    receives.
 
     Lambert's formula, exact for polygons above the plane of the point, whose normal is (..., 3).
     """
@@ -370,8 +372,8 @@ def form_factor(corners: Tensor, normal: Tensor) -> Tensor:
 
 
 def _on_quadrilateral(vertices: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (R, F, N, 3) at bilinear coordinates (N,) of facets (R, F, 4, 3), and how the map stretches area
-    there."""
+    """Points (R, F, N, 3) at bilinear coordinates (N,) of facets (R, F, 4, 3), and how the map stretches
+    area there."""
     p, q, r, s = (one[:, :, None] for one in vertices.unbind(2))
     a, b = a[:, None], b[:, None]
     place = (1 - a) * (1 - b) * p + a * (1 - b) * q + a * b * r + (1 - a) * b * s

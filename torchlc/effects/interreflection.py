@@ -41,28 +41,34 @@ class Interreflection(Effect):
         rows = view.to_observer.shape[1]
         size = rows if traced() else ROWS_AT_ONCE
         sides = facing_sides(context)
-        pieces: dict[tuple[str, str, str], list[Ways]] = {}
+        pieces: dict[tuple[str, str, str, bool], list[Ways]] = {}
         for start in range(0, rows, size):
             cut = slice(start, min(start + size, rows))
             posed = Posed.of(view, context, cut)
-            found: dict[tuple[str, str, str], list[Ways]] = {}
+            found: dict[tuple[str, str, str, bool], list[Ways]] = {}
             for first, second in sides:
-                key = (context.parts[second.part].name, first.material, second.material)
-                found.setdefault(key, []).extend(posed.ways(first, second))
+                for ways, dull in posed.ways(first, second):
+                    key = (context.parts[second.part].name, first.material, second.material, dull)
+                    found.setdefault(key, []).append(ways)
             for key, ways in found.items():
                 pieces.setdefault(key, []).append(_side_by_side(ways, cut.stop - cut.start))
         bounces = []
-        for (component, *names), cuts in pieces.items():
+        for (component, one, two, dull), cuts in pieces.items():
             columns = joined(cuts, BLANK)
-            if len(columns[-1]):
-                both = [
-                    Surface(component, name, model, _table(model, columns[part]), columns[0], sunlit=False)
-                    for name, model, part in zip(
-                        names, map(context.models.get, names), (FIRST, SECOND), strict=True
-                    )
-                    if model is not None
-                ]
-                bounces.append((component, *both, columns[SECOND.stop :]))
+            if not len(columns[-1]):
+                continue
+            models = context.models[one], context.models[two]
+            tables = tuple(
+                _table(model, columns[part]) for model, part in zip(models, (FIRST, SECOND), strict=True)
+            )
+            products = columns[SECOND.stop :]
+            if dull and all("diffuse" in table for table in tables):
+                tables, products = _gathered(*tables), (*(product[:1] for product in products[:3]), 1.0)
+            first, second = (
+                Surface(component, name, model, table, view.range_m[0], sunlit=False)
+                for name, model, table in zip((one, two), models, tables, strict=True)
+            )
+            bounces.append((component, first, second, products))
 
         def light(reflect, p) -> Mapping[str, Tensor]:
             total: dict[str, Tensor] = {}
@@ -74,7 +80,7 @@ class Interreflection(Effect):
                 total[component] = total[component] + twice if component in total else twice
             return total
 
-        return Scatter(light, sum(columns[-1].numel() for *_, columns in bounces))
+        return Scatter(light, sum(products[0].numel() for *_, products in bounces))
 
 
 def _side_by_side(found: list[Ways], rows: int) -> Ways:
@@ -90,4 +96,15 @@ def _table(model: type[Brdf], columns: Ways) -> dict[str, Tensor]:
     """A material's table of ways (P, T) each by itself: a leading axis P, and one pair a row."""
     *angles, spread, weight = (column[:, None] for column in columns)
     table = model.tabulate(Incidence(*angles), weight)
-    return table if model.additive else {**table, "spread": spread}
+    sharp = model.additive or not (traced() or bool(spread.any()))
+    return table if sharp else {**table, "spread": spread}
+
+
+def _gathered(
+    first: dict[str, Tensor], second: dict[str, Tensor]
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Tables of one way in place of all, for diffuse light alone: it is a product of two materials'
+    reflectances."""
+    both = (first["diffuse"] * second["diffuse"]).sum(0, keepdim=True)
+    one, two = ({name: table[:1] for name, table in tables.items()} for tables in (first, second))
+    return {**one, "diffuse": both}, {**two, "diffuse": torch.ones_like(both)}

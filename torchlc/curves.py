@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from torchlc.recording import Recording
 from torchlc.simulated import iso_times
@@ -20,6 +21,10 @@ MOST_PANELS = 24
 LONGEST_GAP = 5.0
 """A line breaks where the time between rows exceeds this many times their median."""
 SHORTEST_BREAK_S = 60.0
+UNITS = (("hours", 3600.0, 7200.0), ("minutes", 60.0, 300.0), ("seconds", 1.0, 0.0))
+"""Of the time axis: name, length in s, and the shortest stretch it is used for."""
+CROWDED = 600
+"""Rows in a panel beyond which error bars are drawn faint."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +45,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows drawn in one panel: their index, hours since their first, and a title."""
+    """Rows drawn in one panel: their index, the time since their first in ``unit``, and a title."""
 
     rows: np.ndarray
-    hours: np.ndarray
+    elapsed: np.ndarray
+    unit: str
     title: str
 
 
@@ -52,11 +58,14 @@ def stretches(recording: Recording) -> list[Stretch]:
     by_night = recording.kind == "mag"
     key = recording.night if by_night else recording.curve
     ids = recording.night_ids if by_night else recording.curve_ids
-    found = []
-    for one in dict.fromkeys(key.tolist()):
-        rows = np.flatnonzero(key == one)
-        found.append(Stretch(rows, (recording.seconds[rows] - recording.seconds[rows[0]]) / 3600, ids[one]))
-    return found
+    index = [(np.flatnonzero(key == one), ids[one]) for one in dict.fromkeys(key.tolist())]
+    seconds = [recording.seconds[rows] - recording.seconds[rows[0]] for rows, _ in index]
+    longest = max(float(one[-1]) for one in seconds)
+    unit, length = next((name, length) for name, length, least in UNITS if longest >= least)
+    return [
+        Stretch(rows, elapsed / length, unit, title)
+        for (rows, title), elapsed in zip(index, seconds, strict=True)
+    ]
 
 
 def curve_size(recording: Recording) -> tuple[float, float]:
@@ -69,8 +78,8 @@ def draw_curves(shown: Comparison, figure: Figure) -> list[Axes]:
     """A pair of axes for each stretch, at most MOST_PANELS."""
     panels = stretches(shown.recording)[:MOST_PANELS]
     columns = _columns(len(panels))
-    with matplotlib.rc_context(style()):
-        grid = figure.add_gridspec(-(-len(panels) // columns), columns, hspace=0.45, wspace=0.3)
+    with matplotlib.rc_context(style(10 if len(panels) == 1 else 7.5)):
+        grid = figure.add_gridspec(-(-len(panels) // columns), columns, hspace=0.42, wspace=0.36)
         axes: list[Axes] = []
         for k in range(len(panels)):
             cell = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.08)
@@ -95,13 +104,13 @@ def _columns(panels: int) -> int:
 
 
 def _draw_rows(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -> None:
-    recording, rows, hours = shown.recording, stretch.rows, stretch.hours
+    recording, rows, elapsed = shown.recording, stretch.rows, stretch.elapsed
     limit = recording.upper_limit[rows]
     stations = np.unique(recording.station)
     left = (recording.observed - shown.prediction)[rows]
     if shown.before is not None:
         missed = (recording.observed - shown.before)[rows]
-        lower.plot(hours[~limit], missed[~limit], ".", ms=3, color=BEFORE, zorder=1)
+        lower.plot(elapsed[~limit], missed[~limit], ".", ms=3, color=BEFORE, zorder=1)
     for station in stations:
         here = (recording.station[rows] == station) & ~limit
         alone = len(stations) == 1
@@ -111,22 +120,26 @@ def _draw_rows(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) ->
         }  # fmt: skip
         label = "recording" if alone else plain(recording.station_ids[station])
         error = shown.error[rows][here]
-        upper.errorbar(hours[here], recording.observed[rows][here], error, label=label, **options)
-        lower.errorbar(hours[here], left[here], error, **options)
+        for axes, values in ((upper, recording.observed[rows]), (lower, left)):
+            drawn = axes.errorbar(elapsed[here], values[here], error, label=label, **options)
+            if len(rows) > CROWDED:
+                drawn[2][0].set_alpha(0.15)
     if limit.any():
-        upper.plot(hours[limit], recording.observed[rows][limit], "v", ms=4, color=DATA, label="upper limit")
+        upper.plot(
+            elapsed[limit], recording.observed[rows][limit], "v", ms=4, color=DATA, label="upper limit"
+        )
 
 
 def _draw_model(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -> None:
-    recording, rows, hours = shown.recording, stretch.rows, stretch.hours
+    recording, rows, elapsed = shown.recording, stretch.rows, stretch.elapsed
     named = "model" if shown.before is None else "with what it lacked"
     for number, piece in enumerate(_pieces(recording, rows)):
         label = None if number else named
-        upper.plot(hours[piece], shown.prediction[rows][piece], color=MODEL, lw=1.4, zorder=3, label=label)
+        upper.plot(elapsed[piece], shown.prediction[rows][piece], color=MODEL, lw=1.4, zorder=3, label=label)
         if shown.before is not None:
             label = None if number else "model as given, refitted"
             upper.plot(
-                hours[piece],
+                elapsed[piece],
                 shown.before[rows][piece],
                 color=BEFORE,
                 lw=1.4,
@@ -136,12 +149,12 @@ def _draw_model(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -
             )
         if shown.band is not None:
             low, high = shown.band[:, rows[piece]]
-            upper.fill_between(hours[piece], low, high, color=MODEL, alpha=0.2, lw=0)
+            upper.fill_between(elapsed[piece], low, high, color=MODEL, alpha=0.2, lw=0)
     lower.axhline(0.0, color=MODEL, lw=1.0)
     if shown.marked is not None:
         for first, last in _runs(shown.marked[rows]):
             for axes in (upper, lower):
-                axes.axvspan(hours[first], hours[last], color=MARK, alpha=0.22, lw=0, zorder=0)
+                axes.axvspan(elapsed[first], elapsed[last], color=MARK, alpha=0.22, lw=0, zorder=0)
 
 
 def _label(
@@ -156,12 +169,15 @@ def _label(
         upper.set_ylim(min(visible.max(), observed.max() + 2.0) + pad, visible.min() - pad)
     if first:
         upper.set_ylabel(unit)
-        upper.legend(loc="best", fontsize=8)
+        upper.legend(loc="best" if alone else (0.0, 1.2), ncols=1 if alone else 4, fontsize=8)
         lower.set_ylabel("obs. − model" if alone else "o − m")
     if not alone:
-        upper.set_title(plain(stretch.title), fontsize=9)
+        upper.set_title(plain(stretch.title), fontsize=8)
+        lower.yaxis.set_major_locator(MaxNLocator(3))
+        upper.yaxis.set_major_locator(MaxNLocator(4))
     start = iso_times(recording)[stretch.rows[0]][:16].replace("T", " ")
-    lower.set_xlabel(f"hours after {start} {recording.time.scale.upper()}" if alone else "h", fontsize=9)
+    scale = recording.time.scale.upper()
+    lower.set_xlabel(f"{stretch.unit} after {start} {scale}" if alone else stretch.unit)
     upper.tick_params(labelbottom=False)
     for axes in (upper, lower):
         axes.grid(visible=True)

@@ -45,7 +45,7 @@ def write_diagnosis(diagnosis: Diagnosis, made: Mapping[str, Any], directory: Ou
     directory.write_bytes("curve.png", png(figure))
     model, prediction = _final(diagnosis)
     drawn = Figure(figsize=(5.6, 5.0))
-    row = brightest(model.recording.kind, prediction)
+    row = brightest(model.recording, prediction)
     draw_object(model, bare_view(model, diagnosis.final.refit.theta), row, drawn.subplots())
     directory.write_bytes("object.png", png(drawn))
     directory.write_text("report.html", render_diagnosis(diagnosis, made))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib
 import matplotlib.colors
 import numpy as np
@@ -13,6 +11,7 @@ from matplotlib.patches import Patch
 from torchlc.effects.base import View
 from torchlc.model import LightCurve
 from torchlc.raster import Mesh, fan, looking_along, render
+from torchlc.recording import Recording
 from torchlc.simulated import iso_times
 from torchlc.style import INK, OBSERVER, PALETTE, SUN, component_colour, plain, style
 
@@ -75,8 +74,19 @@ def _triad(axes: Axes, camera: np.ndarray, span: float) -> None:
         axes.text(x, y, name, fontsize=8, ha="center", va="center")
 
 
-def brightest(kind: str, prediction: np.ndarray) -> int:
-    """The row (of magnitudes or of flux) in which a model is brightest."""
-    worst: Any = np.inf if kind == "mag" else -np.inf
-    values = np.where(np.isfinite(prediction), prediction, worst)
-    return int(np.argmin(values) if kind == "mag" else np.argmax(values))
+def levelled(recording: Recording, values: np.ndarray) -> np.ndarray:
+    """Magnitudes as they are; relative flux (T,) over the mean of its curve, so that curves compare."""
+    if recording.kind == "mag":
+        return values
+    count = len(recording.curve_ids)
+    mean = np.bincount(recording.curve, recording.observed, count) / np.bincount(
+        recording.curve, minlength=count
+    )
+    return values / mean[recording.curve]
+
+
+def brightest(recording: Recording, prediction: np.ndarray) -> int:
+    """The row in which a model is brightest, in its curve where the scale of curves is their own."""
+    values = levelled(recording, prediction)
+    values = -values if recording.kind == "mag" else values
+    return int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))

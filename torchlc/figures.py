@@ -28,7 +28,7 @@ def shares(result: FitResult, axes: Axes | None = None, figure: Figure | None = 
         if axes is None:
             axes = (figure if figure is not None else _figure((9.0, 3.0))).subplots()
         if len(panels) == 1:
-            x, label = panels[0].hours, "hours after the first row"
+            x, label = panels[0].elapsed, f"{panels[0].unit} after the first row"
         else:
             x, label = np.arange(len(result.recording)), "row, in order of time"
         order = np.argsort(x, kind="stable")

@@ -42,6 +42,8 @@ INKS = {
 }
 """Colours of the figures that follow the page's light or dark dress."""
 PNG_DPI = 130
+MANY_ROWS = 30
+"""Rows of a table beyond which it is folded."""
 GOOD_RHAT = 1.03
 GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
@@ -143,11 +145,13 @@ def render_fit(
             diagnosis=diagnosis,
             warnings=result.all_warnings,
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
+            many=MANY_ROWS,
             matches=[(material, _match_words(found)) for material, found in result.materials().items()],
             viewer=viewer_data(result.model, result.view, result.prediction),
             chain_words=_chain_words(result),
             curve_alt=alts["curve"],
             curve_caption=_curve_caption(result),
+            several=len(result.model.assembly.components) > 1,
             shares_alt=alts["shares"],
             corner_alt=alts.get("corner"),
             corner_caption=_corner_caption(result),

@@ -382,7 +382,7 @@ class FitResult:
             import matplotlib.pyplot as plt
 
             axes = plt.subplots(figsize=(5.6, 5.0))[1]
-        row = brightest(self.recording.kind, self.prediction) if row is None else row
+        row = brightest(self.recording, self.prediction) if row is None else row
         return draw_object(self.model, self.view, row, axes)
 
     def write_report(self, path: str | Path) -> Path:

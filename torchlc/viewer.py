@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchlc.drawing import brightest, good_camera, posed_mesh
+from torchlc.drawing import brightest, good_camera, levelled, posed_mesh
 from torchlc.effects.base import View
 from torchlc.model import LightCurve
 from torchlc.orbit import angle_between
@@ -28,7 +28,7 @@ def viewer_data(model: LightCurve, view: View, prediction: np.ndarray) -> dict[s
     ``prediction`` (T,) is the model in the recording's unit, ``view`` its geometry at each row.
     """
     recording = model.recording
-    peak = brightest(recording.kind, prediction)
+    peak = brightest(recording, prediction)
     rows = shown_rows(len(recording), peak)
     mesh = posed_mesh(model, view, peak)
     to_sun, to_observer = view.to_sun[0].numpy(), view.to_observer[0].numpy()
@@ -47,7 +47,10 @@ def viewer_data(model: LightCurve, view: View, prediction: np.ndarray) -> dict[s
             }
         )
     phase, nearest = nearest_glints(view, rows)
-    light = {"observed": recording.observed[rows], "model": prediction[rows]}
+    light = {
+        name: levelled(recording, values)[rows]
+        for name, values in (("observed", recording.observed), ("model", prediction))
+    }
     return {
         "parts": parts,
         "middle": rounded(mesh.middle, 5),

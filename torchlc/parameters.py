@@ -65,6 +65,11 @@ class Prior:
     def logarithmic(self) -> bool:
         return self.kind in ("loguniform", "lognormal")
 
+    @property
+    def scale(self) -> float:
+        """Width of the prior on its own scale: of ln x where that is the scale."""
+        return self._width() if self.kind in ("uniform", "loguniform") else self.sigma
+
     def log_density(self, x: Tensor) -> Tensor:
         """Log density at x, same shape; -inf outside [low, high]."""
         inside = (x >= self.low) & (x <= self.high)
@@ -89,7 +94,7 @@ class Prior:
         """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw
         from the prior."""
         if self.kind in ("uniform", "loguniform"):
-            low, high = self._range()
+            low, high = self.flat_range()
             y = low + (high - low) * p
         else:
             a, b = self._cdf_range()
@@ -101,7 +106,7 @@ class Prior:
     def transform(self) -> transforms.Transform:
         """Bijection from the real line onto (low, high); z = 0 is the middle of the prior and z of order 1
         its width."""
-        low, high = self._range()
+        low, high = self.flat_range()
         flat = self.kind in ("uniform", "loguniform")
         middle = (
             0.5 * (low + high)
@@ -139,7 +144,8 @@ class Prior:
             steps.append(transforms.ExpTransform())
         return transforms.ComposeTransform(steps)
 
-    def _range(self) -> tuple[float, float]:
+    def flat_range(self) -> tuple[float, float]:
+        """Bounds on the scale on which a flat prior is flat: of ln x where that is the scale."""
         if not self.logarithmic:
             return self.low, self.high
         return (
@@ -148,11 +154,11 @@ class Prior:
         )
 
     def _width(self) -> float:
-        low, high = self._range()
+        low, high = self.flat_range()
         return high - low
 
     def _cdf_range(self) -> tuple[float, float]:
-        low, high = self._range()
+        low, high = self.flat_range()
         centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
 
         def cdf(value: float) -> float:
@@ -281,7 +287,7 @@ class ParameterSet:
         """Lower and upper bounds (P,) of the flat coordinates y; infinite where there is none."""
         low, high = [], []
         for index, entry in enumerate(self.free):
-            a, b = (0.0, 1.0) if index in self._second else entry.prior._range()
+            a, b = (0.0, 1.0) if index in self._second else entry.prior.flat_range()
             low.append(a)
             high.append(b)
         return self.start().new_tensor(low), self.start().new_tensor(high)

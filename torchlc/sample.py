@@ -27,6 +27,7 @@ from torchlc.errors import InputError
 from torchlc.fit import Fit, Progress
 from torchlc.likelihood import Likelihood
 from torchlc.output import write_whole
+from torchlc.redraw import Redraw
 
 BLOCK = 20
 """Steps between looks at the clock."""
@@ -146,15 +147,18 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
     return torch.cat(points)
 
 
-def moves() -> list[tuple[emcee.moves.Move, float]]:
-    """Differential evolution along bananas, its jumps between modes (gamma 1), snooker steps across,
-    stretches for the rest."""
-    return [
-        (emcee.moves.DEMove(), 0.55),
+def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution, its jumps between clusters (gamma 1), snooker steps, stretches; and where there
+    are reflectances the exchange of one explanation for another.
+    """
+    chosen: list[tuple[emcee.moves.Move, float]] = [
+        (emcee.moves.DEMove(), 0.3),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
-        (emcee.moves.DESnookerMove(), 0.1),
-        (emcee.moves.StretchMove(), 0.25),
+        (emcee.moves.DESnookerMove(), 0.05),
+        (emcee.moves.StretchMove(), 0.2),
     ]
+    redraw = Redraw(fit.likelihood, fit.theta)
+    return [*chosen, (emcee.moves.MHMove(redraw), 0.35)] if redraw.linear else chosen
 
 
 def sample(
@@ -188,7 +192,7 @@ def sample(
     backend = emcee.backends.Backend()
     density = log_density(likelihood)
     sampler = emcee.EnsembleSampler(
-        count, dimensions, density, moves=moves(), vectorize=True, backend=backend
+        count, dimensions, density, moves=moves(fit), vectorize=True, backend=backend
     )
     state = None
     if resume and chain_file is not None:

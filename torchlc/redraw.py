@@ -1,0 +1,223 @@
+"""A move of the ensemble between explanations: another shape of the lobes, and the reflectances that go with it.
+
+Brightness is linear in the reflectances once everything else is settled. So what is left of them, given the
+rest, is nearly a normal distribution cut off at the bounds, which a regression finds. The move proposes other
+exponents, widths or zero points, draws the reflectances anew from the regression that belongs to these, and
+is accepted by Metropolis and Hastings' rule; a glossy body beside dull panels and its reverse, an optimum
+each, exchange draws in one step. Where light is not quite linear in a reflectance (the lobe of Phong, a large
+noise in magnitudes) the proposal is less apt, never wrong.
+
+Letters: W walkers, P parameters, K reflectances, T rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.likelihood import MAG_PER_LN, Likelihood
+
+REFLECTANCES = ("r_spec", "r_diff", "f0", "albedo")
+WIDER = 1.2
+"""The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
+FLAT_VARIANCE = 1 / 12
+"""Of a reflectance about which nothing is known."""
+REWEIGHTED = 2
+"""Times that the regression is done again about its own result, so that it is one of magnitudes, not of flux."""
+KINDS = {
+    "one from its prior": 0.3,
+    "one by a step": 0.4,
+    "all from their priors": 0.1,
+    "two of a kind exchanged": 0.2,
+}
+
+
+class Redraw:
+    """Proposal for ``emcee.moves.MHMove``: straight coordinates (W, P) to new ones, and log q(old) / q(new) (W,).
+
+    The errors of the regression, and the gains of relative flux, are those at natural values ``theta`` (P,).
+    """
+
+    def __init__(self, likelihood: Likelihood, theta: Tensor) -> None:
+        self.likelihood = likelihood
+        model = likelihood.model
+        names = model.names
+        held = set(model.assembly.geometry_columns)
+        held |= {i for i, name in enumerate(names) if name.partition(".")[0] in _noisy(likelihood)}
+        short = [name.partition("[")[0].rpartition(".")[2] for name in names]
+        self.linear = [i for i, name in enumerate(short) if name in REFLECTANCES and i not in held]
+        self.others = [i for i in range(len(names)) if i not in held and i not in self.linear]
+        self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
+        self.first = {second: first for first, second in model.parameter_set.pairs}
+        bounds = [one.prior.flat_range() for one in model.parameter_set.free]
+        self.low, self.high = torch.tensor(bounds, dtype=theta.dtype).unbind(-1)
+        with torch.no_grad():
+            found = likelihood.residuals(theta)
+            sigma = found.sigma.expand(found.delta.shape)
+            if likelihood.fitted_errors:
+                sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
+            jitter = model.noise(theta).jitter
+            if jitter is not None:
+                sigma = torch.sqrt(sigma**2 + (jitter * found.scale) ** 2)
+        self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
+
+    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        old = torch.as_tensor(coords)
+        walkers = len(old)
+        with torch.no_grad():
+            new, factor = self.change(old, random)
+            within = (new >= self.low) & (new <= self.high)
+            factor = torch.where(within[:, self.others].all(-1), factor, -math.inf)
+            new[:, self.others] = torch.minimum(torch.maximum(new, self.low), self.high)[:, self.others]
+            centre, spread = self.regression(torch.cat([old, new]))
+            uniform = torch.as_tensor(random.random_sample((walkers, len(self.linear))))
+            _, back = self.truncated(old, centre[:walkers], spread[:walkers])
+            new, forth = self.truncated(new, centre[walkers:], spread[walkers:], uniform)
+        factor = factor + back - forth
+        sound = torch.isfinite(factor) & torch.isfinite(new).all(-1)  # else far out in a tail: no move
+        return torch.where(sound[:, None], new, old).numpy(), torch.where(sound, factor, -math.inf).numpy()
+
+    def change(self, old: Tensor, random: np.random.RandomState) -> tuple[Tensor, Tensor]:
+        """Other values of what is not a reflectance (W, P), and log q(old) / q(new) of that alone (W,)."""
+        new, factor = old.clone(), torch.zeros(len(old), dtype=old.dtype)
+        if not self.others:
+            return new, factor
+        kind = random.choice(list(KINDS), p=list(KINDS.values()))
+        rows = torch.arange(len(old))
+        picked = torch.as_tensor(random.choice(self.others, len(old)))
+        uniform = torch.as_tensor(random.random_sample((len(old), len(self.others))))
+        normal = torch.as_tensor(random.standard_normal(len(old)))
+        size = torch.as_tensor(10.0 ** random.uniform(-3.0, 0.0, len(old)))
+        free = self.likelihood.model.parameter_set.free
+        if kind in ("one from its prior", "all from their priors"):
+            for place, column in enumerate(self.others):
+                chosen = (picked == column) | (kind == "all from their priors")
+                prior = free[column].prior
+                draw = prior.quantile(uniform[:, place])
+                value = torch.exp(old[:, column]) if prior.logarithmic else old[:, column]
+                gain = prior.log_density(value) - prior.log_density(draw)
+                if prior.logarithmic:
+                    gain = gain + old[:, column] - torch.log(draw)
+                    draw = torch.log(draw)
+                new[:, column] = torch.where(chosen, draw, old[:, column])
+                factor = factor + torch.where(chosen, gain, 0.0)
+        elif kind == "one by a step":
+            widths = torch.tensor([one.prior.scale for one in free], dtype=old.dtype)
+            new[rows, picked] += widths[picked] * size * normal
+        elif self.alike:
+            i, j = torch.as_tensor(self.alike)[
+                torch.as_tensor(random.randint(len(self.alike), size=len(old)))
+            ].T
+            new[rows, i], new[rows, j] = old[rows, j], old[rows, i]
+        return new, factor
+
+    def regression(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean (W, K) and lower Cholesky factor (W, K, K) of the reflectances' covariance, given the other
+        columns of x (W, P).
+        """
+        likelihood, model = self.likelihood, self.likelihood.model
+        parameters = model.parameter_set
+        count = len(self.linear)
+        points = x[:, None].repeat(1, count + 1, 1)
+        points[:, :, self.linear] = 0.0
+        for place, column in enumerate(self.linear):
+            points[:, place + 1, column] = 1.0
+        flux = model.brightness(parameters.from_straight(points)[0]).flux
+        dark, design = flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
+        if likelihood.kind == "flux":
+            assert self.gain is not None  # flux has one
+            gain = self.gain[likelihood.curve]
+            return self._solution(dark, design, likelihood.observed / gain, self.sigma / gain.abs())
+        offset = model.assembly.sun_magnitude + model.zero_point(parameters.from_straight(x)[0])
+        observed = 10 ** (-0.4 * (likelihood.observed - offset))
+        target, near = observed, observed
+        for _ in range(REWEIGHTED):
+            mean, _ = self._solution(dark, design, target, near * self.sigma / MAG_PER_LN)
+            predicted = dark + (design @ mean[..., None])[..., 0]
+            near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
+            target = near * (1.0 + torch.log(observed / near))
+        return self._solution(dark, design, target, near * self.sigma / MAG_PER_LN)
+
+    def _solution(
+        self, dark: Tensor, design: Tensor, observed: Tensor, sigma: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Weighted least squares for flux = dark + design @ reflectances, with the flat prior's variance."""
+        count = len(self.linear)
+        design = design / sigma[..., None]
+        middle = torch.tensor([0.25 if i in self.first else 0.5 for i in self.linear], dtype=dark.dtype)
+        precision = design.transpose(1, 2) @ design + torch.eye(count, dtype=dark.dtype) / FLAT_VARIANCE
+        target = (
+            design.transpose(1, 2) @ ((observed - dark) / sigma)[..., None] + middle[:, None] / FLAT_VARIANCE
+        )
+        factor = torch.linalg.cholesky_ex(precision)[0]
+        mean = torch.cholesky_solve(target, factor)[..., 0]
+        return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
+
+    def truncated(
+        self, x: Tensor, mean: Tensor, spread: Tensor, uniform: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """x (W, P) with its reflectances drawn one after the other, each within the bounds that those before
+        leave it, and the log density of the draw (W,); without ``uniform`` (W, K) that of x as it is.
+        """
+        x = x.clone()
+        deviate = torch.zeros_like(mean)
+        density = torch.zeros(len(x), dtype=x.dtype)
+        for place, column in enumerate(self.linear):
+            sd = spread[:, place, place]
+            centre = mean[:, place] + (spread[:, place, :place] * deviate[:, :place]).sum(-1)
+            low, high = self._bounds(column, x)
+            a, b = (low - centre) / sd, (high - centre) / sd
+            if uniform is not None:
+                x[:, column] = centre + sd * _truncated_normal(a, b, uniform[:, place])
+                x[:, column] = torch.minimum(torch.maximum(x[:, column], low), high)
+            deviate[:, place] = (x[:, column] - centre) / sd
+            inside = (x[:, column] >= low) & (x[:, column] <= high) & (high > low)
+            mass = _log_mass(a, torch.maximum(b, a + 1e-300))
+            one = -0.5 * deviate[:, place] ** 2 - torch.log(sd) - 0.5 * math.log(2 * math.pi) - mass
+            density = density + torch.where(inside, one, -math.inf)
+        return x, density
+
+    def _bounds(self, column: int, x: Tensor) -> tuple[Tensor, Tensor]:
+        low, high = self.low[column].expand(len(x)), self.high[column].expand(len(x))
+        if column in self.first:
+            rest = 1.0 - x[:, self.first[column]]
+            return low * rest, torch.minimum(high, rest) * rest
+        return low, high
+
+
+def _noisy(likelihood: Likelihood) -> set[str]:
+    return {effect.name for effect in likelihood.model.assembly.stage("noise")}
+
+
+def _lower_tail(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The interval, or its mirror image where that lies further down, and where it was mirrored."""
+    mirrored = a + b > 0
+    return torch.where(mirrored, -b, a), torch.where(mirrored, -a, b), mirrored
+
+
+def _log_mass(a: Tensor, b: Tensor) -> Tensor:
+    """log of the normal probability of [a, b], without loss in the tails."""
+    a, b, _ = _lower_tail(a, b)
+    low, high = torch.special.log_ndtr(a), torch.special.log_ndtr(b)
+    return high + torch.log(-torch.expm1((low - high).clamp(max=-1e-300)))
+
+
+def _truncated_normal(a: Tensor, b: Tensor, uniform: Tensor) -> Tensor:
+    """Standard normal numbers in [a, b] at ``uniform`` in [0, 1): the inverse of the distribution, by Newton's
+    method on its logarithm below -5.
+    """
+    a, b, mirrored = _lower_tail(a, b)
+    share = torch.where(mirrored, 1.0 - uniform, uniform)
+    low, high = torch.special.log_ndtr(a), torch.special.log_ndtr(b)
+    log_p = high + torch.log((share + (1.0 - share) * torch.exp(low - high)).clamp(min=1e-300))
+    x = torch.special.ndtri(torch.exp(log_p.clamp(min=-600.0)))
+    x = torch.where(log_p < -600.0, -torch.sqrt(-2.0 * log_p), x)
+    for _ in range(4):
+        value = torch.special.log_ndtr(x)
+        slope = torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - value)
+        x = torch.where(log_p < -5.0, x - (value - log_p) / slope.clamp(min=1e-300), x)
+    x = torch.minimum(torch.maximum(x, a), b)
+    return torch.where(mirrored, -x, x)

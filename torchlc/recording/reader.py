@@ -12,6 +12,7 @@ from astropy.time import Time
 
 from torchlc.errors import InputError
 from torchlc.recording import declared, groups
+from torchlc.recording.layouts import LAYOUTS
 from torchlc.recording.recording import Recording, no_usable_row, seconds_since
 from torchlc.recording.table import (
     Header,
@@ -48,13 +49,14 @@ LIMITS |= {f"{prefix}_{axis}": (-1e15, 1e15) for prefix in declared.VECTORS.valu
 def load_recording(
     path: str | Path, scene: Scene | None = None, *, use: str | None = None, min_rows: int = 1
 ) -> Recording:
-    """Read an ECSV or CSV recording and check it, against the scene's needs when one is given.
+    """Read an ECSV or CSV recording, or one of the other ``LAYOUTS``, and check it, against the scene's needs
+    when one is given.
 
     ``use`` picks "mag" or "flux" when both are there (default mag). Without a ``curve`` column each station
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    header = read_header(Path(path))
+    header = read_header(Path(path), LAYOUTS)
     return _Reader(header, scene, use).recording(min_rows)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from astropy.table.meta import get_header_from_yaml
@@ -28,7 +28,10 @@ FORMAT = "CSV with a header line, or ECSV"
 
 @dataclass(frozen=True)
 class Header:
-    """What a table says before its rows: column names, units, descriptions and metadata (empty for CSV)."""
+    """What a table says before its rows: column names, units, descriptions and metadata (empty for CSV).
+
+    ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    """
 
     source: Path
     names: tuple[str, ...]
@@ -37,23 +40,30 @@ class Header:
     units: Mapping[str, str] = field(default_factory=dict)
     descriptions: Mapping[str, str] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
+    rows: Callable[[], Iterator[list[str]]] | None = None
 
 
+Layout = Callable[[Path, Sequence[str], str], Header | None]
+"""Recognises a file by its comment lines and its first other line."""
 CellReader = Callable[[Header, str, list[str], int], np.ndarray]
 """Turns cells of one column (header, name, cells, index of the first row) into an array, first axis rows."""
 
 
-def read_header(path: Path) -> Header:
-    """Check that ``path`` is a text table of a bearable length, and read what stands before its rows."""
+def read_header(path: Path, layouts: Sequence[Layout] = ()) -> Header:
+    """Check that ``path`` is a text table of a bearable length, and read what stands before its rows: in the
+    first of ``layouts`` that recognises it, else as ECSV or CSV.
+    """
     lines = _count_lines(readable_file(path, FORMAT))
-    with path.open(encoding="utf-8-sig") as stream:
-        comments, first = _leading_lines(path, stream)
+    comments, first = _leading_lines(path)
     if lines - len(comments) - 1 > MAX_ROWS:
         raise _too_long(path)
     if first is None:
         raise InputError(path, None, "no rows", FORMAT)
     if comments and comments[0].startswith("%ECSV"):
         return _ecsv_header(path, comments, first)
+    for layout in layouts:
+        if (header := layout(path, comments, first)) is not None:
+            return header
     delimiter = max(",;\t", key=first.count)
     names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
     _check_names(path, names)
@@ -109,24 +119,25 @@ def _too_long(path: Path) -> InputError:
     )
 
 
-def _lines(path: Path, stream: TextIO) -> Iterator[str]:
+def lines_of(path: Path) -> Iterator[str]:
     """Lines of bounded length; a byte that is no UTF-8 becomes an InputError."""
     number = 0
     try:
-        while line := stream.readline(MAX_LINE):
-            number += 1
-            if len(line) == MAX_LINE:
-                raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
-            yield line
+        with path.open(encoding="utf-8-sig") as stream:
+            while line := stream.readline(MAX_LINE):
+                number += 1
+                if len(line) == MAX_LINE:
+                    raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
+                yield line
     except UnicodeDecodeError as error:
         raise InputError(
             path, f"after line {number}" if number else None, f"not UTF-8 text: {error.reason}", "UTF-8 text"
         ) from None
 
 
-def _leading_lines(path: Path, stream: TextIO) -> tuple[list[str], str | None]:
+def _leading_lines(path: Path) -> tuple[list[str], str | None]:
     comments: list[str] = []
-    for line in _lines(path, stream):
+    for line in lines_of(path):
         if line.startswith("#"):
             comments.append(line[1:].rstrip("\r\n").removeprefix(" "))
             if len(comments) > MAX_HEADER_LINES:
@@ -176,19 +187,23 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
 
 
 def _chunks(header: Header) -> Iterator[list[list[str]]]:
-    with header.source.open(encoding="utf-8-sig") as stream:
-        lines = _lines(header.source, stream)
-        if header.ecsv and header.delimiter == " ":
-            kept = (line.strip() for line in lines if line[0] != "#" and not line.isspace())
-        else:
-            kept = (line for line in lines if line[0] != "#" and not line.isspace())
-        reader = csv.reader(kept, delimiter=header.delimiter, skipinitialspace=header.ecsv)
-        try:
-            next(reader)
-            while rows := list(islice(reader, CHUNK_ROWS)):
-                yield rows
-        except csv.Error as error:
-            raise InputError(header.source, f"line {reader.line_num}", str(error), FORMAT) from None
+    cells = _csv_rows(header) if header.rows is None else header.rows()
+    while rows := list(islice(cells, CHUNK_ROWS)):
+        yield rows
+
+
+def _csv_rows(header: Header) -> Iterator[list[str]]:
+    lines = lines_of(header.source)
+    if header.ecsv and header.delimiter == " ":
+        kept = (line.strip() for line in lines if line[0] != "#" and not line.isspace())
+    else:
+        kept = (line for line in lines if line[0] != "#" and not line.isspace())
+    reader = csv.reader(kept, delimiter=header.delimiter, skipinitialspace=header.ecsv)
+    try:
+        next(reader)
+        yield from reader
+    except csv.Error as error:
+        raise InputError(header.source, f"line {reader.line_num}", str(error), FORMAT) from None
 
 
 def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:

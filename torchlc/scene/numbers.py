@@ -11,7 +11,9 @@ from pydantic_core import PydanticCustomError
 FIXED, FREE = "#fixed", "#free"
 """Tags of the two forms of a number; they never reach a person."""
 
-Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+LARGEST, SMALLEST = 1e30, 1e-30
+"""Of a number, and of a standard deviation: their squares are still numbers."""
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 
 
 def problem(found: str, expected: str, key: str = "", hint: str = "") -> PydanticCustomError:
@@ -49,7 +51,7 @@ class Free(Table):
     value: Real
     low: Real | None = None
     high: Real | None = None
-    sigma: Annotated[Real, Field(gt=0)] | None = None
+    sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
     prior: Literal["uniform", "loguniform", "normal", "lognormal", "halfnormal"] = "uniform"
     per: Literal["curve", "station", "night"] | None = None
 
@@ -95,7 +97,7 @@ def _fixed_or_free(data: Any) -> str:
 
 
 Number = Annotated[
-    Annotated[float, Tag(FIXED), Field(strict=True, allow_inf_nan=False)] | Annotated[Free, Tag(FREE)],
+    Annotated[Real, Tag(FIXED)] | Annotated[Free, Tag(FREE)],
     Discriminator(_fixed_or_free),
 ]
 

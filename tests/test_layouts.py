@@ -1,0 +1,208 @@
+"""Recordings in the layouts of others, and recordings as time series: the same numbers, whichever way they came."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import Table
+from astropy.time import Time
+
+from tests.bad_input_cases import SCENE
+from torchlc.errors import InputError
+from torchlc.recording import Recording, load_recording
+from torchlc.scene import Scene, load_scene
+
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+MMT = """\
+# satellite: 12345 SOMETHING 1 / XX
+# catalogue: 1 NORAD
+# track: 777
+# npoints: 3
+#
+# Date Time StdMag Mag Filter Penumbra Distance Phase Channel
+2021-01-02 15:29:22.895000 6.809 5.18095 Clear 0.0 609.517 48.039 5
+2021-01-02 15:29:22.995000 6.793 5.16497 Clear 0.0 609.823 47.983 5
+2021-01-02 15:29:22.995000 6.700 5.20000 Clear 0.0 609.823 47.983 6
+"""
+ALCDEF = """\
+# a session that is calibrated, one reduced by a known amount
+STARTMETADATA
+OBJECTNUMBER=433
+OBJECTNAME=Eros
+SESSIONDATE=2011-09-13
+FILTER=C
+MAGBAND=V
+DIFFERMAGS=FALSE
+LTCAPP=NONE
+REDUCEDMAGS=NONE
+DELIMITER=PIPE
+ENDMETADATA
+DATA=2455817.735937|+7.328|+0.004|2.224
+DATA=2455817.736235|+7.331|+0.005|2.220   # a remark
+ENDDATA
+STARTMETADATA
+OBJECTNAME=Eros
+SESSIONDATE=2011-09-14
+FILTER=R
+REDUCEDMAGS=AVERAGE
+UCORMAG=-1.500
+DELIMITER=TAB
+ENDMETADATA
+DATA=2455818.735937\t+5.828\t+0.004
+ENDDATA
+"""
+SIMPLE = """\
+STARTBLOCK
+STARTDATA
+2457210.698517|+18.377|+0.121
+2457210.700769|+18.489|+0.136
+ENDDATA
+ENDBLOCK
+"""
+DAMIT = """\
+2
+2 0
+2441533.847920805  0.9490716   -1.43005756 0.99141282 -0.11769266   -0.74564757 0.24255588 -0.11774641
+2441533.852378805  0.9172741   -1.43008148 0.99136742 -0.11770136   -0.74561614 0.24256193 -0.1177551
+
+1 1
+2441534.0          0.25        2.0 0.0 0.0                          0.0 3.0 0.0
+"""
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    def load(text: str, scene: Scene | None = None) -> Recording:
+        (tmp_path / "recording.txt").write_text(text)
+        return load_recording(tmp_path / "recording.txt", scene)
+
+    return load
+
+
+def jd(recording: Recording) -> np.ndarray:
+    return np.asarray(recording.time.jd)
+
+
+class TestMiniMegaTortora:
+    def test_a_track(self, read):
+        recording = read(MMT, Scene.from_toml(SCENE))
+        assert recording.kind == "mag" and recording.error_source == "fitted"
+        np.testing.assert_array_equal(recording.observed, [5.18095, 5.16497, 5.2])
+        np.testing.assert_allclose(recording.seconds, [0, 0.1, 0.1], atol=1e-9)
+        assert [recording.curve_ids[one] for one in recording.curve] == ["channel 5", "channel 5", "channel 6"]
+        assert recording.band is not None and set(recording.band) == {"clear"}
+        assert recording.time.isot[0] == "2021-01-02T15:29:22.895"
+
+    def test_all_tracks_of_a_satellite(self, read):
+        lines = MMT.replace("Channel", "Channel Track").splitlines()
+        text = "\n".join([*lines[:6], lines[6] + " 777", lines[7] + " 778", lines[8] + " 778"])
+        assert read(text).curve_ids == ("track 777 channel 5", "track 778 channel 5", "track 778 channel 6")
+
+    def test_a_row_too_short_is_named(self, read):
+        with pytest.raises(InputError, match="line 8: 8 values; expected 9"):
+            read(MMT.replace("Clear 0.0 609.823 47.983 5", "0.0 609.823 47.983 5"))
+
+    @pytest.mark.skipif(not (SHARED / "mmt9").is_dir(), reason="needs ../shared/data/mmt9")
+    @pytest.mark.parametrize("track", ["18904424", "18942920"])
+    def test_a_published_table_holds_what_its_conversion_holds(self, track: str):
+        found = load_recording(SHARED / "mmt9" / f"track_{track}.csv")
+        scene = load_scene(SHARED / "mmt9" / f"scene_{track}.toml")
+        expected = load_recording(SHARED / "mmt9" / f"track_{track}.ecsv", scene)
+        np.testing.assert_array_equal(found.observed, expected.observed)
+        np.testing.assert_allclose(found.seconds, expected.seconds, atol=1e-6)
+        np.testing.assert_array_equal(found.curve, expected.curve)
+
+
+class TestAlcdef:
+    def test_apparent_magnitudes_of_every_session(self, read):
+        """UCORMAG is what was added to reduce a magnitude to unit distances."""
+        recording = read(ALCDEF)
+        np.testing.assert_allclose(recording.observed, [7.328, 7.331, 7.328], atol=1e-12)
+        assert recording.error is not None
+        np.testing.assert_array_equal(recording.error, [0.004, 0.005, 0.004])
+        np.testing.assert_allclose(jd(recording), [2455817.735937, 2455817.736235, 2455818.735937], atol=1e-9)
+        assert recording.time.scale == "utc" and not recording.light_time_corrected
+        assert recording.curve_ids == ("1 2011-09-13", "2 2011-09-14")
+        assert recording.band is not None and list(recording.band) == ["V", "V", "R"]
+        assert recording.meta["object"] == "Eros"
+
+    @pytest.mark.parametrize("change", [("DIFFERMAGS=FALSE", "DIFFERMAGS=TRUE"), ("=AVERAGE", "=POINT")])
+    def test_differential_magnitudes_are_relative_flux(self, read, change: tuple[str, str]):
+        recording = read(ALCDEF.replace(*change))
+        assert recording.kind == "flux" and recording.error is not None
+        ratio = recording.observed[1] / recording.observed[0]
+        assert -2.5 * math.log10(ratio) == pytest.approx(0.003, abs=1e-12)
+        relative = recording.error[1] / recording.observed[1]
+        assert relative == pytest.approx(0.005 * math.log(10) / 2.5, rel=1e-12)
+
+    def test_simple(self, read):
+        recording = read(SIMPLE)
+        np.testing.assert_array_equal(recording.observed, [18.377, 18.489])
+        assert recording.curve_ids == ("1",)
+
+    def test_light_time(self, read):
+        both = ALCDEF.replace("REDUCEDMAGS", "LTCTYPE=POINT\nREDUCEDMAGS")
+        assert read(both).light_time_corrected
+        with pytest.raises(InputError, match="with and without light-time correction"):
+            read(ALCDEF.replace("LTCAPP=NONE", "LTCAPP=AVERAGE"))
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (("+7.331", "bright"), "line 14: 'bright'; expected a number"),
+            (("2455817.736235|+7.331|+0.005|2.220", "2455817.736235"), "line 14: .* expected a Julian date"),
+            (("OBJECTNAME=Eros\nSESSIONDATE=2011-09-14", "OBJECTNAME=Ida"), "2 objects"),
+            (("OBJECTNUMBER=433", "OBJECTNUMBER"), "expected KEYWORD=value"),
+            (("+0.004|2.224", "0|2.224"), "row 1, column mag_err: 0; expected > 0"),
+        ],
+    )
+    def test_damage_is_named(self, read, change: tuple[str, str], message: str):
+        with pytest.raises(InputError, match=message):
+            read(ALCDEF.replace(*change, 1))
+
+
+class TestDamit:
+    def test_vectors_times_and_gains(self, read):
+        """The calibrated curve, reduced to 1 au from Sun and Earth, is put back to 2 and 3 au: over 36."""
+        recording = read(DAMIT)
+        assert recording.kind == "flux" and recording.light_time_corrected and recording.frame == "ecliptic"
+        np.testing.assert_allclose(recording.observed, [0.9490716, 0.9172741, 0.25 / 36], rtol=1e-15)
+        assert recording.curve_ids == ("001", "calibrated")
+        assert recording.sun is not None and recording.obs is not None
+        expected = np.array([-1.43005756, 0.99141282, -0.11769266]) * u.au.to(u.km)
+        np.testing.assert_allclose(recording.sun[0], expected, rtol=1e-14)
+        np.testing.assert_allclose(recording.obs[2], [0, 3 * u.au.to(u.km), 0], rtol=1e-14)
+        assert recording.time.scale == "utc"
+        assert read("# time_scale: tdb\n" + DAMIT).time.scale == "tdb"
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (("2 0\n", "3 0\n"), "line 6: 2 values"),
+            (("1 1\n", "1 2\n"), "points and 0 or 1 of curve 2"),
+            (("2\n2 0", "3\n2 0"), "points and 0 or 1 of curve 3"),
+            (("0.9490716", "x"), "row 1, column flux: 'x'"),
+        ],
+    )
+    def test_damage_is_named(self, read, change: tuple[str, str], message: str):
+        with pytest.raises(InputError, match=message):
+            read(DAMIT.replace(*change, 1))
+
+    @pytest.mark.skipif(not (SHARED / "eros").is_dir(), reason="needs ../shared/data/eros")
+    def test_eros_written_out_and_read_again(self, read):
+        table = Table.read(SHARED / "eros" / "recording.ecsv", format="ascii.ecsv")
+        lines = ["# time_scale: tdb", str(len(set(table["curve"])))]
+        for curve in table.group_by("curve").groups:
+            lines.append(f"{len(curve)} 0")
+            lines += [" ".join(str(cell) for name, cell in zip(curve.colnames, row, strict=True) if name != "curve")
+                      for row in curve.iterrows()]  # fmt: skip
+        scene = load_scene(SHARED / "eros" / "scene.toml")
+        expected = load_recording(SHARED / "eros" / "recording.ecsv", scene)
+        found = read("\n".join(lines), scene)
+        assert len(found) == len(expected) and len(found.curve_ids) == len(expected.curve_ids)
+        assert sorted(found.observed) == sorted(expected.observed)
+        np.testing.assert_array_equal(found.seconds, expected.seconds)

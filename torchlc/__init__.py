@@ -1,8 +1,8 @@
 """torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites
 and debris.
 
-The verbs are :func:`load`, :func:`simulate`, :func:`fit` and :func:`diagnose`; :class:`LightCurve` is the
-model, a torch module. Everything is imported on first use.
+The verbs are :func:`load`, :func:`simulate`, :func:`fit`, :func:`diagnose` and :func:`campaign`;
+:class:`LightCurve` is the model, a torch module. Everything is imported on first use.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import types
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torchlc.api import diagnose, fit, load, simulate
+    from torchlc.api import campaign, diagnose, fit, load, simulate
+    from torchlc.campaign.run import CampaignResult
     from torchlc.errors import InputError, TorchlcError
     from torchlc.likelihood import Likelihood
     from torchlc.model import LightCurve
@@ -26,12 +27,14 @@ __version__ = "0.1.0"
 
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
+    "campaign": "api", "CampaignResult": "campaign.run",
     "LightCurve": "model", "Likelihood": "likelihood", "Scene": "scene", "Recording": "recording",
     "FitResult": "results", "SimulatedCurve": "simulated", "InputError": "errors", "TorchlcError": "errors",
 }  # fmt: skip
 """Public name: the module it comes from."""
 
 __all__ = [
+    "CampaignResult",
     "FitResult",
     "InputError",
     "LightCurve",
@@ -41,6 +44,7 @@ __all__ = [
     "SimulatedCurve",
     "TorchlcError",
     "__version__",
+    "campaign",
     "diagnose",
     "fit",
     "load",
@@ -61,7 +65,7 @@ def __dir__() -> list[str]:
 
 
 class _Package(types.ModuleType):
-    """Keeps ``torchlc.fit`` and ``torchlc.diagnose`` the verbs: importing the modules of those names would
+    """Keeps ``torchlc.fit``, ``diagnose`` and ``campaign`` the verbs: importing the modules of those names would
     put them in their place.
     """
 

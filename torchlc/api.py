@@ -37,6 +37,7 @@ from torchlc.simulated import SimulatedCurve, simulated_curve
 from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
+    from torchlc.campaign.run import CampaignResult
     from torchlc.diagnose.result import Diagnosis
 
 Progress = Callable[[str, float], None]
@@ -195,7 +196,7 @@ def diagnose(
 
     scene = _scene(scene, trust)
     rows = usable(scene, recording, use=use)
-    _check_candidates(effects)
+    check_candidates(effects)
     assemble(scene, rows)
     with ExitStack() as stack:
         directory = None if out is None else stack.enter_context(OutputDirectory(out))
@@ -206,6 +207,41 @@ def diagnose(
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
     return result
+
+
+def campaign(
+    manifest: str | Path,
+    *,
+    out: str | Path,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    threads: int = 1,
+    seed: int = 0,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> CampaignResult:
+    """Fit or diagnose many objects on Dask; one directory each in ``out``, a summary and a page of all.
+
+    ``manifest`` is a CSV file with the columns scene, recording, task (fit or diagnose) and, if wanted, id
+    and options (as typed after the command). Work is done by ``workers`` processes started here, by default
+    one a core, or by those of the ``scheduler`` at an address, which must see the same files; each uses
+    ``threads`` threads. An object that fails is recorded with its reason; those finished from the same
+    inputs are not done again. Each has a seed of its own made from ``seed`` and its id, so its result is
+    that of :func:`fit` or :func:`diagnose` with that seed, whoever did it. Worker processes import the main
+    script: guard it by ``if __name__ == "__main__"``.
+    """
+    from torchlc.campaign.run import run_campaign
+
+    return run_campaign(
+        Path(manifest),
+        Path(out),
+        scheduler=scheduler,
+        workers=workers,
+        threads=threads,
+        seed=seed,
+        progress=progress,
+        command=command,
+    )
 
 
 def demo(
@@ -293,7 +329,8 @@ def _scene(scene: str | Path | Scene, trust: bool) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
 
 
-def _check_candidates(effects: Sequence[str] | None) -> None:
+def check_candidates(effects: Sequence[str] | None) -> None:
+    """Raise InputError unless the library has every one of these effects."""
     known = effect_names()
     for name in effects or ():
         if name.partition("[")[0] not in known:

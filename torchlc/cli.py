@@ -179,6 +179,59 @@ def diagnose(
         print(f"written: {out / 'diagnosis.json'}")
 
 
+@app.command(
+    epilog="Example: torchlc campaign catalogue.csv -o results --workers 8, then open results/index.html"
+)
+def campaign(
+    context: typer.Context,
+    manifest: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MANIFEST",
+            help="CSV, one object a row: scene, recording, task (fit or diagnose); if wanted id and options, "
+            "such as --steps 500 or --quick.",
+            show_default=False,
+        ),
+    ],
+    out: Out,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT.", show_default=False
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes started here; default: one a core.", min=1, max=1024, show_default=False
+        ),
+    ] = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Annotated[int, typer.Option(help="Threads of each worker.", min=1, max=1024)] = 1,
+    json: Json = False,
+) -> None:
+    """Fit or diagnose many objects on Dask: a directory each, summary.parquet and index.html. Repeated, it
+    does what is not done yet.
+    """
+    use_threads(threads)
+    from torchlc import api
+
+    with progress_bar(not (quiet or json)) as progress:
+        result = api.campaign(
+            manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed,
+            progress=progress, command=command_line(context),
+        )  # fmt: skip
+    if json:
+        show_json(result.to_json())
+    elif not quiet:
+        print(printable(result.headline()))
+        warn(f"{name}: {reason}" for name, reason in result.failures)
+        if result.failed > len(result.failures):
+            warn([f"and {result.failed - len(result.failures)} more that failed"])
+        print(f"written: {out / 'index.html'}, summary.parquet and summary.csv")
+
+
 @app.command()
 def effects(quiet: Quiet = False, seed: Seed = 0, threads: Threads = None, json: Json = False) -> None:
     """List the library of effects: name, parameters with units and bounds, and one sentence each."""
@@ -399,6 +452,8 @@ def show_fit(result: FitResult, out: Path, *, quiet: bool, json: bool) -> None:
 
 def after_interrupt(arguments: list[str]) -> str:
     """How to go on after Ctrl-C."""
+    if arguments[:1] == ["campaign"]:
+        return f"; continue with: torchlc {shlex.join(arguments)}"
     if arguments[:1] != ["fit"]:
         return ""
     again = arguments if "--resume" in arguments else [*arguments, "--resume"]

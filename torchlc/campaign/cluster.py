@@ -1,0 +1,167 @@
+"""Dask: workers of our own or somebody's cluster, and a loop that keeps them busy while it holds only a few
+tasks at a time.
+
+An object whose worker dies is tried again elsewhere (Dask's own doing). One that Dask has given up, or whose
+directory a live run still holds, comes last and alone: only then is it known that it and no neighbour killed
+the workers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from torchlc.errors import BusyError, InputError, MissingExtraError, TorchlcError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+AHEAD = 2
+"""Tasks that the client holds for each thread of the workers: one that runs and one that waits."""
+LOOK_EVERY_S = 2.0
+"""How often the number of workers is asked for."""
+CONNECT_S = 15.0
+
+Task = TypeVar("Task")
+
+
+def require_dask() -> None:
+    """Raise MissingExtraError unless the packages of a campaign are installed."""
+    try:
+        import distributed  # noqa: F401
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(
+            f"a campaign needs an extra ({error}): pip install 'torchlc[dask]'"
+        ) from error
+
+
+@contextlib.contextmanager
+def connected(scheduler: str | None, workers: int | None, threads: int) -> Iterator[Client]:
+    """A client of the scheduler at that address, else of as many worker processes of our own (by default one
+    a core), which end with the block."""
+    import dask.config
+    from distributed import Client, LocalCluster
+
+    with contextlib.ExitStack() as stack:
+        if scheduler is None:
+            limits = dict.fromkeys(
+                ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
+            )
+            stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": limits}))
+            target: Any = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers or max(1, cores() // threads),
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=cast(Any, None),
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        else:
+            target = scheduler
+        try:
+            client = stack.enter_context(Client(target, timeout=CONNECT_S))
+        except (OSError, TimeoutError, ValueError) as error:
+            if scheduler is None:
+                raise
+            raise InputError(
+                None,
+                "--scheduler",
+                f"no Dask scheduler answers at {scheduler}: {error}"[:200],
+                "the address of one that runs, such as tcp://HOST:8786",
+            ) from None
+        yield client
+
+
+def spread(
+    client: Client, function: Callable[[Task], str], tasks: Iterable[Task]
+) -> Iterator[tuple[Task, str | TorchlcError]]:
+    """Each task with what ``function`` gives for it, as they finish; an error where its workers died or its
+    directory is held. Tasks are taken from ``tasks`` only as fast as they are worked off.
+    """
+    running = _Running(client, function)
+    held: list[Task] = []
+
+    def one_more() -> Iterator[tuple[Task, str]]:
+        task, outcome = running.next()
+        if isinstance(outcome, str):
+            yield task, outcome
+        else:
+            held.append(task)
+
+    for task in tasks:
+        running.start(task)
+        while running.full():
+            yield from one_more()
+    while len(running):
+        yield from one_more()
+    for task in held:
+        running.start(task)
+        yield running.next()
+
+
+class _Running:
+    """The tasks on the workers, and how many of them there should be."""
+
+    def __init__(self, client: Client, function: Callable[[Any], str]) -> None:
+        from distributed import as_completed
+
+        self._client, self._function = client, function
+        self._tasks: dict[Future, Any] = {}
+        self._completed: Any = as_completed()
+        self._width, self._looked = 0, -math.inf
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+    def full(self) -> bool:
+        """Whether every thread has its share; asks now and then how many there are."""
+        if time.monotonic() > self._looked + LOOK_EVERY_S:
+            self._width = AHEAD * max(1, sum(cast(Any, self._client.nthreads()).values()))
+            self._looked = time.monotonic()
+        return len(self) >= self._width
+
+    def start(self, task: Any) -> None:
+        future = self._client.submit(self._function, task, pure=False)
+        self._tasks[future] = task
+        self._completed.add(future)
+
+    def next(self) -> tuple[Any, str | TorchlcError]:
+        """The next task to finish, with its result or why it should be tried again, alone."""
+        from distributed.scheduler import KilledWorker
+
+        future = next(self._completed)
+        task = self._tasks.pop(future)
+        if future.status == "finished":
+            return task, future.result()
+        if future.status == "cancelled":
+            raise InputError(
+                None,
+                "--scheduler",
+                "the scheduler went away",
+                hint="Repeat the command to go on: finished objects are skipped",
+            )
+        error = future.exception()
+        if isinstance(error, BusyError):
+            return task, error
+        if isinstance(error, KilledWorker):
+            return task, TorchlcError("every worker that tried it died, of lack of memory most likely")
+        if isinstance(error, ImportError):
+            raise InputError(
+                None,
+                "--scheduler",
+                f"a worker lacks a package: {error}",
+                "workers and scheduler with the same torchlc as here",
+            ) from error
+        raise error
+
+
+def cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,140 @@
+"""A campaign from its manifest to its summary."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchlc import __version__
+from torchlc.campaign.cluster import connected, require_dask, spread
+from torchlc.campaign.manifest import Job, check_manifest, read_manifest
+from torchlc.campaign.objects import record_failure, run_object
+from torchlc.campaign.summary import OBJECTS, PARQUET, summary_rows, write_summary
+from torchlc.errors import BusyError, InputError
+from torchlc.output import OutputDirectory, resources, without_nan
+
+if TYPE_CHECKING:
+    import pandas
+
+SCHEMA = "torchlc-campaign/1"
+FAILURES_TOLD = 20
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """What a campaign came to: how many objects there are, are done (``skipped``: of these, before this run)
+    and failed, and ``directory``, where the rest is.
+
+    The rows stay on disk; ``failures`` holds (id, reason) of the first that failed.
+    """
+
+    directory: Path
+    objects: int
+    done: int
+    skipped: int
+    failed: int
+    failures: tuple[tuple[str, str], ...]
+    seconds: float
+    provenance: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"CampaignResult({self.headline()})"
+
+    def headline(self) -> str:
+        """The campaign in one sentence."""
+        before = f" ({self.skipped} of them before)" if self.skipped else ""
+        failed = f", {self.failed} failed" if self.failed else ""
+        return f"{self.done} of {self.objects} objects done{before}{failed}"
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Each object's row of the summary, in the manifest's order."""
+        return summary_rows(self.directory / PARQUET)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The summary, one row an object; ``explode("parameters")`` gives one a parameter."""
+        import pandas
+
+        return pandas.read_parquet(self.directory / PARQUET)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of campaign.json."""
+        return without_nan(
+            {
+                "schema": SCHEMA,
+                **{key: getattr(self, key) for key in ("objects", "done", "skipped", "failed")},
+                "failures": [{"id": name, "reason": reason} for name, reason in self.failures],
+                "seconds": self.seconds,
+                "provenance": dict(self.provenance),
+            }
+        )
+
+
+def run_campaign(
+    manifest: Path,
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    threads: int = 1,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+    command: str | None = None,
+) -> CampaignResult:
+    """See :func:`torchlc.campaign`."""
+    require_dask()
+    began = time.monotonic()
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            None, "--workers", "given with --scheduler", "one of the two", "A cluster brings its own"
+        )
+    objects = check_manifest(manifest)
+    jobs = partial(read_manifest, manifest, seed=seed, threads=threads)
+    counts: Counter[str] = Counter()
+    with OutputDirectory(out) as directory, resources(directory.path):
+        root = directory.path.resolve() / OBJECTS
+        with connected(scheduler, workers, threads) as client:
+            for job, outcome in spread(client, partial(_run_in, root), jobs()):
+                if not isinstance(outcome, str):
+                    if not isinstance(outcome, BusyError):
+                        record_failure(job, root / job.directory, str(outcome))
+                    outcome = "failed"
+                counts[outcome] += 1
+                if progress is not None:
+                    progress("objects", counts.total() / objects)
+        facts = {
+            "objects": objects,
+            "done": counts["done"] + counts["skipped"],
+            "skipped": counts["skipped"],
+            "failed": counts["failed"],
+        }
+        made = {"manifest": str(manifest), "torchlc": __version__, "seed": seed, "command": command}
+        write_summary(jobs(), directory, manifest.name, {**facts, **made})
+        result = CampaignResult(
+            directory=directory.path,
+            **facts,
+            failures=_failures(directory.path),
+            seconds=time.monotonic() - began,
+            provenance=made,
+        )
+        directory.write_json("campaign.json", result.to_json())
+    return result
+
+
+def _run_in(root: Path, job: Job) -> str:
+    return run_object(job, root / job.directory)
+
+
+def _failures(directory: Path) -> tuple[tuple[str, str], ...]:
+    """(id, reason) of the first that failed."""
+    found = []
+    for row in summary_rows(directory / PARQUET, ["id", "status", "reason"]):
+        if row["status"] == "failed":
+            found.append((row["id"], row["reason"] or ""))
+        if len(found) == FAILURES_TOLD:
+            break
+    return tuple(found)

@@ -93,7 +93,11 @@ class TestMiniMegaTortora:
         assert recording.kind == "mag" and recording.error_source == "fitted"
         np.testing.assert_array_equal(recording.observed, [5.18095, 5.16497, 5.2])
         np.testing.assert_allclose(recording.seconds, [0, 0.1, 0.1], atol=1e-9)
-        assert [recording.curve_ids[one] for one in recording.curve] == ["channel 5", "channel 5", "channel 6"]
+        assert [recording.curve_ids[one] for one in recording.curve] == [
+            "channel 5",
+            "channel 5",
+            "channel 6",
+        ]
         assert recording.band is not None and set(recording.band) == {"clear"}
         assert recording.time.isot[0] == "2021-01-02T15:29:22.895"
 
@@ -206,3 +210,81 @@ class TestDamit:
         assert len(found) == len(expected) and len(found.curve_ids) == len(expected.curve_ids)
         assert sorted(found.observed) == sorted(expected.observed)
         np.testing.assert_array_equal(found.seconds, expected.seconds)
+
+
+CSV = """\
+time,mag,mag_err,exptime,band,curve,upper_limit
+2016-12-31T23:59:58.25,12.5,0.02,1.5,V,a,false
+2016-12-31T23:59:60.75,12.3,0.03,1.5,V,a,true
+2017-01-01T00:00:00.123456789,12.1,0.02,1.5,R,b,false
+"""
+FIELDS = ("observed", "error", "station", "curve", "night", "upper_limit", "exptime", "sun", "obs", "position", "velocity", "alt", "az", "height")  # fmt: skip
+
+
+def same(found: Recording, expected: Recording) -> None:
+    for name in FIELDS:
+        one, other = getattr(found, name), getattr(expected, name)
+        assert (one is None) == (other is None), name
+        if one is not None:
+            np.testing.assert_array_equal(one, other, err_msg=name)
+    for name in ("kind", "station_ids", "curve_ids", "night_ids", "frame", "light_time_corrected"):
+        assert getattr(found, name) == getattr(expected, name), name
+    np.testing.assert_allclose(found.seconds, expected.seconds, atol=2e-9)  # written to the nanosecond
+    assert abs((found.time - expected.time).to_value(u.s)).max() < 2e-9
+
+
+class TestTimeSeries:
+    @pytest.mark.parametrize("text", [CSV, MMT, ALCDEF, DAMIT, "# time_scale: tdb\n" + DAMIT])
+    def test_there_and_back(self, read, text: str):
+        recording = read(text)
+        same(Recording.from_timeseries(recording.to_timeseries()), recording)
+
+    def test_astropy_finds_the_same_times_and_units(self, read):
+        series = read(CSV).to_timeseries()
+        assert series["mag"].unit == u.mag and series["exptime"].unit == u.s
+        steps = np.diff(series.time.tai.unix_tai)  # a leap second lies between the first two rows
+        np.testing.assert_allclose(steps, [2.5, 0.373456789], atol=1e-6)
+
+    def test_a_series_in_other_units_and_scales(self):
+        from astropy.timeseries import TimeSeries
+
+        time = Time([2459140.5, 2459140.6], format="jd", scale="tai")
+        series = TimeSeries(
+            time=time, data={"flux": [1.0, 2.0] * u.ct, "exptime": [1, 2] * u.min, "note": ["a", "b"]}
+        )
+        recording = Recording.from_timeseries(series)
+        assert recording.time.scale == "utc" and recording.exptime is not None
+        np.testing.assert_array_equal(recording.exptime, [60, 120])
+        assert abs((recording.time - time).to_value(u.s)).max() < 1e-6
+        assert Recording.from_timeseries(TimeSeries(time=time.tcb, data=series["flux",])).time.scale == "tdb"
+
+    def test_masked_cells_are_blank(self, read):
+        series = read(CSV).to_timeseries()
+        from astropy.table import MaskedColumn
+
+        series["mag"] = MaskedColumn(series["mag"], mask=[False, True, False])
+        assert Recording.from_timeseries(series).dropped == {"non-finite": 1}
+
+    def test_what_is_wrong_is_an_input_error(self, read):
+        series = read(CSV).to_timeseries()
+        with pytest.raises(InputError, match="TimeSeries: header: no column mag"):
+            Recording.from_timeseries(series["time", "exptime"])
+        series["mag_err"] = [-1.0, 0.1, 0.1] * u.mag
+        with pytest.raises(InputError, match="TimeSeries: row 1, column mag_err: -1"):
+            Recording.from_timeseries(series)
+
+    def test_lightkurve(self, read):
+        lightkurve = pytest.importorskip("lightkurve", reason="needs lightkurve")
+        for text in (CSV, DAMIT):
+            recording = read(text)
+            curve = recording.to_lightkurve()
+            assert isinstance(curve, lightkurve.LightCurve)
+            same(Recording.from_timeseries(curve), recording)
+        kepler = lightkurve.LightCurve(
+            time=Time([120.5, 120.6, 120.7], format="bkjd", scale="tdb"),
+            flux=[1.0, 1.1, np.nan] * u.electron / u.s,
+            flux_err=[0.1, 0.1, 0.1] * u.electron / u.s,
+        )
+        recording = Recording.from_timeseries(kepler)
+        assert recording.time.scale == "tdb" and recording.dropped == {"non-finite": 1}
+        np.testing.assert_allclose(jd(recording), [2454833 + 120.5, 2454833 + 120.6], atol=1e-9)

@@ -22,7 +22,7 @@ from torchlc.likelihood import MAG_PER_LN, matern32
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
 from torchlc.recording import Recording
-from torchlc.recording.declared import VECTORS
+from torchlc.recording.exchange import carried, told
 from torchlc.scene import Scene
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ DEFAULT_AIR_KM = 20.0
 """Opaque air over the Earth for the column eclipse_fraction of a model without earth_shadow."""
 UNITS = {
     "mag": "mag", "mag_err": "mag", "range_km": "km", "phase_angle_deg": "deg", "elevation_deg": "deg",
-    "exptime": "s", "alt": "deg", "az": "deg", "height": "km",
 }  # fmt: skip
 DIGITS = ".12g"
 
@@ -76,13 +75,7 @@ class SimulatedCurve:
         }
         columns |= {name: masked(values, rows, name) for name, values in self.columns.items()}
         columns |= {f"share {name}": masked(values, rows, "") for name, values in self.shares.items()}
-        columns |= _brought(recording)
-        meta: dict[str, Any] = {"object": self.name, "time_scale": recording.time.scale}
-        if recording.light_time_corrected:
-            meta["light_time_corrected"] = True
-        if recording.sun is not None and recording.frame:
-            meta["frame"] = recording.frame
-        return Table(columns, meta=meta)
+        return Table(columns | carried(recording), meta={"object": self.name, **told(recording)})
 
     def write(self, path: str | Path) -> Path:
         """Write as ECSV, whole or not at all."""
@@ -187,25 +180,6 @@ def masked(values: np.ndarray | None, rows: int, name: str) -> MaskedColumn:
     hidden = ~np.isfinite(data)
     column: Any = MaskedColumn(np.where(hidden, 0.0, data), mask=hidden, unit=UNITS.get(name), format=DIGITS)
     return column
-
-
-def _brought(recording: Recording) -> dict[str, Any]:
-    """Columns that the model needs to see the same geometry again."""
-    rows = len(recording)
-    found: dict[str, Any] = {"curve": np.array(recording.curve_ids, dtype=str)[recording.curve]}
-    if recording.band is not None:
-        found["band"] = recording.band.astype(str)
-    for name in ("exptime", "alt", "az", "height"):
-        values = getattr(recording, name)
-        if values is not None:
-            found[name] = masked(values, rows, name)
-    for field, prefix in VECTORS.items():
-        vectors = getattr(recording, field)
-        if vectors is not None:
-            unit = "km / s" if field == "velocity" else "km"
-            for i, axis in enumerate("xyz"):
-                found[f"{prefix}_{axis}"] = MaskedColumn(vectors[:, i], unit=unit, format=".15g")
-    return found
 
 
 def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:

@@ -56,7 +56,13 @@ def load_recording(
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    header = read_header(Path(path), LAYOUTS)
+    return read_recording(read_header(Path(path), LAYOUTS), scene, use=use, min_rows=min_rows)
+
+
+def read_recording(
+    header: Header, scene: Scene | None = None, *, use: str | None = None, min_rows: int = 1
+) -> Recording:
+    """The recording of a table whose header has been read; see :func:`load_recording`."""
     return _Reader(header, scene, use).recording(min_rows)
 
 

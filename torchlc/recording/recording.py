@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import astropy.units as u
 import numpy as np
@@ -15,6 +15,11 @@ from erfa import ErfaWarning
 
 from torchlc.errors import InputError
 from torchlc.recording.groups import compact
+
+if TYPE_CHECKING:
+    from astropy.timeseries import TimeSeries
+
+    from torchlc.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,31 @@ class Recording:
     def error_source(self) -> str:
         """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
         return "fitted" if self.error is None else "recording"
+
+    @classmethod
+    def from_timeseries(
+        cls, series: TimeSeries, scene: Scene | None = None, *, use: str | None = None
+    ) -> Recording:
+        """The recording that an astropy TimeSeries or a lightkurve LightCurve holds, checked as a file is.
+
+        Columns have the names and units of a file, ``time`` first. Times in TDB or TCB become TDB, all others
+        UTC; barycentric times are taken as they are.
+        """
+        from torchlc.recording.exchange import from_timeseries
+
+        return from_timeseries(series, scene, use=use)
+
+    def to_timeseries(self) -> TimeSeries:
+        """An astropy TimeSeries with every column and its unit; ``from_timeseries`` gives the same recording."""
+        from torchlc.recording.exchange import to_timeseries
+
+        return to_timeseries(self)
+
+    def to_lightkurve(self) -> Any:
+        """A lightkurve LightCurve; magnitudes become flux over that of their median, and are kept beside it."""
+        from torchlc.recording.exchange import to_lightkurve
+
+        return to_lightkurve(self)
 
     def keep(self, mask: np.ndarray, reason: str) -> Recording:
         """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""

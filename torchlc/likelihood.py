@@ -64,6 +64,8 @@ class Likelihood:
         )
         self.limit = torch.as_tensor(recording.upper_limit)
         self.measured = ~self.limit
+        self.censored = bool(self.limit.any())
+        self.observed_flux = 10 ** (-0.4 * (self.observed - like))
         self.gains = self.curves if self.kind == "flux" else 0
 
     @property
@@ -117,9 +119,9 @@ class Likelihood:
         flux = self.model.brightness(theta).flux
         if self.kind == "flux":
             return self._flux_residuals(flux)
-        offset = self.model.assembly.sun_magnitude + self.model.zero_point(theta)
-        observed_flux = 10 ** (-0.4 * (self.observed - offset))
-        return Residuals(-magnitude_difference(flux / observed_flux), self.error, torch.ones_like(flux), None)
+        ratio = flux * (10 ** (-0.4 * self.model.zero_point(theta)) / self.observed_flux)
+        scale = flux.new_ones(()).expand(flux.shape)
+        return Residuals(-magnitude_difference(ratio), self.error, scale, None)
 
     def _flux_residuals(self, flux: Tensor) -> Residuals:
         gain = self.profile_gain(flux)
@@ -132,11 +134,11 @@ class Likelihood:
     def profile_gain(self, flux: Tensor) -> Tensor:
         """Best scale of each curve, (..., curves), of model flux (..., T)."""
         weight = 1 / self.error**2
-        top = self._by_curve(weight * self.observed * flux)
-        bottom = self._by_curve(weight * flux * flux)
+        top = self.by_curve(weight * self.observed * flux)
+        bottom = self.by_curve(weight * flux * flux)
         return top / torch.where(bottom > 0, bottom, 1.0)
 
-    def _by_curve(self, rows: Tensor) -> Tensor:
+    def by_curve(self, rows: Tensor) -> Tensor:
         if self.curves == 1:
             return rows.sum(-1, keepdim=True)
         zero = rows.new_zeros(*rows.shape[:-1], self.curves)
@@ -159,7 +161,7 @@ class Likelihood:
         share = (len(self.model.names) * self.count / self.rows + (1 if self.gains else 0)).clamp(
             max=self.count - 1
         )
-        level = torch.sqrt(self._by_curve(delta**2) / (self.count - share).clamp(min=1.0))
+        level = torch.sqrt(self.by_curve(delta**2) / (self.count - share).clamp(min=1.0))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
     def white_levels(self, delta: Tensor) -> Tensor:
@@ -168,13 +170,13 @@ class Likelihood:
         order = torch.argsort(self.curve, stable=True)
         step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
         step = torch.zeros_like(delta).index_copy(-1, order[1:], step)
-        level = torch.sqrt(self._by_curve(step**2) / (2 * (self.count - 1).clamp(min=1.0)))
+        level = torch.sqrt(self.by_curve(step**2) / (2 * (self.count - 1).clamp(min=1.0)))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
     def normalised(self, found: Residuals) -> Tensor:
         """Normalised residuals with a censored row's counted as the square root of its deviance."""
         u = found.delta / found.sigma
-        if not bool(self.limit.any()):
+        if not self.censored:
             return u
         below = -2 * torch.special.log_ndtr(torch.where(self.limit, -u, 0.0))
         return torch.where(self.limit, torch.sqrt(below.clamp(min=1e-300)), u)
@@ -195,13 +197,16 @@ class Likelihood:
                 found, sigma, noise, self.model.assembly.context.seconds, self.curve
             )
         u = found.delta / sigma
-        normal = -0.5 * u * u - torch.log(sigma) - 0.5 * math.log(2 * math.pi)
+        peak = -torch.log(sigma) - 0.5 * math.log(2 * math.pi)
+        if noise.outliers is None and not self.censored:
+            return peak.sum(-1) - 0.5 * u.square().sum(-1)
+        normal = peak - 0.5 * u * u
         if noise.outliers is not None and noise.width is not None:
             wide = (
                 -0.5 * (u / noise.width) ** 2 - torch.log(sigma * noise.width) - 0.5 * math.log(2 * math.pi)
             )
             normal = torch.logaddexp(torch.log1p(-noise.outliers) + normal, torch.log(noise.outliers) + wide)
-        if bool(self.limit.any()):
+        if self.censored:
             censored = torch.special.log_ndtr(torch.where(self.limit, -u, 0.0))
             normal = torch.where(self.limit, censored, normal)
         return normal.sum(-1)
@@ -214,7 +219,7 @@ class Likelihood:
             return correlated_log_density(
                 found, white, noise, self.model.assembly.context.seconds, self.curve
             )
-        squares = self._by_curve(found.delta**2) + self.count * (1e-3 * self.noise_level) ** 2
+        squares = self.by_curve(found.delta**2) + self.count * (1e-3 * self.noise_level) ** 2
         if noise.outliers is not None and noise.width is not None:
             level = torch.sqrt(squares / self.count)[..., self.curve]
             u = found.delta / level
@@ -240,11 +245,8 @@ class Likelihood:
 def magnitude_difference(ratio: Tensor) -> Tensor:
     """-2.5 log10 of model over datum flux; below FAINTEST_RATIO the tangent, linear in flux, so that a dark
     model stays finite."""
-    bright = ratio > FAINTEST_RATIO
-    safe = torch.where(bright, ratio, 1.0)
-    dark = torch.where(bright, 0.0, ratio)
-    log = torch.where(bright, torch.log(safe), math.log(FAINTEST_RATIO) + dark / FAINTEST_RATIO - 1.0)
-    return -MAG_PER_LN * log
+    bright = ratio.clamp(min=FAINTEST_RATIO)
+    return -MAG_PER_LN * (torch.log(bright) + (ratio - bright) / FAINTEST_RATIO)
 
 
 def correlated_log_density(

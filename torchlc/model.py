@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 
 import torch
 from torch import Tensor, nn
@@ -469,7 +469,7 @@ class LightCurve(nn.Module):
         if not by_component:
             any_value = next(iter(values.values()), a.sun_magnitude)
             by_component = {"": torch.zeros(*any_value.shape, a.T, dtype=a.dtype, device=a.device)}
-        total = sum(by_component.values(), start=torch.zeros((), dtype=a.dtype, device=a.device))
+        total = reduce(torch.add, by_component.values())
         found = None
         if shares or a.needs_shares:
             zeros = torch.zeros_like(total)
@@ -493,8 +493,9 @@ class LightCurve(nn.Module):
     def noise(self, theta: Tensor) -> Noise:
         """What the noise effects add to the quoted errors at natural values theta (..., P)."""
         noise = Noise()
-        values = self.values(theta)
-        for effect in self.assembly.stage("noise"):
+        effects = self.assembly.stage("noise")
+        values = self.values(theta) if effects else {}
+        for effect in effects:
             noise = effect.noise(noise, self.assembly.own(effect, values), self.assembly.context)
         return noise
 

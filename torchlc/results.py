@@ -182,7 +182,7 @@ class FitResult:
                 if len(theta) < 2
                 else _thinned(theta, NOISE_DRAWS)
             )
-            squares = likelihood._by_curve(likelihood.residuals(theta).delta ** 2)
+            squares = likelihood.by_curve(likelihood.residuals(theta).delta ** 2)
         freedom = (likelihood.count - (1 if likelihood.gains else 0)).clamp(min=1.0)
         generator = np.random.default_rng(self.seed)
         drawn = np.sqrt(squares.numpy() / generator.chisquare(freedom.numpy(), squares.shape))

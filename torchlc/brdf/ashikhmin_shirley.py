@@ -9,7 +9,16 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, coupled_diffuse, lobe, per_epoch, per_pair, schlick_weight
+from torchlc.brdf.base import (
+    Brdf,
+    Incidence,
+    coupled_diffuse,
+    lobe,
+    per_epoch,
+    per_pair,
+    schlick_weight,
+    weighed,
+)
 from torchlc.parameters import Quantity
 
 GRID_STEP = 0.08
@@ -84,7 +93,7 @@ class AshikhminShirley(Brdf):
         pi.
         """
         r_spec, r_diff = per_epoch(values["r_spec"]), per_epoch(values["r_diff"])
-        normal, grazing = ((table[name] * distribution).sum(-2) for name in ("normal", "grazing"))
+        normal, grazing = (weighed(distribution, table[name]) for name in ("normal", "grazing"))
         return r_spec * normal + grazing, r_diff * (1 - r_spec) * table["diffuse"]
 
     @staticmethod
@@ -162,15 +171,19 @@ def exponents(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
 
 def widened(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor) -> tuple[Tensor, Tensor]:
     """Exponents shaped to meet (K, T), no larger than the pairs allow."""
-    spread = table.get("spread", 0.0)
-    wide = per_pair(n_u) / (per_pair(n_u) * spread).clamp(min=1)
-    return wide, wide if n_u is n_v else per_pair(n_v) / (per_pair(n_v) * spread).clamp(min=1)
+
+    def wide(n: Tensor) -> Tensor:
+        n = per_pair(n)
+        return n / (n * table["spread"]).clamp(min=1) if "spread" in table else n
+
+    first = wide(n_u)
+    return first, first if n_u is n_v else wide(n_v)
 
 
 def cosine_power(table: Mapping[str, Tensor], n_u: Tensor, n_v: Tensor) -> Tensor:
     """Eq. 4 times 2 pi, (..., K, T); one exponential a pair, and where n_u is n_v one product."""
     n_u, n_v = widened(table, n_u, n_v)
-    log_norm = 0.5 * (torch.log1p(n_u) + torch.log1p(n_v))
     if n_u is n_v:
-        return lobe(torch.addcmul(log_norm, n_u, table["log_half"]))
-    return lobe(torch.addcmul(log_norm, n_u, table["log_u"]) + n_v * table["log_v"])
+        return lobe((n_u * table["log_half"]).add_(torch.log1p(n_u)))
+    log_norm = 0.5 * (torch.log1p(n_u) + torch.log1p(n_v))
+    return lobe(n_u * table["log_u"] + n_v * table["log_v"] + log_norm)

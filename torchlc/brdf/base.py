@@ -22,6 +22,8 @@ MODELS: dict[str, type[Brdf]] = {}
 
 TINY_COS = 1e-15
 """Floor of a cosine that is divided by or whose logarithm is taken."""
+FEW_PAIRS = 8
+"""Pairs a row up to which a sum over them is taken pair by pair."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,19 @@ def coupled_diffuse(angles: Incidence) -> Tensor:
 
 def lobe(exponent: Tensor) -> Tensor:
     """exp(exponent), kept far above the denormal numbers, whose arithmetic is slower by an order of ten."""
-    return torch.exp(exponent.clamp(min=0.85 * math.log(torch.finfo(exponent.dtype).tiny)))
+    return exponent.clamp(min=0.85 * math.log(torch.finfo(exponent.dtype).tiny)).exp_()
+
+
+def weighed(values: Tensor, weight: Tensor) -> Tensor:
+    """Sum over K of values (..., K, T) times weight (..., K, T); a few pairs one after the other, so that
+    nothing of the size of all is written."""
+    pairs = weight.shape[-2]
+    if pairs > FEW_PAIRS:
+        return (values * weight).sum(-2)
+    total = values[..., 0, :] * weight[..., 0, :]
+    for pair in range(1, pairs):
+        total = torch.addcmul(total, values[..., pair, :], weight[..., pair, :])
+    return total
 
 
 def per_epoch(value: Tensor) -> Tensor:

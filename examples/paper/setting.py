@@ -37,6 +37,9 @@ ORBITS = {
 LATITUDE, LONGITUDE, HEIGHT = 37.536, 122.05, 110.0
 SUN_MAGNITUDE = -26.7
 
+NIGHT = {1: ("2020-10-17T14:00:00", 7.0), 2: ("2019-02-25T14:00:00", 5.0)}
+"""By object, the beginning of the paper's recording and its hours."""
+
 ATTITUDES = {
     1: 'mode = "nadir"\nspin_axis = [0, 1, 0]\nspin_rate = 1.0',
     2: 'mode = "inertial"\nx_angle = 30.0',
@@ -46,9 +49,11 @@ ATTITUDES = {
 
 AREAS_OBJECT_1 = {"X": 3.748, "Y": 4.4, "Z": 3.44}
 AREA_WING_1, AREA_WING_2 = 11.352, 11.0
-SPAN_OBJECT_1 = 18.10
+WIDTH_WING_1, SPAN_OBJECT_1 = 1.72, 18.10
 EDGE_X = math.sqrt(AREAS_OBJECT_1["Y"] * AREAS_OBJECT_1["Z"] / AREAS_OBJECT_1["X"])
 BOX_OBJECT_1 = (EDGE_X, AREAS_OBJECT_1["Z"] / EDGE_X, AREAS_OBJECT_1["Y"] / EDGE_X)
+GAP_OBJECT_1 = SPAN_OBJECT_1 / 2 - AREA_WING_1 / WIDTH_WING_1 - BOX_OBJECT_1[1] / 2
+"""Between wall and wing, m."""
 
 TABLE_3 = {
     1: {
@@ -98,18 +103,19 @@ def object_1(
     *,
     effects: str = "[]",
     stations: Mapping[str, tuple[float, float, float]] | None = None,
+    gap: float = GAP_OBJECT_1,
 ) -> torchlc.Scene:
     """Object 1: a geostationary box-wing, nadir pointing, its wings turning about Y."""
     x, y, z = BOX_OBJECT_1
     parts = _component("body", "box", f"size = [{x}, {y}, {z}]", "body")
-    parts += _wings(y, AREA_WING_1 / y, SPAN_OBJECT_1 / 2)
+    parts += _wings(WIDTH_WING_1, AREA_WING_1 / WIDTH_WING_1, y / 2 + gap)
     return _scene("Object 1", ORBITS[1], ATTITUDES[4], parts, materials, effects, stations)
 
 
 def object_2(materials: Mapping[str, Material] = TABLE_3[2], *, effects: str = "[]") -> torchlc.Scene:
     """Object 2: a navigation satellite in medium orbit, steering in yaw, its shape the paper's assumption."""
     parts = _component("body", "box", "size = [2.0, 2.0, 2.0]", "body")
-    parts += _wings(2.0, AREA_WING_2 / 2.0, 1.0 + 1.0 + AREA_WING_2 / 2.0)
+    parts += _wings(2.0, AREA_WING_2 / 2.0, 1.0 + 1.0)
     return _scene("Object 2", ORBITS[3], 'mode = "yaw-steering"', parts, materials, effects, None)
 
 
@@ -118,11 +124,11 @@ def free_materials() -> dict[str, Material]:
     return {"body": FREE, "panel": FREE}
 
 
-def _wings(width: float, length: float, tip: float) -> str:
-    """Two wings of that width and length along Y, out to ``tip`` m."""
+def _wings(width: float, length: float, root: float) -> str:
+    """Two wings of that width and length along Y, from ``root`` m outwards."""
     text = ""
     for sign in (1, -1):
-        numbers = f"size = [{width}, {length}]\ncentre = [0, {sign * (tip - length / 2)}, 0]"
+        numbers = f"size = [{width}, {length}]\ncentre = [0, {sign * (root + length / 2)}, 0]"
         axes = "u = [1, 0, 0]\nv = [0, 1, 0]\ntracks = { target = 'sun', axis = [0, 1, 0] }"
         text += _component(f"panel {'+' if sign > 0 else '-'}Y", "plate", f"{numbers}\n{axes}", "panel")
     return text

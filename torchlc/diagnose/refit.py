@@ -19,6 +19,10 @@ from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.parameters import ParameterSet, Prior
 
+MODE_APART = 0.01
+MODE_DEPTH = 20.0
+"""Minima of one hypothesis count as distinct beyond, and compete within, these differences of the objective."""
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -69,6 +73,15 @@ class Refit:
     @property
     def names(self) -> list[str]:
         return self.model.names
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the posterior mass about the minimum, up to what all minima of a hypothesis share."""
+        keep = ~self.held
+        white = (self.slopes / self.sigma[:, None])[:, keep]
+        prior = self.prior_precision[keep]
+        width = torch.linalg.slogdet(white.T @ white + torch.diag(prior))[1] - torch.log(prior).sum()
+        return -0.5 * (self.objective + float(width))
 
     def covariance(self) -> Tensor:
         """Posterior covariance (P, P) of y in the linear form; held coordinates have none."""
@@ -128,8 +141,8 @@ def is_slow(model: LightCurve) -> bool:
 def refit(
     likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
 ) -> Refit:
-    """The best minimum from natural starts (S, P): all get ``first`` steps, the best quarter (at least 3; 1
-    if slow) are brought to the end."""
+    """The minimum with the largest posterior mass from natural starts (S, P): all get ``first`` steps, the best
+    quarter (at least 3; 1 if slow) are brought to the end. Where errors are fitted, the deepest."""
     parameters = likelihood.model.parameter_set
     if is_slow(likelihood.model):
         first, iterations = 6, 20
@@ -144,8 +157,17 @@ def refit(
             if likelihood.fitted_errors:
                 level_at = theta[0]
             found = polish(likelihood, theta, None, iterations=iterations, level_at=level_at)
-            theta = parameters.from_flat(found.y[torch.argsort(found.cost)])
-    return linearised(likelihood, hypothesis, theta[0])
+            order = torch.argsort(found.cost)
+            theta = parameters.from_flat(found.y[order])
+    best = linearised(likelihood, hypothesis, theta[0])
+    if likelihood.fitted_errors:
+        return best
+    last = found.cost[order[0]]
+    for one, cost in zip(theta[1:], found.cost[order[1:]], strict=True):
+        if cost - last > MODE_APART and cost - found.cost[order[0]] < MODE_DEPTH:
+            best = max(best, linearised(likelihood, hypothesis, one), key=lambda mode: mode.log_mass)
+            last = cost
+    return best
 
 
 def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) -> Refit:

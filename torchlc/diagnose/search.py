@@ -11,6 +11,7 @@ from torch import Tensor
 from torchlc.diagnose.evidence import Score, Scorer
 from torchlc.diagnose.gate import residual_projection
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
+from torchlc.diagnose.starts import screened
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.fit import polish
@@ -19,9 +20,18 @@ GRID = 24
 GRID_PER_DIMENSION = 24
 STARTS = 12
 SLOW_STARTS = 3
+LEADERS = 2
+FEW_STARTS = 3
+PLACES = 12
+SLOW_PLACES = 4
+"""Values of an effect's own parameters, half of them the best of its probe, that are tried with ..."""
+MATERIALS = 24
+"""... so many draws of the materials from their priors."""
 EVIDENCE_GAIN = 3.5
 HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
+TIED = 2.0
+"""Difference of log evidence within which refits count as equally good."""
 BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
@@ -139,37 +149,75 @@ def extended(
     seed: int,
     *,
     starts: int = STARTS,
+    seeds: Sequence[Refit] = (),
 ) -> Found:
     """Refit of one hypothesis with ``entry`` added: from its minima ``at``, from other materials, and from
-    the best probed values."""
+    the best probed values; or, where other refits are given as ``seeds``, from their materials alone."""
     if Entry.parse(entry).per is not None and Entry.parse(entry).width is None:
         return _divided(bench, scorer, at, entry, found, seed)
     hypothesis = at[0].hypothesis.with_effect(entry)
     likelihood = bench.likelihood(hypothesis)
     parameters = likelihood.model.parameter_set
-    columns = effect_columns(parameters, entry)
     generator = torch.Generator().manual_seed(seed)
-    starts = SLOW_STARTS if is_slow(likelihood.model) else starts
-    minima = torch.stack([one.theta for one in at])
-    draws = at[0].model.parameter_set.sample_prior(starts // 3, generator)
-    if at[0].hypothesis.added:
-        for added in at[0].hypothesis.added:
-            kept = effect_columns(at[0].model.parameter_set, added)
-            draws[:, kept] = at[0].theta[kept]
-    pool = torch.cat(
-        [minima.repeat(-(-(starts - len(draws)) // len(minima)), 1)[: starts - len(draws)], draws]
-    )
-    theta = bench.start(hypothesis, pool, at[0].names)
-    if columns and len(found.psi):
-        ranked = found.psi[torch.argsort(found.scores, descending=True)]
-        best = ranked[: max(starts // 2, 1)]
-        spread = effect_starts(likelihood, entry, starts, generator)
-        spread[: len(best)] = best
-        theta[:, columns] = spread
-    elif columns:
-        theta[:, columns] = effect_starts(likelihood, entry, starts, generator)
-    fitted = refit(likelihood, hypothesis, theta)
+    slow = is_slow(likelihood.model)
+    starts = SLOW_STARTS if slow else starts
+    columns = effect_columns(parameters, entry)
+    places = 1 if not columns else SLOW_PLACES if slow else PLACES
+    psi = effect_starts(likelihood, entry, places, generator)
+    ranked = found.psi[torch.argsort(found.scores, descending=True)]
+    likely = ranked[: -(-places // 2)]
+    if columns:
+        psi[: len(likely)] = likely
+    if seeds:
+        pool = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in seeds])
+    else:
+        pool = torch.cat([torch.stack([one.theta for one in at]), other_materials(at[0], generator)])
+        pool = bench.start(hypothesis, pool, at[0].names)
+    theta = pool.repeat(places, 1)
+    group = torch.arange(places).repeat_interleave(len(pool))
+    theta[:, columns] = psi[group]
+    fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group))
     return Found(fitted, scorer.score(fitted))
+
+
+def other_materials(at: Refit, generator: torch.Generator) -> Tensor:
+    """MATERIALS draws (S, P) of a refit's parameters from the prior, those of its effects and of the geometry
+    kept."""
+    parameters = at.model.parameter_set
+    kept = {column for added in at.hypothesis.added for column in effect_columns(parameters, added)}
+    columns = sorted(kept | set(at.model.assembly.geometry_columns))
+    draws = parameters.sample_prior(MATERIALS, generator)
+    draws[:, columns] = at.theta[columns]
+    return draws
+
+
+def second_look(
+    bench: Workbench,
+    scorer: Scorer,
+    baseline: Sequence[Refit],
+    first: Sequence[Found],
+    probes: dict[str, Probe],
+    null: Found,
+    seed: int,
+) -> list[Found]:
+    """The first round, best first, with every effect refitted once more from the materials of the leaders.
+
+    What an effect is blamed for may sit in the materials: a rival whose refit stayed at the biased ones of the
+    baseline would lose for that alone.
+    """
+    ranked = sorted(first, key=lambda found: -found.log_evidence)
+    leaders = [found for found in ranked[:LEADERS] if better(found, null, None)]
+    again = []
+    for number, found in enumerate(ranked):
+        seeds = [one.refit for one in leaders if one is not found]
+        (entry,) = found.hypothesis.plain
+        if seeds and Entry.parse(entry).per is None:
+            new = extended(
+                bench, scorer, baseline, entry, probes[entry], seed + number, starts=FEW_STARTS, seeds=seeds
+            )
+            found = max(found, new, key=lambda one: one.log_evidence)
+        again.append(found)
+    return sorted(again, key=lambda found: -found.log_evidence)
 
 
 def preview(bench: Workbench, at: Refit, entry: str, found: Probe, seed: int) -> float:
@@ -267,11 +315,12 @@ def search(
         first.append(extended(bench, scorer, baseline, entry, probes[entry], seed + number))
         if progress is not None:
             progress("refits", 0.1 + 0.5 * (number + 1) / len(entries))
-    first.sort(key=lambda found: -found.log_evidence)
+    first = second_look(bench, scorer, baseline, first, probes, null, seed)
     others: list[Found] = []
     good = [found for found in first if nameable(found) and better(found, null, excess)]
     if not good:
         return null, first, others
+    good = leader_first(good)
     best = good[0]
     beam = good[:BEAM]
     while len(best.hypothesis.added) < MOST_EFFECTS and not is_clean(best):
@@ -302,9 +351,18 @@ def search(
         accepted = [found for found in grown if _all_needed(found, known, best, excess)]
         if not accepted:
             break
+        accepted = leader_first(accepted)
         best = accepted[0]
         beam = accepted[:BEAM]
     return best, first, others
+
+
+def leader_first(ranked: Sequence[Found]) -> list[Found]:
+    """Refits in order of evidence, led by that which predicts held-out blocks best among those whose evidence is
+    as good as the first's."""
+    tied = [found for found in ranked if found.log_evidence > ranked[0].log_evidence - TIED]
+    leader = max(tied, key=lambda found: found.score.heldout_total)
+    return [leader, *(found for found in ranked if found is not leader)]
 
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:

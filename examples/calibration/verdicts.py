@@ -1,0 +1,193 @@
+"""Are verdicts right? Diagnoses every case that make_injections.py wrote and compares it with its answer.
+
+    python examples/calibration/make_injections.py CASES --seed 1
+    python examples/calibration/verdicts.py CASES RESULTS.jsonl [--only TEXT] [--part K/N] [--quick] [--summary]
+
+A case is one line of the results; those that are there are not done again, so a stopped run goes on where it
+was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from astropy.time import Time
+
+from torchlc.api import diagnose
+from torchlc.recording import load_recording
+from torchlc.scene import load_scene
+from torchlc.terminal import quiet_libraries
+
+SIGNIFICANT = 5.0
+"""Square root of the chi2 that an effect must be worth, between full refits, for its absence to be an error."""
+
+
+def run(case: Path, quick: bool) -> dict[str, Any]:
+    """Verdict, names and measures of one case beside its answer."""
+    answer = json.loads((case / "answer.json").read_text())
+    scene = load_scene(case / "scene.toml")
+    recording = load_recording(case / "recording.ecsv", scene)
+    began, cpu = time.monotonic(), time.process_time()
+    with quiet_libraries():
+        found = diagnose(scene, recording, quick=quick)
+    content = found.to_json()
+    return {
+        "case": case.name,
+        "truth": {
+            key: answer.get(key)
+            for key in ("kind", "verdict", "verdicts_accepted", "effects", "family", "gain", "chi2")
+        },
+        "verdict": content["verdict"],
+        "named": content["named"],
+        "families": content["families"],
+        "global_p": content["global_p"],
+        "improvement": content["improvement"],
+        "remaining_p": content["remaining"]["global_p"],
+        "overlap": overlap(content, answer, recording.time),
+        "materials": {
+            when: within(content["materials"][when], answer.get("materials", {}))
+            for when in ("before", "after")
+        },
+        "candidates": [
+            [one["effect"], one["target"], one["delta_log_evidence"], one["heldout_delta_log_likelihood"]]
+            for one in content["candidates"][:6]
+        ],
+        "seconds": time.monotonic() - began,
+        "cpu_seconds": time.process_time() - cpu,
+    }
+
+
+def overlap(content: dict[str, Any], answer: dict[str, Any], times: Time) -> float | None:
+    """Rows in the located and the true intervals, over rows in either; None where there is none to locate."""
+    where = content["where"]
+    if where is None or not answer.get("where"):
+        return None
+    true = marked(times, answer["where"]["intervals"])
+    if not true.any():
+        return None
+    found = marked(times, [(one["start"], one["end"]) for one in where["intervals"]])
+    return float((true & found).sum() / (true | found).sum())
+
+
+def marked(times: Time, intervals: Iterable[Sequence[str]]) -> np.ndarray:
+    """Rows (T,) inside any of the intervals, ends included to half a second."""
+    jd = np.asarray(times.utc.jd)
+    rows = np.zeros(len(jd), dtype=bool)
+    for start, end in intervals:
+        rows |= (jd >= Time(start).jd - 5e-6) & (jd <= Time(end).jd + 5e-6)
+    return rows
+
+
+def within(found: dict[str, dict[str, float]], truth: dict[str, dict[str, Any]]) -> list[int]:
+    """How many true material numbers lie inside the 90 % intervals, and of how many."""
+    held = [
+        row["q05"] <= truth[owner][short] <= row["q95"]
+        for name, row in found.items()
+        for owner, _, short in [name.rpartition(".")]
+        if isinstance(truth.get(owner, {}).get(short), int | float)
+    ]
+    return [sum(held), len(held)]
+
+
+def judged(row: dict[str, Any]) -> str:
+    """One word: right, in family, missed, extra, wrong name, false alarm, unexplained."""
+    truth, named = row["truth"], set(row["named"])
+    sets = [set(one) for one in truth["family"] or []] or [set(truth["effects"])]
+    if row["verdict"] not in truth["verdicts_accepted"]:
+        if row["verdict"] == "adequate":
+            return "missed"
+        if truth["verdict"] == "adequate":
+            return "false alarm"
+        return row["verdict"]
+    if row["verdict"] != "missing_physics" or named == set(truth["effects"]):
+        return "right"
+    if named in sets:
+        return "in family"
+    if any(set(truth["effects"]) <= named | set(family) for family in row["families"]):
+        return "in family"
+    if any(one < named for one in sets):
+        return "extra name"
+    if any(named < one for one in sets):
+        return "one of two"
+    return "wrong name"
+
+
+def read(path: Path) -> dict[str, dict[str, Any]]:
+    """Finished cases by name; a last line cut short by a kill is left out."""
+    rows = {}
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        rows[row["case"]] = row
+    return rows
+
+
+def summary(rows: Iterable[dict[str, Any]]) -> list[str]:
+    """A line for each kind of case, and the measures over all of them."""
+    rows = list(rows)
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        head, _, rest = row["case"].partition("-")
+        size = rest.partition("-")[0]
+        kind = f"one effect, {size}" if size in ("small", "medium", "large", "as_is") else head
+        groups.setdefault("nothing missing" if head.startswith("control") else kind, []).append(row)
+    lines = []
+    for kind, members in sorted(groups.items()):
+        counts = Counter(judged(row) for row in members)
+        lines.append(
+            f"{kind:24} {len(members):4}  " + ", ".join(f"{n} {word}" for word, n in counts.most_common())
+        )
+    overlaps = [row["overlap"] for row in rows if row["overlap"] is not None]
+    if overlaps:
+        lines.append(f"located against true intervals: median overlap {np.median(overlaps):.2f}")
+    for when in ("before", "after"):
+        held = np.sum([row["materials"][when] for row in rows], axis=0)
+        if len(rows) and held[1]:
+            lines.append(f"true materials inside the 90 % interval {when}: {100 * held[0] / held[1]:.0f} %")
+    seconds = [row["cpu_seconds"] for row in rows]
+    if seconds:
+        lines.append(f"processor time: median {np.median(seconds):.0f} s, longest {max(seconds):.0f} s")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("cases", type=Path)
+    parser.add_argument("results", type=Path)
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument(
+        "--part", default="0/1", help="K/N: every Nth case from the Kth, for several processes"
+    )
+    parser.add_argument("--quick", action="store_true", help="diagnose with quick=True")
+    parser.add_argument("--summary", action="store_true", help="only say what is there")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = read(options.results)
+    answers = sorted(options.cases.glob(f"*{options.only}*/answer.json"))
+    first, step = map(int, options.part.split("/"))
+    for answer in [] if options.summary else answers[first::step]:
+        name = answer.parent.name
+        if name not in rows:
+            rows[name] = run(answer.parent, options.quick)
+            with options.results.open("a") as file:
+                file.write(json.dumps(rows[name]) + "\n")
+            row = rows[name]
+            print(f"{name}: {row['verdict']} {row['named']}: {judged(row)}", flush=True)
+    for line in summary(rows.values()):
+        print(line)
+
+
+if __name__ == "__main__":
+    main()

@@ -70,6 +70,19 @@ class Prior:
         """Width of the prior on its own scale: of ln x where that is the scale."""
         return self._width() if self.kind in ("uniform", "loguniform") else self.sigma
 
+    @property
+    def flat_centre(self) -> float:
+        """Centre of a peaked prior on its own scale: of ln x where that is the scale."""
+        return math.log(self.centre) if self.kind == "lognormal" else self.centre
+
+    @property
+    def log_constant(self) -> float:
+        """Logarithm of what makes the density on the prior's own scale integrate to 1."""
+        if not self.peaked:
+            return -math.log(self._width())
+        a, b = self._cdf_range()
+        return -math.log(self.sigma * math.sqrt(2 * math.pi)) - math.log(max(b - a, 1e-300))
+
     def log_density(self, x: Tensor) -> Tensor:
         """Log density at x, same shape; -inf outside [low, high]."""
         inside = (x >= self.low) & (x <= self.high)
@@ -80,15 +93,8 @@ class Prior:
         else:
             y = torch.where(inside, x, self.low if math.isfinite(self.low) else self.centre)
             jacobian = torch.zeros_like(y)
-        if self.kind in ("uniform", "loguniform"):
-            density = jacobian - math.log(self._width())
-        else:
-            centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
-            u = (y - centre) / self.sigma
-            density = (
-                jacobian - 0.5 * u * u - math.log(self.sigma * math.sqrt(2 * math.pi)) - self._log_mass()
-            )
-        return torch.where(inside, density, -math.inf)
+        u = (y - self.flat_centre) / self.sigma if self.peaked else torch.zeros_like(y)
+        return torch.where(inside, self.log_constant + jacobian - 0.5 * u * u, -math.inf)
 
     def quantile(self, p: Tensor) -> Tensor:
         """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw
@@ -99,8 +105,7 @@ class Prior:
         else:
             a, b = self._cdf_range()
             q = (a + (b - a) * p).clamp(1e-15, 1 - 1e-15)
-            centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
-            y = centre + self.sigma * math.sqrt(2) * torch.erfinv(2 * q - 1)
+            y = self.flat_centre + self.sigma * math.sqrt(2) * torch.erfinv(2 * q - 1)
         return y.exp() if self.logarithmic else y
 
     def transform(self) -> transforms.Transform:
@@ -108,11 +113,7 @@ class Prior:
         its width."""
         low, high = self.flat_range()
         flat = self.kind in ("uniform", "loguniform")
-        middle = (
-            0.5 * (low + high)
-            if flat
-            else (math.log(self.centre) if self.kind == "lognormal" else self.centre)
-        )
+        middle = 0.5 * (low + high) if flat else self.flat_centre
         if self.kind == "halfnormal":
             middle = low + 0.7 * self.sigma
         steps: list[transforms.Transform]
@@ -159,16 +160,11 @@ class Prior:
 
     def _cdf_range(self) -> tuple[float, float]:
         low, high = self.flat_range()
-        centre = math.log(self.centre) if self.kind == "lognormal" else self.centre
 
         def cdf(value: float) -> float:
-            return 0.5 * (1 + math.erf((value - centre) / (self.sigma * math.sqrt(2))))
+            return 0.5 * (1 + math.erf((value - self.flat_centre) / (self.sigma * math.sqrt(2))))
 
         return cdf(low), cdf(high)
-
-    def _log_mass(self) -> float:
-        a, b = self._cdf_range()
-        return math.log(max(b - a, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -223,6 +219,16 @@ class ParameterSet:
         self._transforms = [parameter.prior.transform() for parameter in self.free]
         self._second = {second: first for first, second in self.pairs}
         self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}
+        self._fixed = {name: torch.tensor(value, dtype=dtype, device=device) for name, value in fixed.items()}
+        priors = [entry.prior for entry in self.free]
+        self._bounds = self._row([one.low for one in priors]), self._row([one.high for one in priors])
+        self._logarithmic = torch.tensor([one.logarithmic for one in priors], dtype=torch.bool, device=device)
+        self._centre = self._row([one.flat_centre if one.peaked else 0.0 for one in priors])
+        self._precision = self._row([1 / one.sigma**2 if one.peaked else 0.0 for one in priors])
+        self._constant = self._row([one.log_constant for one in priors])
+
+    def _row(self, numbers: Sequence[float]) -> Tensor:
+        return torch.tensor(numbers, dtype=self.dtype, device=self.device)
 
     def __len__(self) -> int:
         return len(self.free)
@@ -233,7 +239,7 @@ class ParameterSet:
 
     def values(self, theta: Tensor) -> dict[str, Tensor]:
         """Every number by its full name: free ones (...) from theta (..., P), fixed ones as scalars."""
-        found = {name: theta.new_tensor(value) for name, value in self.fixed.items()}
+        found = {name: value.to(theta) for name, value in self._fixed.items()}
         found.update(zip(self.names, theta.unbind(-1), strict=True))
         return found
 
@@ -275,9 +281,13 @@ class ParameterSet:
         """Log prior density (...) of natural theta (..., P); -inf outside the bounds or the triangle;
         normalised on each pair's triangle where both are uniform, else up to the constant that the triangle
         cuts off."""
-        total = torch.zeros(theta.shape[:-1], dtype=theta.dtype, device=theta.device)
-        for entry, column in zip(self.free, theta.unbind(-1), strict=True):
-            total = total + entry.prior.log_density(column)
+        low, high = self._bounds
+        inside = (theta >= low) & (theta <= high)
+        safe = torch.where(inside, theta, self.start())
+        y = torch.where(self._logarithmic, torch.log(torch.where(self._logarithmic, safe, 1.0)), safe)
+        density = self._constant - 0.5 * self._precision * (y - self._centre) ** 2
+        density = density - torch.where(self._logarithmic, y, 0.0)
+        total = torch.where(inside, density, -math.inf).sum(-1)
         for first, second in self.pairs:
             total = total + self._triangle[first, second]
             total = torch.where(theta[..., first] + theta[..., second] <= 1.0, total, -math.inf)

@@ -27,6 +27,8 @@ FLAT_VARIANCE = 1 / 12
 """Of a reflectance about which nothing is known."""
 REWEIGHTED = 2
 """Times that the regression is done again about its own result, so that it is one of magnitudes, not of flux."""
+FAR_LOG_P = -15.0
+"""log of a normal probability, 5 standard deviations out, below which a quantile is polished."""
 KINDS = {
     "one from its prior": 0.3,
     "one by a step": 0.4,
@@ -130,31 +132,33 @@ class Redraw:
         if likelihood.kind == "flux":
             assert self.gain is not None  # flux has one
             gain = self.gain[likelihood.curve]
-            return self._solution(dark, design, likelihood.observed / gain, self.sigma / gain.abs())
-        offset = model.assembly.sun_magnitude + model.zero_point(parameters.from_straight(x)[0])
-        observed = 10 ** (-0.4 * (likelihood.observed - offset))
-        target, near = observed, observed
-        for _ in range(REWEIGHTED):
-            mean, _ = self._solution(dark, design, target, near * self.sigma / MAG_PER_LN)
-            predicted = dark + (design @ mean[..., None])[..., 0]
-            near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
-            target = near * (1.0 + torch.log(observed / near))
-        return self._solution(dark, design, target, near * self.sigma / MAG_PER_LN)
+            observed, sigma = likelihood.observed / gain, self.sigma / gain.abs()
+            mean, factor = self._solution(dark, design, observed, sigma)
+        else:
+            observed = likelihood.observed_flux * 10 ** (
+                0.4 * model.zero_point(parameters.from_straight(x)[0])
+            )
+            sigma = self.sigma / MAG_PER_LN
+            mean, factor = self._solution(dark, design, observed, observed * sigma)
+            for _ in range(REWEIGHTED):
+                predicted = dark + (design @ mean[..., None])[..., 0]
+                near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
+                target = near * (1.0 + torch.log(observed / near))
+                mean, factor = self._solution(dark, design, target, near * sigma)
+        return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
 
     def _solution(
         self, dark: Tensor, design: Tensor, observed: Tensor, sigma: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Weighted least squares for flux = dark + design @ reflectances, with the flat prior's variance."""
-        count = len(self.linear)
+        """Weighted least squares for flux = dark + design @ reflectances, with the flat prior's variance: mean
+        (W, K) and lower Cholesky factor (W, K, K) of the precision.
+        """
         design = design / sigma[..., None]
         middle = torch.tensor([0.25 if i in self.first else 0.5 for i in self.linear], dtype=dark.dtype)
-        precision = design.transpose(1, 2) @ design + torch.eye(count, dtype=dark.dtype) / FLAT_VARIANCE
-        target = (
-            design.transpose(1, 2) @ ((observed - dark) / sigma)[..., None] + middle[:, None] / FLAT_VARIANCE
-        )
+        precision = design.mT @ design + torch.eye(len(middle), dtype=dark.dtype) / FLAT_VARIANCE
+        target = design.mT @ ((observed - dark) / sigma)[..., None] + middle[:, None] / FLAT_VARIANCE
         factor = torch.linalg.cholesky_ex(precision)[0]
-        mean = torch.cholesky_solve(target, factor)[..., 0]
-        return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
+        return torch.cholesky_solve(target, factor)[..., 0], factor
 
     def truncated(
         self, x: Tensor, mean: Tensor, spread: Tensor, uniform: Tensor | None = None
@@ -169,15 +173,13 @@ class Redraw:
             sd = spread[:, place, place]
             centre = mean[:, place] + (spread[:, place, :place] * deviate[:, :place]).sum(-1)
             low, high = self._bounds(column, x)
-            a, b = (low - centre) / sd, (high - centre) / sd
+            cut = CutNormal((low - centre) / sd, (high - centre) / sd)
             if uniform is not None:
-                x[:, column] = centre + sd * _truncated_normal(a, b, uniform[:, place])
-                x[:, column] = torch.minimum(torch.maximum(x[:, column], low), high)
+                value = centre + sd * cut.quantile(uniform[:, place])
+                x[:, column] = torch.minimum(torch.maximum(value, low), high)
             deviate[:, place] = (x[:, column] - centre) / sd
             inside = (x[:, column] >= low) & (x[:, column] <= high) & (high > low)
-            mass = _log_mass(a, torch.maximum(b, a + 1e-300))
-            one = -0.5 * deviate[:, place] ** 2 - torch.log(sd) - 0.5 * math.log(2 * math.pi) - mass
-            density = density + torch.where(inside, one, -math.inf)
+            density = density + torch.where(inside, cut.log_density(deviate[:, place]) - sd.log(), -math.inf)
         return x, density
 
     def _bounds(self, column: int, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -192,32 +194,35 @@ def _noisy(likelihood: Likelihood) -> set[str]:
     return {effect.name for effect in likelihood.model.assembly.stage("noise")}
 
 
-def _lower_tail(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The interval, or its mirror image where that lies further down, and where it was mirrored."""
-    mirrored = a + b > 0
-    return torch.where(mirrored, -b, a), torch.where(mirrored, -a, b), mirrored
-
-
-def _log_mass(a: Tensor, b: Tensor) -> Tensor:
-    """log of the normal probability of [a, b], without loss in the tails."""
-    a, b, _ = _lower_tail(a, b)
-    low, high = torch.special.log_ndtr(a), torch.special.log_ndtr(b)
-    return high + torch.log(-torch.expm1((low - high).clamp(max=-1e-300)))
-
-
-def _truncated_normal(a: Tensor, b: Tensor, uniform: Tensor) -> Tensor:
-    """Standard normal numbers in [a, b] at ``uniform`` in [0, 1): the inverse of the distribution, by Newton's
-    method on its logarithm below -5.
+class CutNormal:
+    """The standard normal distribution cut off at a and b, batched, without loss in its tails: an interval in
+    the upper tail is looked at in the mirror.
     """
-    a, b, mirrored = _lower_tail(a, b)
-    share = torch.where(mirrored, 1.0 - uniform, uniform)
-    low, high = torch.special.log_ndtr(a), torch.special.log_ndtr(b)
-    log_p = high + torch.log((share + (1.0 - share) * torch.exp(low - high)).clamp(min=1e-300))
-    x = torch.special.ndtri(torch.exp(log_p.clamp(min=-600.0)))
-    x = torch.where(log_p < -600.0, -torch.sqrt(-2.0 * log_p), x)
-    for _ in range(4):
-        value = torch.special.log_ndtr(x)
-        slope = torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - value)
-        x = torch.where(log_p < -5.0, x - (value - log_p) / slope.clamp(min=1e-300), x)
-    x = torch.minimum(torch.maximum(x, a), b)
-    return torch.where(mirrored, -x, x)
+
+    def __init__(self, a: Tensor, b: Tensor) -> None:
+        self.mirrored = a + b > 0
+        self.low, self.high = torch.where(self.mirrored, -b, a), torch.where(self.mirrored, -a, b)
+        self.log_low, self.log_high = torch.special.log_ndtr(torch.stack([self.low, self.high])).unbind()
+
+    def log_density(self, x: Tensor) -> Tensor:
+        """At x inside [a, b]."""
+        mass = self.log_high + torch.log(-torch.expm1((self.log_low - self.log_high).clamp(max=-1e-300)))
+        return -0.5 * x**2 - 0.5 * math.log(2 * math.pi) - mass
+
+    def quantile(self, p: Tensor) -> Tensor:
+        """Where a share p in [0, 1) of the distribution lies below; on the logarithm of the distribution,
+        by Newton's method, beyond 5 standard deviations.
+        """
+        share = torch.where(self.mirrored, 1.0 - p, p)
+        inner = share + (1.0 - share) * torch.exp(self.log_low - self.log_high)
+        log_p = self.log_high + torch.log(inner.clamp(min=1e-300))
+        x = torch.special.ndtri(torch.exp(log_p.clamp(min=-600.0)))
+        far = log_p < FAR_LOG_P
+        if bool(far.any()):
+            x = torch.where(log_p < -600.0, -torch.sqrt(-2.0 * log_p), x)
+            for _ in range(4):
+                value = torch.special.log_ndtr(x)
+                slope = torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - value)
+                x = torch.where(far, x - (value - log_p) / slope.clamp(min=1e-300), x)
+        x = torch.minimum(torch.maximum(x, self.low), self.high)
+        return torch.where(self.mirrored, -x, x)

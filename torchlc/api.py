@@ -306,6 +306,7 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
     import emcee
 
     sources = {"scene": scene.source, "recording": recording.source}
+    sources |= {place: scene.file_path(name) for place, name in scene.files().items()}
     return {
         "inputs": {
             name: {"file": Path(source).name, "sha256": hashlib.sha256(Path(source).read_bytes()).hexdigest()}

@@ -372,7 +372,7 @@ def init(
     if scene.exists() and not force:
         raise InputError(scene, None, "exists", "a new file", "--force replaces it.")
     wanted = None if date is None else moment(date)
-    chosen = scaffold.nearest_elements(scaffold.read_elements(tle), wanted, tle)
+    chosen = scaffold.elements_for(tle, wanted)
     place = None if station is None else scaffold.read_station(station)
     text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh)
     read = scaffold.check_scene(text, scene.parent, scene)

@@ -307,7 +307,9 @@ def _facts(result: FitResult) -> list[tuple[str, str]]:
     dropped = ", ".join(f"{count} {reason}" for reason, count in recording.dropped.items())
     orbit = (
         "TLE (SGP4)"
-        if scene.orbit.tle
+        if scene.orbit.tle or scene.orbit.tle_file
+        else "ephemeris (OEM)"
+        if scene.orbit.oem_file
         else "altitude, azimuth, height"
         if scene.orbit.altaz
         else "vectors of the recording"

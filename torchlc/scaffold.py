@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,14 @@ import numpy as np
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
-from torchlc.files import readable_file
 from torchlc.scene import Scene
-from torchlc.scene.tle import LENGTH
+from torchlc.scene.tle import Elements, nearest, read_elements
 from torchlc.scene.writer import toml_value
 from torchlc.spelling import did_you_mean
 from torchlc.timestamps import UnreadableTime, instant
 
 TEMPLATES = Path(__file__).parent / "templates"
 PLACEHOLDER_STATION = ("site", 0.0, 0.0, 0.0)
-MAX_ELEMENT_BYTES = 50_000_000
-JD_OF_2000 = 2451544.5
 PRESETS = {
     "box-wing": "box_wing",
     "cubesat": "cubesat",
@@ -31,61 +27,16 @@ PRESETS = {
 """Shape by the name people say, and its template."""
 
 
-@dataclass(frozen=True)
-class ElementSet:
-    """Two lines with the name above them, if there was one; ``epoch`` a Julian date."""
-
-    name: str | None
-    lines: tuple[str, str]
-
-    @property
-    def epoch(self) -> float:
-        year, day = int(self.lines[0][18:20]), float(self.lines[0][20:32])
-        days = np.datetime64(f"{year + (1900 if year >= 57 else 2000)}-01-01") - np.datetime64("2000-01-01")
-        return JD_OF_2000 + int(days.astype(int)) + day - 1.0
-
-
-def read_elements(path: str | Path) -> list[ElementSet]:
-    """Every two-line element set of a file, names above them kept."""
-    path = readable_file(path, "two-line element sets")
-    if path.stat().st_size > MAX_ELEMENT_BYTES:
-        raise InputError(path, None, "more than 50 MB", "two-line element sets")
-    lines = [line.rstrip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
-    found = []
-    for number, line in enumerate(lines[:-1]):
-        after = lines[number + 1]
-        if line.startswith("1 ") and after.startswith("2 ") and len(line) >= LENGTH and len(after) >= LENGTH:
-            above = lines[number - 1].removeprefix("0 ").strip() if number else ""
-            title = above if above and above[:2] not in ("1 ", "2 ") else None
-            found.append(ElementSet(title, (line[:LENGTH], after[:LENGTH])))
-    if not found:
-        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '")
-    return found
-
-
-def nearest_elements(sets: list[ElementSet], date: str | float | None, source: Path) -> ElementSet:
-    """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; all of one object."""
-    numbers = sorted({one.lines[0][2:7] for one in sets})
-    if len(numbers) > 1:
-        listed = ", ".join(numbers[:8])
-        raise InputError(
-            source, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
-        )
-    epochs = []
-    for one in sets:
-        try:
-            epochs.append(one.epoch)
-        except ValueError:
-            raise InputError(
-                source, one.lines[0][:32], "an epoch that cannot be read", "a two-line element set"
-            ) from None
+def elements_for(path: Path, date: str | float | None) -> Elements:
+    """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
+    sets = read_elements(path)
     if date is None:
-        return sets[int(np.argmax(epochs))]
+        return max(sets, key=lambda one: one.epoch)
     try:
         when: Any = instant(date, "utc")
     except UnreadableTime as error:
         raise InputError(None, "--date", repr(error.found), error.expected) from None
-    return sets[int(np.argmin(np.abs(np.array(epochs) - float(when.jd))))]
+    return sets[int(nearest(sets, np.array([float(when.jd)]))[0])]
 
 
 def read_station(text: str) -> tuple[str, float, float, float]:
@@ -101,7 +52,7 @@ def read_station(text: str) -> tuple[str, float, float, float]:
 
 
 def new_scene(
-    elements: ElementSet,
+    elements: Elements,
     preset: str,
     *,
     name: str | None = None,

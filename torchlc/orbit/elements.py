@@ -1,27 +1,18 @@
-"""Two-line elements: SGP4 (WGS-72) on a grid around the rows, as polynomials that can be differentiated."""
+"""Two-line elements: SGP4 (WGS-72)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 from astropy.time import Time
 from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
 from torchlc.errors import InputError
-from torchlc.orbit.earth import after, julian_dates
+from torchlc.orbit.cells import CELLS_PER_REVOLUTION, piecewise
+from torchlc.orbit.earth import julian_dates
 from torchlc.orbit.motion import Piecewise
 
-CELLS_PER_REVOLUTION = 400
-"""At the angular rate of perigee."""
-STENCIL = np.arange(-2, 4)
-"""Nodes, in cells, that fix the polynomial of a cell: degree 5, error below 1e-6 km (measured in tests)."""
-REACH_S = 3660.0
-"""Offset in time that a row must bear: the bound of time_offset, and light time."""
-REACH_REVOLUTIONS = 10.0 / 360.0
-"""The bound of along_track_offset."""
 FRESH_DAYS = 30.0
 
 
@@ -90,44 +81,5 @@ class ElementSet:
         self, time: Time, seconds: np.ndarray, gcrs_from_teme: np.ndarray, exposure_s: float
     ) -> Piecewise:
         """The orbit around rows at ``time``, ``seconds`` (T,) after the first, in GCRS."""
-        step = self.step_s
-        reach = REACH_S + exposure_s + REACH_REVOLUTIONS * 2 * np.pi / self.mean_motion
-        width = int(np.ceil(reach / step)) + 1
-        place = seconds / step
-        cell = np.floor(place)
-        runs = _runs(cell.astype(np.int64), width)
-        origin: Any = time[0]
-        coefficients = [self._coefficients(origin, first, last, step) for first, last in runs]
-        starts = np.array([first for first, _ in runs])
-        stored = np.concatenate([[0], np.cumsum([last - first + 1 for first, last in runs])])
-        run = np.searchsorted(starts, cell, side="right") - 1
-        return Piecewise(
-            torch.from_numpy(np.concatenate(coefficients)),
-            torch.from_numpy(cell.astype(np.int64) - starts[run] + stored[run]),
-            torch.from_numpy(place - cell),
-            torch.from_numpy(gcrs_from_teme),
-            step_s=step,
-            first=-width,
-            last=width,
-        )
-
-    def _coefficients(self, origin: Time, first: int, last: int, step: float) -> np.ndarray:
-        """Polynomial coefficients (C, 3, 6) of the cells ``first`` to ``last``. Where SGP4 fails beyond the
-        rows they are NaN.
-        """
-        nodes = np.arange(first + STENCIL[0], last + STENCIL[-1] + 1)
-        position, codes = self.positions(after(origin, nodes * step))
-        position = np.where(codes[:, None] == 0, position, np.nan)
-        stencils = np.lib.stride_tricks.sliding_window_view(position, STENCIL.size, axis=0)
-        inverse = np.linalg.inv(np.vander(STENCIL.astype(float), increasing=True))
-        return stencils @ inverse.T
-
-
-def _runs(cell: np.ndarray, width: int) -> list[tuple[int, int]]:
-    """First and last cell of each stretch without gaps when every row needs ``width`` cells on both sides
-    of its own.
-    """
-    used = np.unique(cell)
-    breaks = np.flatnonzero(np.diff(used) > 2 * width + 1)
-    firsts, lasts = used[np.concatenate([[0], breaks + 1])], used[np.concatenate([breaks, [used.size - 1]])]
-    return [(int(first) - width, int(last) + width) for first, last in zip(firsts, lasts, strict=True)]
+        chosen = np.zeros(len(seconds), dtype=np.int64)
+        return piecewise([self], chosen, time, seconds, gcrs_from_teme, exposure_s)

@@ -25,8 +25,13 @@ def observation_grid(
     Both ends are included. At every station of the scene, or at the one named; each is a curve of its own.
     Rows may be below the horizon.
     """
-    if scene.orbit.tle is None:
-        raise InputError(scene.source, "orbit", "no TLE", "a TLE, or a recording to take the geometry from")
+    if not scene.orbit.known:
+        raise InputError(
+            scene.source,
+            "orbit",
+            "no TLE and no ephemeris",
+            "tle, tle_file or oem_file, or a recording to take the geometry from",
+        )
     if not (np.isfinite(hours) and hours > 0 and np.isfinite(cadence_s) and cadence_s > 0):
         raise InputError(None, "--hours, --cadence", f"{hours:g} h every {cadence_s:g} s", "numbers > 0")
     ids = tuple(place.id for place in scene.stations)

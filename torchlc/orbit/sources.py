@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
+from astropy.time import Time
 from astropy.utils import iers
 from astropy.utils.exceptions import AstropyWarning
 from erfa import ErfaWarning
@@ -14,9 +16,12 @@ from torch import Tensor
 
 from torchlc.errors import InputError
 from torchlc.orbit import earth
+from torchlc.orbit.cells import Source, piecewise
 from torchlc.orbit.elements import ElementSet
+from torchlc.orbit.ephemeris import Ephemeris
 from torchlc.orbit.motion import EarthFixed, Motion, Straight, TwoBody, inverse_semi_major_axis
 from torchlc.orbit.track import Track
+from torchlc.scene.tle import Elements, nearest, read_elements
 
 if TYPE_CHECKING:
     from torchlc.recording import Recording
@@ -35,30 +40,69 @@ def make_track(scene: Scene, recording: Recording) -> Track:
     with warnings.catch_warnings(), iers.conf.set_temp("auto_download", False):
         warnings.simplefilter("ignore", AstropyWarning)
         warnings.simplefilter("ignore", ErfaWarning)
-        if scene.orbit.tle is not None:
-            return _track_of_elements(scene, recording, scene.orbit.tle)
+        if scene.orbit.known:
+            return _track_of_orbit(scene, recording)
         if scene.orbit.altaz:
             return _track_of_altaz(scene, recording)
         return _track_of_vectors(scene, recording)
 
 
-def _track_of_elements(scene: Scene, recording: Recording, lines: tuple[str, str]) -> Track:
-    elements = ElementSet(lines, scene.source)
-    elements.check(recording.time)
+def _track_of_orbit(scene: Scene, recording: Recording) -> Track:
+    sources, chosen, warnings = _sources(scene, recording)
     frame = earth.orientation(recording.time)
     exposure_s = 0.0 if recording.exptime is None else float(np.nanmax(recording.exptime, initial=0.0))
     observer_itrs = _stations(scene)[recording.station]
+    turn = np.eye(3) + np.zeros_like(frame.gcrs_from_teme) if scene.orbit.oem_file else frame.gcrs_from_teme
+    slowness = np.array([1.0 / source.mean_motion for source in sources])[chosen]
     return Track(
         torch.from_numpy(recording.seconds),
         observer=_earth_fixed(_turn(frame.gcrs_from_itrs, observer_itrs), frame),
-        object_=elements.motion(recording.time, recording.seconds, frame.gcrs_from_teme, exposure_s),
+        object_=piecewise(sources, chosen, recording.time, recording.seconds, turn, exposure_s),
         sun=_geocentric_sun(recording),
         known=frozenset({"position", "velocity", "time_offset", "along_track", "elevation"}),
-        seconds_per_radian=torch.full(
-            (len(recording.seconds),), 1.0 / elements.mean_motion, dtype=torch.float64
-        ),
+        seconds_per_radian=torch.from_numpy(slowness),
         zenith=torch.from_numpy(_turn(frame.gcrs_from_itrs, earth.vertical_itrs(observer_itrs))),
-        warnings=(*elements.age_warning(recording.time), *frame.warnings),
+        warnings=(*warnings, *frame.warnings),
+    )
+
+
+def _sources(scene: Scene, recording: Recording) -> tuple[list[Source], np.ndarray, tuple[str, ...]]:
+    """Sources of positions, which of them each row (T,) takes, and what is to be said of them."""
+    orbit, time = scene.orbit, recording.time
+    chosen = np.zeros(len(recording.seconds), dtype=np.int64)
+    if orbit.oem_file is not None:
+        ephemeris = Ephemeris(scene.file_path(orbit.oem_file), time)
+        ephemeris.check(time)
+        return [ephemeris], chosen, ()
+    said: tuple[str, ...] = ()
+    if orbit.tle is not None:
+        sets = [ElementSet(orbit.tle, scene.source)]
+    else:
+        assert orbit.tle_file is not None  # the scene is checked
+        path = scene.file_path(orbit.tle_file)
+        on_file = read_elements(path)
+        jd = np.add(*earth.julian_dates(time, "utc"))
+        middle = np.array([jd[recording.night == night].mean() for night in range(len(recording.night_ids))])
+        used, chosen = np.unique(nearest(on_file, middle)[recording.night], return_inverse=True)
+        sets = [ElementSet(on_file[k].lines, path) for k in used]
+        said = (_nearest_told(path, [on_file[k] for k in used], len(on_file), middle),)
+    for k, elements in enumerate(sets):
+        rows = cast(Time, time[chosen == k])
+        elements.check(rows)
+    oldest = max(range(len(sets)), key=lambda k: sets[k].age_days(cast(Time, time[chosen == k])))
+    said += sets[oldest].age_warning(cast(Time, time[chosen == oldest]))
+    return list(sets), chosen, said
+
+
+def _nearest_told(path: Path, used: list[Elements], count: int, middle: np.ndarray) -> str:
+    """Which element sets of a file are taken: for each night the nearest to its middle (Julian dates)."""
+    epochs = np.array([one.epoch for one in used])
+    away = np.abs(middle[:, None] - epochs).min(-1).max()
+    told = ", ".join(str(Time(epoch, format="jd", scale="utc").isot)[:16] for epoch in np.sort(epochs)[:3])
+    more = f" and {len(used) - 3} more" if len(used) > 3 else ""
+    return (
+        f"{path.name}: of {count} element sets the nearest to each night is taken: {told}{more} (at most "
+        f"{away:.1f} days from the middle of the night)"
     )
 
 

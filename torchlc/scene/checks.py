@@ -14,7 +14,7 @@ from torchlc import brdf
 from torchlc.errors import InputError
 from torchlc.materials import preset as preset_values
 from torchlc.scene.numbers import Free, value_of, within
-from torchlc.scene.parts import Material, Mesh
+from torchlc.scene.parts import Material
 from torchlc.scene.problems import shown
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.spelling import did_you_mean
@@ -147,11 +147,8 @@ class _Checks:
             raise self.error(place + key, context["found"], context["expected"]) from None
 
     def files(self) -> None:
-        for index, component in enumerate(self.scene.components):
-            if isinstance(component, Mesh):
-                self._file(f"components[{index}].file", component.file)
-        if self.scene.attitude.file is not None:
-            self._file("attitude.file", self.scene.attitude.file)
+        for place, name in self.scene.files().items():
+            self._file(place, name)
 
     def _file(self, place: str, name: str) -> None:
         """Unless the scene is trusted, the file must lie in its folder, links resolved."""

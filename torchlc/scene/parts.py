@@ -47,18 +47,29 @@ Epoch = Annotated[
 
 
 class Orbit(Table):
-    """Where the object is: elements, or in the recording as vectors (in this frame) or as alt-az rows."""
+    """Where the object is: elements, a file of elements of many epochs or of an ephemeris, or in the
+    recording as vectors (in this frame) or as alt-az rows.
+    """
 
     tle: Annotated[tuple[str, str], AfterValidator(checked_lines)] | None = None
+    tle_file: str | None = None
+    oem_file: str | None = None
     vectors: Literal["icrs", "ecliptic"] | None = None
     altaz: Annotated[bool, Field(strict=True)] = False
 
+    @property
+    def known(self) -> bool:
+        """Is the orbit known at other times than those of the recording?"""
+        return self.tle is not None or self.tle_file is not None or self.oem_file is not None
+
     @model_validator(mode="after")
     def _exactly_one(self) -> Orbit:
-        count = (self.tle is not None) + (self.vectors is not None) + self.altaz
+        given = (self.tle, self.tle_file, self.oem_file, self.vectors)
+        count = sum(one is not None for one in given) + self.altaz
         if count != 1:
             raise problem(
-                "none of them" if count == 0 else "more than one", "one of tle, vectors, altaz = true"
+                "none of them" if count == 0 else "more than one",
+                "one of tle, tle_file, oem_file, vectors, altaz = true",
             )
         return self
 

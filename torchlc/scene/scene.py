@@ -13,7 +13,7 @@ from torchlc.errors import InputError
 from torchlc.files import readable_file
 from torchlc.scene.checks import checked
 from torchlc.scene.numbers import Free, Name, Table
-from torchlc.scene.parts import Attitude, Component, Material, Model, Orbit, Station
+from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
 from torchlc.scene.problems import of_toml, of_validation
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
@@ -109,6 +109,14 @@ class Scene(Table):
         for component in self.components:
             numbers |= {f"{component.name}.{size}": number for size, number in component.numbers().items()}
         return numbers
+
+    def files(self) -> dict[str, str]:
+        """Names of the files that the scene needs, by their place in it."""
+        named = {"attitude.file": self.attitude.file}
+        named |= {f"orbit.{key}": getattr(self.orbit, key) for key in ("tle_file", "oem_file")}
+        meshes = enumerate(self.components)
+        named |= {f"components[{i}].file": one.file for i, one in meshes if isinstance(one, Mesh)}
+        return {place: name for place, name in named.items() if name is not None}
 
     def file_path(self, name: str) -> Path:
         """The path of a file that the scene names."""

@@ -1,9 +1,18 @@
-"""Two-line element sets: line numbers, lengths, columns, checksums."""
+"""Two-line element sets: line numbers, lengths, columns, checksums, and files that hold many."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+from pydantic_core import PydanticCustomError
+
+from torchlc.errors import InputError
+from torchlc.files import readable_file
 from torchlc.scene.numbers import problem
 
 PLACEHOLDER = "xxxxx"
@@ -16,6 +25,61 @@ LINE_2 = re.compile(
     r"2 [ \dA-Z]\d{4} [ \d]{3}\.\d{4} [ \d]{3}\.\d{4} [ \d]{7} "
     r"[ \d]{3}\.\d{4} [ \d]{3}\.\d{4} [ \d]{2}\.\d{8}[ \d]{5}\d"
 )
+
+
+MAX_ELEMENT_BYTES = 50_000_000
+JD_OF_2000 = 2451544.5
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Two lines with the name above them, if there was one; ``epoch`` a Julian date."""
+
+    name: str | None
+    lines: tuple[str, str]
+
+    @property
+    def epoch(self) -> float:
+        year, day = int(self.lines[0][18:20]), float(self.lines[0][20:32])
+        days = np.datetime64(f"{year + (1900 if year >= 57 else 2000)}-01-01") - np.datetime64("2000-01-01")
+        return JD_OF_2000 + int(days.astype(int)) + day - 1.0
+
+
+def read_elements(path: str | Path) -> list[Elements]:
+    """Every two-line element set of a file, names above them kept; all checked, all of one object."""
+    path = readable_file(path, "two-line element sets")
+    if path.stat().st_size > MAX_ELEMENT_BYTES:
+        raise InputError(path, None, "more than 50 MB", "two-line element sets")
+    lines = [line.rstrip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    found = []
+    for number, line in enumerate(lines[:-1]):
+        after = lines[number + 1]
+        if line.startswith("1 ") and after.startswith("2 ") and len(line) >= LENGTH and len(after) >= LENGTH:
+            above = lines[number - 1].removeprefix("0 ").strip() if number else ""
+            title = above if above and above[:2] not in ("1 ", "2 ") else None
+            try:
+                checked = checked_lines((line[:LENGTH], after[:LENGTH]))
+            except PydanticCustomError as error:
+                said: Any = error.context
+                place = f"line {number + 1 + (said['key'] == '[1]')}"
+                raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
+            found.append(Elements(title, checked))
+    if not found:
+        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '")
+    numbers = sorted({one.lines[0][2:7] for one in found})
+    if len(numbers) > 1:
+        listed = ", ".join(numbers[:8])
+        raise InputError(
+            path, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
+        )
+    return found
+
+
+def nearest(sets: Sequence[Elements], jd: np.ndarray) -> np.ndarray:
+    """Index (T,) of the set with its epoch nearest to each Julian date (T,), UTC."""
+    order = np.argsort([one.epoch for one in sets], kind="stable")
+    epochs = np.array([sets[k].epoch for k in order])
+    return order[np.searchsorted((epochs[1:] + epochs[:-1]) / 2, jd)]
 
 
 def checksum(line: str) -> int:

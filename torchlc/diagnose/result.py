@@ -82,9 +82,13 @@ class Diagnosis:
 
     def candidates(self) -> list[dict[str, Any]]:
         """Every effect tried, best first: refitted ones by evidence, noise models among them, the rest by
-        score."""
+        score.
+
+        Gains are over the baseline with white noise: of an effect with white noise too, of noise alone.
+        """
         rows = []
         base = self.baseline
+        white, heldout_white = base.score.by_kind["white"]
         for found in self.first:
             (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
             rows.append(
@@ -93,13 +97,12 @@ class Diagnosis:
                     "target": Entry.parse(entry).target,
                     "score": self.probes[plain].score,
                     "p": self.gate.marginal.get(f"signature {plain}"),
-                    "delta_log_evidence": found.log_evidence - base.log_evidence,
-                    "heldout_delta_log_likelihood": found.score.heldout_total - base.score.heldout_total,
+                    "delta_log_evidence": found.score.by_kind["white"][0] - white,
+                    "heldout_delta_log_likelihood": found.score.by_kind["white"][1] - heldout_white,
                     "parameters": effect_parameters(found.refit, entry),
                     "chi2_after": found.refit.chi2,
                 }
             )
-        white, heldout_white = base.score.by_kind["white"]
         for kind, (value, heldout) in base.score.by_kind.items():
             if kind != "white":
                 rows.append(

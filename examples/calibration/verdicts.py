@@ -175,7 +175,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     rows = read(options.results)
-    answers = sorted(options.cases.glob(f"*{options.only}*/answer.json"))
+    answers = [one for one in sorted(options.cases.glob("*/answer.json")) if options.only in one.parent.name]
     first, step = map(int, options.part.split("/"))
     for answer in [] if options.summary else answers[first::step]:
         name = answer.parent.name

@@ -234,7 +234,14 @@ class Likelihood:
 
     def log_prob(self, theta: Tensor) -> Tensor:
         """Log posterior density (...), up to the evidence, of natural theta (..., P); -inf out of bounds,
-        never NaN."""
+        never NaN. Large batches are cut as the model's are."""
+        if theta.ndim > 1 and not self.model.geometry_free:
+            pieces = theta.reshape(-1, theta.shape[-1]).split(self.model.at_once)
+            if len(pieces) > 1:
+                return torch.cat([self._log_prob(piece) for piece in pieces]).reshape(theta.shape[:-1])
+        return self._log_prob(theta)
+
+    def _log_prob(self, theta: Tensor) -> Tensor:
         prior = self.model.parameter_set.log_prior(theta)
         inside = torch.isfinite(prior)
         safe = torch.where(inside[..., None], theta, self.model.parameter_set.start())

@@ -50,8 +50,9 @@ MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
 MOST_CONDENSED = 1_000_000
 """Pairs in all up to which that is done: the tabulation costs as much as 60 calls."""
-VALUES_PER_CHUNK = 8_000_000
-"""Exponentials held at once in a batched call: 64 MiB a buffer."""
+VALUES_AT_ONCE = 2**17
+"""Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
+is in the cache when the next reads it, and memory does not grow with the batch."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ class LightCurve(nn.Module):
                 kept = grouped.shares
                 kept = None if kept is None else kept.reshape(*theta.shape[:-1], *kept.shape[1:])
                 return replace(grouped, flux=grouped.flux.reshape(*theta.shape[:-1], -1), shares=kept)
-        size = max(1, VALUES_PER_CHUNK // max(1, self.assembly.pairs))
+        size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
 
         def one(row: Tensor) -> tuple[Tensor, ...]:
             result = self._single(row, shares)
@@ -229,6 +230,20 @@ class LightCurve(nn.Module):
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
+
+    @property
+    def at_once(self) -> int:
+        """Values of theta that are worked out at once where the geometry is fixed: VALUES_AT_ONCE over the
+        numbers that one of them needs, its rows or the pairs of its largest surface."""
+        tables = self.tables(self.assembly.needs_shares)
+        sizes = [
+            table.numel()
+            for surface in tables.surfaces
+            for name, table in surface.table.items()
+            if name != "lobes"
+        ]
+        needed = max([self.assembly.T, *sizes, *(scatter.values for _, scatter in tables.scatter)])
+        return max(1, VALUES_AT_ONCE // needed)
 
     @property
     def unaffordable(self) -> bool:
@@ -308,15 +323,12 @@ class LightCurve(nn.Module):
         return self.shine(tables, values, shares)
 
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
-        """Batches beyond the memory rule are cut along their leading axis; gradients need the whole and are
-        never cut."""
+        """A batch beyond ``at_once`` is cut along its leading axis."""
         flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
-        sizes = [table.numel() for surface in tables.surfaces for table in surface.table.values()]
-        largest = max(sizes + [scatter.values for _, scatter in tables.scatter], default=1)
-        size = max(1, VALUES_PER_CHUNK // max(largest, 1))
-        if theta.ndim == 1 or torch.is_grad_enabled() or len(flat) <= size:
+        if theta.ndim == 1 or len(flat) <= self.at_once:
             return self.shine(tables, self.parameter_set.values(theta), shares)
-        pieces = [self.shine(tables, self.parameter_set.values(piece), shares) for piece in flat.split(size)]
+        cuts = flat.split(self.at_once)
+        pieces = [self.shine(tables, self.parameter_set.values(piece), shares) for piece in cuts]
         flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
         kept = None
         if shares:

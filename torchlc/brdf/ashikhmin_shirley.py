@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 from torchlc.brdf.base import (
     Brdf,
@@ -64,22 +65,20 @@ class AshikhminShirley(Brdf):
 
     @staticmethod
     def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The sums over K of an isotropic lobe as functions of log(1 + n), (G, T), for cubic Hermite
-        interpolation of their logarithms (relative error 1e-7 per unit of n log(n.h)): a call then costs the
-        same however many facets, instants or lights there are.
+        """The sums over K of an isotropic lobe as functions of log(1 + n), for cubic Hermite interpolation of
+        their logarithms (relative error 1e-7 per unit of n log(n.h)): a call then costs the same however many
+        facets, instants or lights there are. ``lobes`` (2 G, 2 T) has a row for the values and one for the
+        slopes at each of G exponents; the normal sums of all T and then the grazing ones.
         """
         columns = range(0, table["diffuse"].shape[-1], COLUMNS_AT_ONCE)
         cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
         pieces = [_condensed({name: one[..., cut] for name, one in table.items()}) for cut in cuts]
-        return {
-            "diffuse": table["diffuse"],
-            **{name: torch.cat([piece[name] for piece in pieces], -1) for name in pieces[0]},
-        }
+        return {"diffuse": table["diffuse"], "lobes": torch.cat(pieces, -1).flatten(2).flatten(0, 1)}
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Eqs. 3 and 6 summed over K."""
-        if "log_normal" in table:
+        if "lobes" in table:
             r_spec, r_diff = per_epoch(values["r_spec"]), per_epoch(values["r_diff"])
             normal, grazing = interpolated(table, exponents(values)[0])
             return r_spec * normal + grazing, r_diff * (1 - r_spec) * table["diffuse"]
@@ -111,8 +110,9 @@ class AshikhminShirley(Brdf):
         return {**values, "n_u": wider, "n_v": wider if n_u is n_v else n_v / (1 + n_v * variance)}
 
 
-def _condensed(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Logarithms of the two sums (G, T) and their derivatives per grid step; -1000 where there is no light."""
+def _condensed(table: Mapping[str, Tensor]) -> Tensor:
+    """Logarithms of the normal and grazing sums and their derivatives per grid step, (G, 2, 2, T): value and
+    slope, normal and grazing; -1000 where there is no light."""
     log_half = table["log_half"]
     light = torch.stack([table["normal"], table["grazing"]])
     spread = table.get("spread")
@@ -137,29 +137,27 @@ def _condensed(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
         safe = torch.where(dark, 1.0, total)
         logs.append(torch.where(dark, -1e3, torch.log(safe)))
         slopes.append(torch.where(dark, 0.0, (shone * turning).sum(-2) / safe) * GRID_STEP)
-    (log_normal, log_grazing), (slope_normal, slope_grazing) = (
-        torch.stack(found, 1).unbind() for found in (logs, slopes)
-    )
-    return {
-        "log_normal": log_normal, "slope_normal": slope_normal,
-        "log_grazing": log_grazing, "slope_grazing": slope_grazing,
-    }  # fmt: skip
+    return torch.stack([torch.stack(logs), torch.stack(slopes)], 1)
 
 
 def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor]:
     """The two lobe sums (..., T) of a condensed table at exponents n (...)."""
     place = torch.log1p(n) / GRID_STEP
     cell = place.detach().floor().clamp(0, GRID_STEPS - 1)
-    t = per_epoch(place - cell)
-    left = cell.long()
+    t = place - cell
     h01 = t * t * (3 - 2 * t)
-    h10, h11 = t * (1 - t) ** 2, t * t * (t - 1)
-    found = []
-    for name in ("normal", "grazing"):
-        log, slope = table[f"log_{name}"], table[f"slope_{name}"]
-        low, high = log[left], log[left + 1]
-        found.append(lobe(low + h01 * (high - low) + h10 * slope[left] + h11 * slope[left + 1]))
-    return found[0], found[1]
+    weight = torch.stack([1 - h01, t * (1 - t) ** 2, h01, t * t * (t - 1)], -1)
+    rows = 2 * per_epoch(cell.long()) + torch.arange(4, device=cell.device)
+    normal, grazing = lobe(combined(table["lobes"], rows, weight)).chunk(2, -1)
+    return normal, grazing
+
+
+def combined(table: Tensor, rows: Tensor, weight: Tensor) -> Tensor:
+    """Sum over J of rows (..., J) of a table (R, C) times weight (..., J): (..., C)."""
+    if torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
+        return (weight[..., None, :] @ table[rows])[..., 0, :]
+    flat, share = rows.reshape(-1, rows.shape[-1]), weight.reshape(-1, rows.shape[-1])
+    return embedding_bag(flat, table, per_sample_weights=share, mode="sum").reshape(*rows.shape[:-1], -1)
 
 
 def exponents(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Effect, Sky
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 
@@ -95,6 +95,10 @@ class EarthShadow(Effect):
         ),
     )  # fmt: skip
 
+    def __init__(self, target=None):
+        super().__init__(target)
+        self._near: tuple[Sky, Tensor] | None = None
+
     def missing(self, context):
         return None if context.track.supports("position") else "the recording gives no geocentric position"
 
@@ -104,19 +108,22 @@ class EarthShadow(Effect):
         if not sky.fixed:
             seen = sunlit_fraction(position, sun, p["h0"][..., None, :])
             return (weight * seen).sum(-2)
-        near = _near_shadow(position, sun)
+        if self._near is None or self._near[0] is not sky:
+            self._near = (sky, _near_shadow(position, sun))
+        near = self._near[1]
+        if not len(near):
+            return torch.ones_like(p["h0"])
         factor = p["h0"].new_ones(*p["h0"].shape[:-1], position.shape[-2])
-        if not bool(near.any()):
-            return factor
         seen = sunlit_fraction(position[:, near], sun[:, near], p["h0"][..., None, :])
         factor[..., near] = (weight.expand(position.shape[:-1])[:, near] * seen).sum(-2)
         return factor
 
 
 def _near_shadow(position: Tensor, sun: Tensor) -> Tensor:
-    """Rows (T,) that a shadow with any h0 could touch: the Sun within half a degree of the raised limb."""
+    """Indices of the rows that a shadow with any h0 could touch: the Sun within half a degree of the raised
+    limb."""
     cosine = -(position * sun).sum(-1) / (
         torch.linalg.vector_norm(position, dim=-1) * torch.linalg.vector_norm(sun, dim=-1)
     )
     limb = torch.asin(((EARTH_RADIUS_KM + 60.0) / torch.linalg.vector_norm(position, dim=-1)).clamp(max=1.0))
-    return (torch.acos(cosine.clamp(-1, 1)) < limb + 0.0175).any(0)
+    return torch.nonzero((torch.acos(cosine.clamp(-1, 1)) < limb + 0.0175).any(0))[:, 0]

@@ -49,6 +49,9 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
     from distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
+        for logger in map(logging.getLogger, ("distributed", "distributed.client")):
+            stack.callback(logger.setLevel, logger.level)  # what goes wrong is told by us, in words
+            logger.setLevel(logging.CRITICAL)
         if scheduler is None:
             limits = dict.fromkeys(
                 ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
@@ -59,7 +62,7 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
                     n_workers=workers or max(1, cores() // threads),
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address=cast(Any, None),
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                     silence_logs=logging.CRITICAL,
                 )
             )
@@ -134,32 +137,31 @@ class _Running:
 
     def next(self) -> tuple[Any, str | TorchlcError]:
         """The next task to finish, with its result or why it should be tried again, alone."""
+        from distributed import CancelledError
         from distributed.scheduler import KilledWorker
 
         future = next(self._completed)
         task = self._tasks.pop(future)
-        if future.status == "finished":
+        try:
             return task, future.result()
-        if future.status == "cancelled":
+        except BusyError as error:
+            return task, error
+        except KilledWorker:
+            return task, TorchlcError("every worker that tried it died, of lack of memory most likely")
+        except CancelledError:
             raise InputError(
                 None,
                 "--scheduler",
                 "the scheduler went away",
                 hint="Repeat the command to go on: finished objects are skipped",
-            )
-        error = future.exception()
-        if isinstance(error, BusyError):
-            return task, error
-        if isinstance(error, KilledWorker):
-            return task, TorchlcError("every worker that tried it died, of lack of memory most likely")
-        if isinstance(error, ImportError):
+            ) from None
+        except ImportError as error:
             raise InputError(
                 None,
                 "--scheduler",
                 f"a worker lacks a package: {error}",
                 "workers and scheduler with the same torchlc as here",
             ) from error
-        raise error
 
 
 def cores() -> int:

@@ -10,6 +10,7 @@ import hashlib
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import quote
@@ -66,7 +67,7 @@ class Job:
 def check_manifest(path: Path) -> int:
     """Number of objects; every row is checked. Raises InputError with file and line at the first defect.
 
-    Holds 8 bytes an object, to find names that come twice.
+    Holds some 50 bytes an object, to find names that come twice.
     """
     keys = np.fromiter((_key(job) for _, job in _rows(path)), dtype=np.uint64)
     if not len(keys):
@@ -174,6 +175,7 @@ class _Parser(argparse.ArgumentParser):
         raise ValueError(message)
 
 
+@cache
 def _parser(task: str) -> argparse.ArgumentParser:
     """Of the options that an object may have; those not given are absent from what it finds."""
     parser = _Parser(prog="", add_help=False, allow_abbrev=False, argument_default=argparse.SUPPRESS)

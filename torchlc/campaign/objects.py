@@ -16,7 +16,7 @@ from torchlc import __version__
 from torchlc.campaign.manifest import Job
 from torchlc.errors import BusyError, TorchlcError
 from torchlc.files import readable_file
-from torchlc.output import without_nan, write_whole
+from torchlc.output import OutputDirectory, without_nan, write_whole
 
 RECORD = "object.json"
 SCHEMA = "torchlc-object/1"
@@ -25,9 +25,9 @@ MOST_TOLD = 4
 """Parameters that the one line on an object holds."""
 
 
-def run_object(job: Job, folder: Path) -> str:
-    """Do one object in ``folder``: "skipped" where its whole result is there already, else "done" or
-    "failed", with the reason in its record.
+def run_object(job: Job, folder: Path, campaign: str = "") -> str:
+    """Do one object in ``folder``: "skipped" where its whole result is there from another ``campaign``, else
+    "done" or "failed", with the reason in its record.
 
     Raises BusyError if a live run holds the directory, and whatever keeps the record itself from being
     written, such as a full disk.
@@ -38,9 +38,11 @@ def run_object(job: Job, folder: Path) -> str:
     origin: dict[str, Any] = {}
     try:
         origin = origin_of(job)
-        if is_finished(folder, origin):
-            return "skipped"
-        (folder / RECORD).unlink(missing_ok=True)
+        record = finished(folder, origin)
+        if record is not None:
+            return "done" if record["campaign"] == campaign else "skipped"
+        with OutputDirectory(folder):
+            (folder / RECORD).unlink(missing_ok=True)
         with quiet_libraries():
             outcome = _outcome(job, folder)
     except BusyError:
@@ -54,8 +56,9 @@ def run_object(job: Job, folder: Path) -> str:
         reason = f"a defect of torchlc, please report it: {said}"
         return record_failure(job, folder, reason, origin, time.monotonic() - began)
     files = {one.name: one.stat().st_size for one in sorted(folder.iterdir()) if one.name[0] != "."}
+    seconds = time.monotonic() - began
     return _record(
-        job, folder, "done", seconds=time.monotonic() - began, origin=origin, files=files, outcome=outcome
+        job, folder, "done", campaign=campaign, seconds=seconds, origin=origin, files=files, outcome=outcome
     )
 
 
@@ -94,15 +97,18 @@ def origin_of(job: Job) -> dict[str, Any]:
     }
 
 
-def is_finished(folder: Path, origin: Mapping[str, Any]) -> bool:
-    """Whether the result of this very origin is there, every file as long as it was written."""
+def finished(folder: Path, origin: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The record of a result of this very origin; None unless every file is there, as long as it was
+    written.
+    """
     record = read_record(folder)
     if record is None or record["status"] != "done" or record["origin"] != origin:
-        return False
+        return None
     try:
-        return all((folder / name).stat().st_size == size for name, size in record["files"].items())
+        whole = all((folder / name).stat().st_size == size for name, size in record["files"].items())
     except OSError:
-        return False
+        return None
+    return record if whole else None
 
 
 def _outcome(job: Job, folder: Path) -> dict[str, Any]:

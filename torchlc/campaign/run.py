@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,7 +88,7 @@ def run_campaign(
 ) -> CampaignResult:
     """See :func:`torchlc.campaign`."""
     require_dask()
-    began = time.monotonic()
+    began, started = time.monotonic(), datetime.now(UTC).isoformat()
     if scheduler is not None and workers is not None:
         raise InputError(
             None, "--workers", "given with --scheduler", "one of the two", "A cluster brings its own"
@@ -95,15 +96,16 @@ def run_campaign(
     objects = check_manifest(manifest)
     jobs = partial(read_manifest, manifest, seed=seed, threads=threads)
     counts: Counter[str] = Counter()
+    held: dict[str, str] = {}
     with OutputDirectory(out) as directory, resources(directory.path):
         root = directory.path.resolve() / OBJECTS
         with connected(scheduler, workers, threads) as client:
-            for job, outcome in spread(client, partial(_run_in, root), jobs()):
-                if not isinstance(outcome, str):
-                    if not isinstance(outcome, BusyError):
-                        record_failure(job, root / job.directory, str(outcome))
-                    outcome = "failed"
-                counts[outcome] += 1
+            for job, outcome in spread(client, partial(_run_in, root, started), jobs()):
+                if isinstance(outcome, BusyError):
+                    held[job.directory] = str(outcome)
+                elif not isinstance(outcome, str):
+                    record_failure(job, root / job.directory, str(outcome))
+                counts[outcome if isinstance(outcome, str) else "failed"] += 1
                 if progress is not None:
                     progress("objects", counts.total() / objects)
         facts = {
@@ -112,8 +114,14 @@ def run_campaign(
             "skipped": counts["skipped"],
             "failed": counts["failed"],
         }
-        made = {"manifest": str(manifest), "torchlc": __version__, "seed": seed, "command": command}
-        write_summary(jobs(), directory, manifest.name, {**facts, **made})
+        made = {
+            "started": started,
+            "manifest": str(manifest),
+            "torchlc": __version__,
+            "seed": seed,
+            "command": command,
+        }
+        write_summary(jobs(), held, directory, manifest.name, {**facts, **made})
         result = CampaignResult(
             directory=directory.path,
             **facts,
@@ -125,8 +133,8 @@ def run_campaign(
     return result
 
 
-def _run_in(root: Path, job: Job) -> str:
-    return run_object(job, root / job.directory)
+def _run_in(root: Path, campaign: str, job: Job) -> str:
+    return run_object(job, root / job.directory, campaign)
 
 
 def _failures(directory: Path) -> tuple[tuple[str, str], ...]:

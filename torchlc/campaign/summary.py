@@ -33,15 +33,21 @@ KINDS = {
 
 
 def write_summary(
-    jobs: Iterable[Job], directory: OutputDirectory, name: str, facts: Mapping[str, Any]
+    jobs: Iterable[Job],
+    held: Mapping[str, str],
+    directory: OutputDirectory,
+    name: str,
+    facts: Mapping[str, Any],
 ) -> None:
-    """summary.parquet, summary.csv (without lists), index.html."""
+    """summary.parquet, summary.csv (without lists), index.html; ``held`` says of directories why their
+    records are not this run's.
+    """
     import pyarrow.parquet
 
     def fill(parquet: Path) -> None:
         schema = arrow_schema()
         with pyarrow.parquet.ParquetWriter(parquet, schema) as writer:
-            for block in _blocks(_rows(jobs, directory.path / OBJECTS)):
+            for block in _blocks(_rows(jobs, held, directory.path / OBJECTS)):
                 writer.write_table(pyarrow.Table.from_pylist(block, schema=schema))
 
     directory.write(PARQUET, fill)
@@ -71,9 +77,10 @@ def arrow_schema() -> pyarrow.Schema:
     return pa.schema([(name, pa.type_for_alias(kind)) for name, kind in KINDS.items()] + lists)
 
 
-def _rows(jobs: Iterable[Job], objects: Path) -> Iterator[dict[str, Any]]:
+def _rows(jobs: Iterable[Job], held: Mapping[str, str], objects: Path) -> Iterator[dict[str, Any]]:
     for job in jobs:
-        record = read_record(objects / job.directory) or {"reason": "no record of it", "seed": job.seed}
+        record = None if job.directory in held else read_record(objects / job.directory)
+        record = record or {"reason": held.get(job.directory, "no record of it")}
         yield {
             "id": job.name,
             "directory": f"{OBJECTS}/{job.directory}",
@@ -82,7 +89,7 @@ def _rows(jobs: Iterable[Job], objects: Path) -> Iterator[dict[str, Any]]:
             "task": job.task,
             "status": record.get("status", "failed"),
             "reason": record.get("reason"),
-            "seed": record["seed"],
+            "seed": job.seed,
             "seconds": record.get("seconds"),
             **record.get("outcome", {}),
         }

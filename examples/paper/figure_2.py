@@ -45,7 +45,7 @@ def make() -> Made:
     axes.plot([], [], ":", color="0.4", label="below the horizon")
     axes.plot([], [], "--", color="0.4", label="with the Earth's shadow (umbra shaded)")
     axes.set(ylim=(FAINTEST, 2.0), xlim=(12, 20), xlabel="hours UT, 10 October 2020", ylabel="magnitude")
-    axes.legend(fontsize=8.5, loc="lower left")
+    axes.legend(fontsize=8.5, loc="upper left")
     return numbers, figure
 
 

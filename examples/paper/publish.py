@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from torchlc.style import style
 
 PAGE = Path(__file__).parents[2] / "docs" / "paper"
-DPI = 110
+DPI = 100
 Made = tuple[dict[str, Any], Figure | None]
 """The numbers of a figure or table, and the figure."""
 

@@ -236,7 +236,7 @@ class Likelihood:
         """Log posterior density (...), up to the evidence, of natural theta (..., P); -inf out of bounds,
         never NaN. Large batches are cut as the model's are."""
         if theta.ndim > 1 and not self.model.geometry_free:
-            pieces = theta.reshape(-1, theta.shape[-1]).split(self.model.at_once)
+            pieces = theta.reshape(-1, theta.shape[-1]).split(self.model.batch_size())
             if len(pieces) > 1:
                 return torch.cat([self._log_prob(piece) for piece in pieces]).reshape(theta.shape[:-1])
         return self._log_prob(theta)

@@ -102,6 +102,7 @@ class LightCurve(nn.Module):
         self._nodes: list[Tables] = []
         self._node_step = 1.0
         self._recent: dict[tuple[bool, bytes], Tables] = {}
+        self._steps: dict[tuple[bool, int], Tables] = {}
 
     # ------------------------------------------------------------------ parameters
 
@@ -186,8 +187,13 @@ class LightCurve(nn.Module):
         if theta.ndim == 1:
             return self._single(theta, shares)
         flat = theta.reshape(-1, theta.shape[-1])
-        if not torch.is_grad_enabled() and not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
-            grouped = self._grouped(flat, shares)
+        if not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
+            stepped = self._stepping_effect()
+            grouped = None
+            if stepped is not None:
+                grouped = self._stepped(flat, stepped, shares)
+            elif not torch.is_grad_enabled():
+                grouped = self._grouped(flat, shares)
             if grouped is not None:
                 kept = grouped.shares
                 kept = None if kept is None else kept.reshape(*theta.shape[:-1], *kept.shape[1:])
@@ -231,11 +237,10 @@ class LightCurve(nn.Module):
                 kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
 
-    @property
-    def at_once(self) -> int:
+    def batch_size(self, tables: Tables | None = None) -> int:
         """Values of theta that are worked out at once where the geometry is fixed: VALUES_AT_ONCE over the
         numbers that one of them needs, its rows or the pairs of its largest surface."""
-        tables = self.tables(self.assembly.needs_shares)
+        tables = tables if tables is not None else self.tables(self.assembly.needs_shares)
         sizes = [
             table.numel()
             for surface in tables.surfaces
@@ -292,15 +297,7 @@ class LightCurve(nn.Module):
         place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / self._node_step
         place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
         first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
-        x = place - first_node
-        weights = torch.stack(
-            [
-                -(x - 1) * (x - 2) * (x - 3) / 6,
-                x * (x - 2) * (x - 3) / 2,
-                -x * (x - 1) * (x - 3) / 2,
-                x * (x - 1) * (x - 2) / 6,
-            ]
-        )
+        weights = _cubic(place - first_node)
         column = torch.arange(self.assembly.T)
         surfaces = []
         for number, surface in enumerate(self._nodes[0].surfaces):
@@ -315,6 +312,45 @@ class LightCurve(nn.Module):
         tables = replace(self._nodes[0], surfaces=tuple(surfaces))
         return self.shine(tables, self.parameter_set.values(flat), shares)
 
+    def _stepping_effect(self) -> Effect | None:
+        """The effect whose parameter alone moves the geometry, if light can be interpolated over it."""
+        owners = {self.names[column].partition(".")[0] for column in self.assembly.geometry_columns}
+        found = [e for e in self.effects if e.steps and {e.name} == owners]
+        return found[0] if found and len(self.assembly.geometry_columns) == 1 else None
+
+    def _stepped(self, flat: Tensor, effect: Effect, shares: bool) -> Brightness:
+        """Rows of theta (B, P) by cubics through the light at four of ``effect.steps`` + 1 values of its
+        parameter, each of which has its tables once for all."""
+        steps, column = effect.steps, self.assembly.geometry_columns[0]
+        top = effect.quantities[0].high
+        place = flat[:, column] / top * steps
+        first = (place.detach().floor().long() - 1).clamp(0, steps - 3)
+        weights = _cubic(place - first)
+        flux = flat.new_zeros(len(flat), self.assembly.T)
+        light = flat.new_zeros(len(flat), len(self.assembly.components), self.assembly.T)
+        for step in torch.unique(first[:, None] + torch.arange(4)).tolist():
+            nodes = step - first
+            rows = torch.nonzero((nodes >= 0) & (nodes < 4))[:, 0]
+            tables = self._step(step, effect, top * step / steps, shares)
+            piece = self._chunked(flat[rows], tables, shares)
+            part = weights[nodes[rows], rows, None] * piece.flux
+            flux = flux.index_add(0, rows, part)
+            if piece.shares is not None:
+                light = light.index_add(0, rows, part[:, None] * piece.shares)
+        kept = light / torch.where(flux > 0, flux, 1.0)[:, None] if shares else None
+        return Brightness(flux, kept, self.assembly.components)
+
+    def _step(self, step: int, effect: Effect, value: float, shares: bool) -> Tables:
+        detail = shares or self.assembly.needs_shares
+        if (detail, step) not in self._steps:
+            with torch.no_grad():
+                values = self.parameter_set.values(self.parameter_set.start())
+                name = effect.full_name(effect.quantities[0].name)
+                values[name] = torch.full_like(values[name], value)
+                made = self.make_tables(self.view(values), values, detail, compact=True)
+                self._steps[detail, step] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
+        return self._steps[detail, step]
+
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
         values = self.parameter_set.values(theta)
         tables = self.make_tables(
@@ -323,11 +359,12 @@ class LightCurve(nn.Module):
         return self.shine(tables, values, shares)
 
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
-        """A batch beyond ``at_once`` is cut along its leading axis."""
+        """A batch beyond ``batch_size`` is cut along its leading axis."""
         flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
-        if theta.ndim == 1 or len(flat) <= self.at_once:
+        size = self.batch_size(tables)
+        if theta.ndim == 1 or len(flat) <= size:
             return self.shine(tables, self.parameter_set.values(theta), shares)
-        cuts = flat.split(self.at_once)
+        cuts = flat.split(size)
         pieces = [self.shine(tables, self.parameter_set.values(piece), shares) for piece in cuts]
         flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
         kept = None
@@ -514,6 +551,18 @@ class LightCurve(nn.Module):
     def extra_repr(self) -> str:
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.effects)) or "none"
         return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
+
+
+def _cubic(x: Tensor) -> Tensor:
+    """Weights (4, ...) of values at 0, 1, 2 and 3 in the cubic through them at x (...)."""
+    return torch.stack(
+        [
+            -(x - 1) * (x - 2) * (x - 3) / 6,
+            x * (x - 2) * (x - 3) / 2,
+            -x * (x - 1) * (x - 3) / 2,
+            x * (x - 1) * (x - 2) / 6,
+        ]
+    )
 
 
 def _unit(vector: Tensor) -> Tensor:

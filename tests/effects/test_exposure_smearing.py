@@ -82,6 +82,19 @@ def test_against_a_thousand_instants(n, exptime):
     assert (found + 26.7 + 2.5 * torch.log10(mean)).abs().max() < 2e-3
 
 
+@pytest.mark.parametrize("n", [100.0, 1e4])
+def test_a_batch_of_exposures_interpolates_what_single_ones_work_out(n):
+    """Turns of up to 18 deg in an exposure."""
+    scene = orbiting('mode = "nadir"\nspin_axis = [0, 1, 0]\nspin_rate = 3.0', BODY, lobe(n))
+    model = LightCurve(scene, rows(scene, "2020-10-17T14:00:00", 0.5, 60.0), effects=["exposure_smearing"])
+    exposures = torch.linspace(0.5, 59.5, 11, dtype=torch.float64)[:, None]
+    single = torch.stack([model(one) for one in exposures])
+    assert (model(exposures) - single).abs().max() < 3e-4
+    slope = torch.autograd.functional.jacobian(lambda s: model(s).sum(), exposures)[:, 0]
+    moved = model(exposures + 1e-3).sum(-1) - model(exposures - 1e-3).sum(-1)
+    torch.testing.assert_close(slope, moved.detach() / 2e-3, rtol=1e-4, atol=1e-4)
+
+
 def test_few_instants_where_little_moves():
     still = orbiting()
     effect = ExposureSmearing()

@@ -26,7 +26,8 @@ class ExposureSmearing(Effect):
 
     As many Gauss-Legendre instants as the sharpest lobe asks of the row that turns most: 1 while the half
     vector moves by less than a twentieth of the lobe's width 1/sqrt(n), 2 or 3 up to one width, then one
-    for each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Neglects turns that
+    for each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Where s alone is free,
+    batches interpolate light over it (3e-4 mag at most). Neglects turns that
     only other effects bring (wobble), and what falls between the instants where n is fitted beyond 1e4, or
     where the caps on instants and memory are met.
     """
@@ -59,6 +60,7 @@ class ExposureSmearing(Effect):
         facets = sum(len(part.faces) for part in context.parts)
         most = min(MOST_NODES, max(3, int(MOST_PAIRS / (facets * len(exposure)))))
         self.nodes = min(instants_for(widths_swept(context, exposure)), most)
+        self.steps = 3 + 2 * self.nodes
         return self
 
     def clock(self, nodes, p, context):

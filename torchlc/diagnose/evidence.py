@@ -149,7 +149,7 @@ class Scorer:
         trials = [
             NoiseModel("outliers", fraction=f, width=w)
             for f in (0.01, 0.03, 0.1, 0.2)
-            for w in (3.0, 6.0, 15.0)
+            for w in (3.0, 6.0, 15.0, 40.0)
         ]
         values = [self._mixture(u, noise).sum() for noise in trials]
         return trials[int(torch.stack(values).argmax())]
@@ -164,7 +164,7 @@ class Scorer:
 
     # ------------------------------------------------------------------ linear-Gaussian algebra
 
-    def _weights(self, refit: Refit, noise: NoiseModel) -> Tensor:
+    def weights(self, refit: Refit, noise: NoiseModel) -> Tensor:
         """Effective standard deviation of each row; outliers as the width their posterior membership
         implies."""
         if noise.kind == "jitter":
@@ -181,7 +181,7 @@ class Scorer:
         self, refit: Refit, noise: NoiseModel, rows: Tensor | None = None
     ) -> tuple[Tensor, Tensor, float]:
         """Rows (delta, slopes) divided by the root of C, and log det C / 2, of all rows or some."""
-        sigma = self._weights(refit, noise)
+        sigma = self.weights(refit, noise)
         columns = torch.cat([refit.delta[:, None], refit.slopes], 1)
         if noise.kind != "red_noise":
             pick = slice(None) if rows is None else rows

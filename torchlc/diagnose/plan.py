@@ -46,7 +46,7 @@ def next_nights(first: Found, second: Found) -> list[Option]:
     carried to another night."""
     model = first.refit.model
     scene, recording = model.scene, model.recording
-    if scene.orbit.tle is None:
+    if not scene.orbit.known:
         return []
     hours = float(recording.seconds[-1] - recording.seconds[0]) / 3600
     hours = min(max(hours, 0.5), 10.0)

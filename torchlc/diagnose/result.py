@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -17,6 +18,12 @@ from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.search import Found, Probe
 from torchlc.diagnose.where import Where, as_json
 from torchlc.effects.base import Entry
+from torchlc.scene import Scene
+from torchlc.scene.numbers import Free
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+    from matplotlib.axes import Axes
 
 SCHEMA = "torchlc-diagnosis/1"
 
@@ -47,7 +54,57 @@ class Diagnosis:
     next_observation: str = ""
 
     def __repr__(self) -> str:
-        return f"Diagnosis({self.verdict}, named={list(self.named)}, global_p={self.gate.global_p:.2g})"
+        from torchlc.diagnosis_report import lines
+
+        return "\n".join(["Diagnosis: " + self.verdict, *lines(self)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
+    def to_table(self) -> Table:
+        """One row a candidate, best first: effect, target, score, p, evidence gained, held-out gain, chi2
+        after; not-a-number where a candidate was not refitted.
+        """
+        from astropy.table import Table
+
+        numbers = ("score", "p", "delta_log_evidence", "heldout_delta_log_likelihood", "chi2_after")
+        rows = self.candidates()
+        text = {key: [row[key] or "" for row in rows] for key in ("effect", "target")}
+        return Table(
+            text | {key: [math.nan if row[key] is None else row[key] for row in rows] for key in numbers}
+        )
+
+    def plot_curve(self) -> Sequence[Axes]:
+        """Recording, baseline and final model, residuals below: axes in pairs, a night each."""
+        import matplotlib.pyplot as plt
+
+        from torchlc.curves import curve_size, draw_curves
+        from torchlc.diagnosis_report import comparison
+
+        shown = comparison(self)
+        return draw_curves(shown, plt.figure(figsize=curve_size(shown.recording)))
+
+    @property
+    def completed(self) -> Scene:
+        """The scene with the named effects in its list, to be fitted next; the scene itself where nothing is
+        named."""
+        scene = self.baseline.refit.model.scene
+        if self.verdict != "missing_physics":
+            return scene
+        entries = [str(Entry(effect.name, effect.target)) for effect in self.final.refit.model.effects]
+        divided = {
+            effect.full_name(quantity.name): Free(
+                value=quantity.mean or 0.0, sigma=effect.width, per=cast(Any, effect.by)
+            )
+            for effect in self.final.refit.model.effects
+            if effect.by is not None and effect.width is not None
+            for quantity in effect.quantities
+        }
+        update = {
+            "effects": entries,
+            "parameters": scene.model.parameters | divided,
+        }
+        return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""

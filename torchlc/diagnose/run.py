@@ -17,7 +17,16 @@ from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
-from torchlc.diagnose.search import Found, Probe, affordable, candidate_entries, nameable, probe, search
+from torchlc.diagnose.search import (
+    Found,
+    Probe,
+    affordable,
+    candidate_entries,
+    judged,
+    nameable,
+    probe,
+    search,
+)
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
@@ -77,7 +86,7 @@ def diagnose(
             progress("signatures", 0.05 + 0.1 * (number + 1) / len(entries))
     gates = [_gate(refit, scorer, found_coordinates, probes, seed) for refit in baseline]
     first_gate = max(gates, key=lambda one: one.global_p)
-    start = Found(baseline[0], scorer.score(baseline[0]))
+    start = judged(baseline[0], scorer)
     common = {
         "scorer": scorer,
         "gate": first_gate,
@@ -107,6 +116,7 @@ def diagnose(
     final, first, others = search(
         bench,
         scorer,
+        start,
         baseline,
         probes,
         is_clean,
@@ -159,7 +169,7 @@ def _next(
         and tied[1] in found.hypothesis.names
     )
     options = next_nights(final, rival)
-    return options, sentence(options, tied[0], tied[1], scene.orbit.tle is not None)
+    return options, sentence(options, tied[0], tied[1], scene.orbit.known)
 
 
 def _gate(

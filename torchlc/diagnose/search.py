@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import torch
@@ -10,7 +11,16 @@ from torch import Tensor
 
 from torchlc.diagnose.evidence import Score, Scorer
 from torchlc.diagnose.gate import residual_projection
-from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, effect_columns, effect_starts, is_slow, refit
+from torchlc.diagnose.refit import (
+    Hypothesis,
+    Refit,
+    Workbench,
+    effect_columns,
+    effect_starts,
+    is_slow,
+    linearised,
+    refit,
+)
 from torchlc.diagnose.starts import screened
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
@@ -21,6 +31,8 @@ GRID_PER_DIMENSION = 24
 STARTS = 12
 SLOW_STARTS = 3
 LEADERS = 2
+REWEIGHTED = 4
+REWEIGHTED_STEPS = 15
 FEW_STARTS = 3
 PLACES = 12
 SLOW_PLACES = 4
@@ -72,6 +84,27 @@ class Found:
     @property
     def log_evidence(self) -> float:
         return self.score.log_evidence
+
+
+def judged(fitted: Refit, scorer: Scorer) -> Found:
+    """A refit with its score; where outliers describe its residuals best, refitted with those rows given less
+    weight, for least squares follow them."""
+    found = Found(fitted, scorer.score(fitted))
+    for _ in range(REWEIGHTED):
+        likelihood = found.refit.likelihood
+        if found.score.noise.kind != "outliers" or likelihood.fitted_errors or not likelihood.model.names:
+            break
+        lighter = copy(likelihood)
+        lighter.error = scorer.weights(found.refit, found.score.noise)
+        with torch.no_grad():
+            reached = polish(lighter, found.refit.theta[None], None, iterations=REWEIGHTED_STEPS)
+            theta = likelihood.model.parameter_set.from_flat(reached.y[0])
+        again = linearised(likelihood, found.refit.hypothesis, theta)
+        new = Found(again, scorer.score(again))
+        if new.log_evidence < found.log_evidence + 0.1:
+            break
+        found = new
+    return found
 
 
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
@@ -177,7 +210,7 @@ def extended(
     group = torch.arange(places).repeat_interleave(len(pool))
     theta[:, columns] = psi[group]
     fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group))
-    return Found(fitted, scorer.score(fitted))
+    return judged(fitted, scorer)
 
 
 def other_materials(at: Refit, generator: torch.Generator) -> Tensor:
@@ -263,7 +296,7 @@ def _divided(
         if abs(new - width) < 0.05 * width:
             break
         width = new
-    return Found(fitted, scorer.score(fitted))
+    return judged(fitted, scorer)
 
 
 def nameable(found: Found) -> bool:
@@ -294,6 +327,7 @@ def better(new: Found, old: Found, excess: float | None, gain: float = HELDOUT_G
 def search(
     bench: Workbench,
     scorer: Scorer,
+    null: Found,
     baseline: Sequence[Refit],
     probes: dict[str, Probe],
     is_clean: Callable[[Found], bool],
@@ -303,7 +337,6 @@ def search(
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Found, list[Found], list[Found]]:
     """The best set of effects, all first-round refits (best first), and every other refit that was made."""
-    null = Found(baseline[0], scorer.score(baseline[0]))
     dof = baseline[0].likelihood.degrees_of_freedom
     excess = None if baseline[0].likelihood.fitted_errors else max(null.refit.chi2 - dof, 1.0)
     entries = sorted(probes, key=lambda entry: -probes[entry].score)
@@ -317,20 +350,17 @@ def search(
             progress("refits", 0.1 + 0.5 * (number + 1) / len(entries))
     first = second_look(bench, scorer, baseline, first, probes, null, seed)
     others: list[Found] = []
-    good = [found for found in first if nameable(found) and better(found, null, excess)]
-    if not good:
-        return null, first, others
-    good = leader_first(good)
-    best = good[0]
-    beam = good[:BEAM]
-    while len(best.hypothesis.added) < MOST_EFFECTS and not is_clean(best):
+    sound = [found for found in first if nameable(found)]
+    good = leader_first([found for found in sound if better(found, null, excess)])
+    best = good[0] if good else null
+    beam = good[:BEAM] or promising(sound, null, excess)
+    while beam and len(beam[0].hypothesis.added) < MOST_EFFECTS and not is_clean(best):
         grown: list[Found] = []
         for place, stem in enumerate(beam):
             again = {}
             for number, entry in enumerate(entries):
-                names = (*stem.hypothesis.names, Entry.parse(entry).name)
                 made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
-                if len(set(names)) == len(names) and not made:
+                if compatible(stem, entry) and not made:
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
             strongest = max((one.score for one in again.values()), default=0.0)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
@@ -357,18 +387,43 @@ def search(
     return best, first, others
 
 
+def compatible(stem: Found, entry: str) -> bool:
+    """Whether an effect may join a set: one that is not there, or the same in another material."""
+    new = Entry.parse(entry)
+    if new.plain in stem.hypothesis.plain:
+        return False
+    return registry()[new.name].stage == "material" or new.name not in stem.hypothesis.names
+
+
+def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list[Found]:
+    """Refits to extend where none is good enough alone: at the quoted errors each must gain over the baseline.
+
+    Of two missing effects either alone may leave so much that noise describes the rest as well as all.
+    """
+    white = null.score.by_kind["white"][0]
+    gains = {id(found): found.score.by_kind["white"][0] - white for found in sound}
+    kept = [
+        found
+        for found in sound
+        if gains[id(found)] > EVIDENCE_GAIN
+        and (excess is None or null.refit.chi2 - found.refit.chi2 > EXCESS_SHARE * excess)
+    ]
+    return sorted(kept, key=lambda found: -gains[id(found)])[:BEAM]
+
+
 def leader_first(ranked: Sequence[Found]) -> list[Found]:
-    """Refits in order of evidence, led by that which predicts held-out blocks best among those whose evidence is
-    as good as the first's."""
+    """Refits in order of evidence, led by that of the largest evidence and held-out density together among those
+    whose evidence is as good as the first's."""
     tied = [found for found in ranked if found.log_evidence > ranked[0].log_evidence - TIED]
-    leader = max(tied, key=lambda found: found.score.heldout_total)
-    return [leader, *(found for found in ranked if found is not leader)]
+    leader = max(tied, key=lambda found: found.log_evidence + found.score.heldout_total, default=None)
+    return sorted(ranked, key=lambda found: found is not leader)
 
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
     the others."""
-    if not better(found, best, excess, gain=0.0):
+    alone = not best.hypothesis.added
+    if not better(found, best, excess, gain=HELDOUT_GAIN if alone else 0.0):
         return False
     members = frozenset(found.hypothesis.plain)
     for entry in members:

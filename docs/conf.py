@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,41 @@ myst_substitutions = {
     "tied_evidence": f"{families.TIED_EVIDENCE:g}",
 }
 """The thresholds of the verdict, as the code has them."""
+HERE = Path(__file__).parent
+
+
+def calibration_of_the_posterior() -> dict[str, str]:
+    """What docs/calibration/posterior.md says in numbers, from those that its example wrote."""
+    numbers = json.loads((HERE / "calibration" / "posterior.json").read_text(encoding="utf-8"))
+
+    def cells(found: dict[str, Any]) -> str:
+        if found["p"] is None:
+            return f"{found['count']} | | | "
+        held = (f"{100 * found[key]:.1f} %" for key in ("within_50", "within_90"))
+        return " | ".join([str(found["count"]), f"{found['p']:.2f}", *held])
+
+    table = [
+        "| parameter | recordings | p | 50 % interval holds | 90 % interval holds "
+        "| informed | p | 50 % interval holds | 90 % interval holds |",
+        "|---|---|---|---|---|---|---|---|---|",
+        *(
+            f"| {row['name']} | {cells(row['every'])} | {cells(row['informed'])} |"
+            for row in [*numbers["parameters"], numbers["all"]]
+        ),
+    ]
+    return {
+        "posterior_cases": str(numbers["cases"]),
+        "posterior_draws": str(numbers["draws"]),
+        "posterior_kinds": "; ".join(f"{count} of a {kind}" for kind, count in numbers["kinds"].items()),
+        "posterior_least": f"{numbers['least_length']:.0f}",
+        "posterior_seconds": f"{numbers['seconds_per_case']:.0f}",
+        "posterior_spread": f"{196 * math.sqrt(0.09 / numbers['cases']):.1f}",
+        "posterior_table": "\n".join(table),
+        "posterior_tau": f"{numbers['autocorrelation_time']:.0f}",
+    }
+
+
+myst_substitutions |= calibration_of_the_posterior()
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "effects/_library.md"]
 autodoc_typehints = "description"
@@ -43,7 +80,6 @@ autodoc_typehints_description_target = "documented_params"
 html_theme = "furo"
 html_title = f"torchlc {version}"
 
-HERE = Path(__file__).parent
 STAGES = {
     "clock": "When light is taken",
     "orbit": "Where it is taken",

@@ -50,6 +50,8 @@ class Diagnosis:
     seed: int
     seconds: float
     untried: Sequence[str] = ()
+    law: str = ""
+    """Another law of reflection under which the recording is described better than under the scene's own."""
     nights: Sequence[Option] = ()
     next_observation: str = ""
 
@@ -218,6 +220,8 @@ class Diagnosis:
             kind = self.final.score.noise.kind
             if kind != "white":
                 note += f"; described by {kind}"
+        if self.law:
+            note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}
 
 

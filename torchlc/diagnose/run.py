@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 
@@ -14,6 +15,7 @@ from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
 from torchlc.diagnose.gate import Battery, Gate, gate
+from torchlc.diagnose.laws import under_other_laws
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
@@ -32,6 +34,8 @@ from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.errors import InputError
 from torchlc.fit import find_modes
+from torchlc.likelihood import Likelihood
+from torchlc.model import LightCurve
 from torchlc.recording import Recording
 from torchlc.scene import Scene
 
@@ -41,6 +45,10 @@ NOISE_HELDOUT = 3.0
 LEFT_AFTER = 0.5
 CONSISTENT = 2.0
 """Standard deviations of chi-square within which what is left counts as nothing."""
+LAW_EVIDENCE = 10.0
+LAW_EXCESS = 6.0
+"""Another law of reflection is tried where chi-square is left beyond LAW_EXCESS of its standard deviations, and
+taken where its best model gains LAW_EVIDENCE over that of the scene's own law."""
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 
@@ -57,8 +65,55 @@ def diagnose(
     """What the scene's model leaves out of a recording.
 
     ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS
-    refits in the first round. Raises InputError for an unknown effect name.
+    refits in the first round, and stays with the scene's law of reflection. Raises InputError for an unknown
+    effect name.
     """
+    began = time.monotonic()
+    found = _under_own_law(scene, recording, quick=quick, effects=effects, seed=seed, progress=progress)
+    if quick or not _left_over(found):
+        return found
+    others = under_other_laws(scene)
+    if others:
+        law = min(others, key=lambda one: _objective(others[one], recording, seed))
+        new = _under_own_law(others[law], recording, effects=effects, seed=seed, progress=progress)
+        gained = new.final.log_evidence - found.final.log_evidence
+        if new.verdict in ("missing_physics", "adequate") and gained > LAW_EVIDENCE:
+            found = _told(found, new, law)
+    return replace(found, seconds=time.monotonic() - began)
+
+
+def _objective(scene: Scene, recording: Recording, seed: int) -> float:
+    likelihood = Likelihood(LightCurve(scene, recording))
+    modes, _, _ = find_modes(likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
+    return modes[0].objective
+
+
+def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
+    """What is said where another law does better: its named effects with the gate of the scene's own; no name where
+    the law alone is what was missing, for that is no effect."""
+    if other.verdict == "adequate":
+        return replace(own, verdict="unexplained", named=(), families=(), law=law)
+    return replace(other, gate=own.gate, law=law)
+
+
+def _left_over(found: Diagnosis) -> bool:
+    """Whether the verdict leaves so much that the law of reflection itself is in doubt."""
+    if found.verdict == "adequate" or found.final.refit.likelihood.fitted_errors:
+        return False
+    dof = found.final.refit.likelihood.degrees_of_freedom
+    return found.verdict == "unexplained" or found.final.refit.chi2 > dof + LAW_EXCESS * math.sqrt(2 * dof)
+
+
+def _under_own_law(
+    scene: Scene,
+    recording: Recording,
+    *,
+    quick: bool = False,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Diagnosis:
+    """The diagnosis with surfaces that reflect as the scene says."""
     began = time.monotonic()
     for name in effects or ():
         if name not in registry():

@@ -7,7 +7,7 @@ import importlib
 import time
 from pathlib import Path
 
-from page import filled
+from page import fill
 from publish import PAGE, write
 
 NAMES = [f"figure_{k}" for k in range(1, 15)] + [f"table_{k}" for k in range(1, 5)] + ["nights"]
@@ -25,8 +25,7 @@ def main() -> None:
         write(name, importlib.import_module(name).make, options.directory)
         print(f"{name:10} {time.perf_counter() - began:5.1f} s", flush=True)
     if options.directory == PAGE:
-        page = PAGE / "index.md"
-        page.write_text(filled(page.read_text(encoding="utf-8"), PAGE), encoding="utf-8")
+        fill(PAGE / "index.md")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,13 @@
-"""The numbers of the page: each stands before a comment that names it, ``4.23<!-- figure_2 orbit_1/peak_mag -->``."""
+"""The numbers of the page: each stands before a comment that names it, ``4.23<!-- figure_2 orbit_1/peak_mag -->``.
+
+python examples/paper/page.py docs/real_data/index.md    # after the examples have run into docs/real_data
+"""
 
 from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -39,3 +43,13 @@ def shown_like(shown: str, value: Any) -> str:
         return f"{number:.0e}"
     decimals = len(digits.partition(".")[2])
     return f"{number:,.{decimals}f}{unit}" if "," in digits else f"{number:.{decimals}f}{unit}"
+
+
+def fill(page: Path) -> None:
+    """Bring the numbers of a page up to date with the JSON beside it."""
+    page.write_text(filled(page.read_text(encoding="utf-8"), page.parent), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for page in sys.argv[1:]:
+        fill(Path(page))

@@ -1,9 +1,9 @@
 """What the data say about each parameter, and where they say nothing, the geometric reason.
 
-A parameter is informed if, in the flat coordinates of :class:`~torchlc.parameters.ParameterSet` (logarithms
-of log-scaled numbers, the second reflectance of a pair as its share of what the first leaves), its
-posterior is clearly narrower than its prior or has moved by more than the prior's width. With relative
-flux, numbers that only scale the light together are never informed, however their ratios are known.
+A parameter is informed if its posterior is clearly narrower than its prior, or has moved away from it. Of a
+flat prior, an end cut off is a limit and no more: that no lobe as broad as n = 100 is seen leaves n to its
+prior beyond. With relative flux, numbers that only scale the light together are never informed, however
+their ratios are known.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,13 +22,14 @@ from torchlc.effects.base import Entry, View
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import angle_between
+from torchlc.parameters import Prior
 
-NARROWER = 0.75
-"""Ratio of posterior to prior standard deviation below which a parameter is informed; 4000 prior draws give
-it to 2 %.
+COVERED = 0.5
+"""Share of a flat prior that lies in the 90 % interval of a posterior that says nothing, or hardly more than
+a limit; 4000 prior draws give it to 0.01.
 """
-MOVED = 1.0
-"""Shift of the median, in prior standard deviations, beyond which it is informed."""
+NARROWER = 0.75
+"""Ratio of posterior to prior standard deviation below which a parameter with a peaked prior is informed."""
 TENSION = 3.0
 """Distance of the median from the centre of a peaked prior, in its sigma, that is warned of."""
 SCALE_STEP = 0.8
@@ -125,22 +127,19 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
     """
     parameters = likelihood.model.parameter_set
     prior = parameters.sample_prior(PRIOR_DRAWS, torch.Generator(device=parameters.device).manual_seed(seed))
-    before, after = parameters.to_flat(prior), parameters.to_flat(draws)
-    width = before.std(0).clamp(min=1e-300)
-    narrowed = after.std(0) / width
-    moved = (after.median(0).values - before.median(0).values).abs() / width
     scales = only_scales(likelihood, best)
     scale_of = {name: group for group in scales for name in group}
     informed = {
-        name: name not in scale_of and bool(narrowed[i] < NARROWER or moved[i] > MOVED)
-        for i, name in enumerate(parameters.names)
+        free.name: free.name not in scale_of and narrower_or_moved(free.prior, prior[:, i], draws[:, i])
+        for i, free in enumerate(parameters.free)
     }
     warnings: list[str] = [_scale_sentence(group) for group in scales]
+    flat = parameters.to_flat(draws)
     closest, shares = glints(view), material_shares(likelihood.model, best)
     for i, name in enumerate(parameters.names):
         if not informed[name] and name not in scale_of:
             reason = _reason(likelihood.model, name, best, closest, shares) or _trade(
-                parameters.names, i, after
+                parameters.names, i, flat
             )
             warnings.append(f"{name} is set by its prior: {reason}")
     for i, entry in enumerate(parameters.free):
@@ -157,6 +156,21 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
                 f"({prior_i.centre:.4g}, sigma {prior_i.sigma:.4g}{' in ln' if logarithmic else ''})"
             )
     return Insight(informed, warnings)
+
+
+def narrower_or_moved(prior: Prior, before: Tensor, after: Tensor) -> bool:
+    """Whether draws of a posterior (N,) are more than draws of the prior (M,), or than these cut off at one
+    end if the prior is flat: their 90 % interval leaves out the prior's median, or is narrow.
+    """
+    low, high = np.quantile(after.numpy(), (0.05, 0.95))
+    middle = float(before.median())
+    if not low <= middle <= high:
+        return True
+    if not prior.peaked:
+        return float(((before >= low) & (before <= high)).double().mean()) < COVERED
+    if prior.logarithmic:
+        before, after = before.log(), after.log()
+    return bool(after.std() < NARROWER * before.std())
 
 
 def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:

@@ -6,12 +6,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-import multiprocessing
 import platform
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -44,8 +42,6 @@ Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
 MIN_ROWS = 2
-DEMO_STEPS = 3000
-"""Of the chain: some twenty autocorrelation times, in a third of a minute."""
 
 
 @overload
@@ -246,42 +242,26 @@ def campaign(
 
 def demo(
     out: str | Path, *, seed: int = 0, progress: Progress | None = None, command: str | None = None
-) -> FitResult:
-    """Fit and diagnose the example that comes with the package, side by side on two cores; one report tells
-    both.
+) -> tuple[Diagnosis, FitResult]:
+    """Diagnose the example that comes with the package, then fit it with what was named in the model; one
+    report tells both.
 
     Its two files are put beside the results.
     """
     from torchlc import report
+    from torchlc.diagnosis_report import context
 
     source = Path(__file__).parent / "demo"
     files = source / "scene.toml", source / "recording.ecsv"
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawn) as aside, OutputDirectory(out) as directory:
-        diagnosing = aside.submit(_diagnosed, *files, seed, command)
-        result = fit(*files, steps=DEMO_STEPS, seed=seed, progress=progress, command=command)
-        content, told = diagnosing.result()
+    with OutputDirectory(out) as directory, resources(directory.path):
+        found = diagnose(*files, quick=True, seed=seed, progress=progress)
+        result = fit(found.completed, files[1], seed=seed, progress=progress, command=command)
         for file in files:
             directory.write(file.name, lambda partial, file=file: shutil.copyfile(file, partial))
-        directory.write_json("diagnosis.json", content)
-        report.write_fit(result, directory, progress, told)
-    return result
-
-
-def _diagnosed(
-    scene: Path, recording: Path, seed: int, command: str | None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """diagnosis.json and what a report shows of it, from a process of its own."""
-    from torchlc.diagnosis_report import context
-    from torchlc.terminal import quiet_libraries
-
-    torch.set_num_threads(1)
-    with quiet_libraries():
-        found = diagnose(scene, recording, quick=True, seed=seed)
-        made = provenance(
-            found.baseline.refit.model.scene, found.baseline.refit.model.recording, seed, command
-        )
-        return found.to_json() | {"provenance": made}, context(found)
+        made = {"provenance": dict(result.provenance)}
+        directory.write_json("diagnosis.json", found.to_json() | made)
+        report.write_fit(result, directory, progress, context(found))
+    return found, result
 
 
 def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:

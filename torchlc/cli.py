@@ -175,8 +175,10 @@ def diagnose(
     if json:
         show_json(without_nan(result.to_json()))
     elif not quiet:
-        print(printable(repr(result)))
-        print(f"written: {out / 'diagnosis.json'}")
+        from torchlc.diagnosis_report import lines
+
+        print("\n".join(map(printable, lines(result))))
+        print(f"written: {out / 'report.html'}, diagnosis.json and figures")
 
 
 @app.command(
@@ -402,7 +404,11 @@ def demo(
     from torchlc import api
 
     with progress_bar(not (quiet or json)) as progress:
-        result = api.demo(out, seed=seed, progress=progress, command=command_line(context))
+        diagnosis, result = api.demo(out, seed=seed, progress=progress, command=command_line(context))
+    if not (quiet or json):
+        from torchlc.diagnosis_report import headline
+
+        print(printable(headline(diagnosis.to_json())))
     show_fit(result, out, quiet=quiet, json=json)
 
 

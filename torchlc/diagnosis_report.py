@@ -4,6 +4,7 @@ the materials.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -96,19 +97,24 @@ def context(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def comparison_figure(diagnosis: Diagnosis) -> Figure:
+def comparison(diagnosis: Diagnosis) -> Comparison:
     """Recording, the baseline refitted, and the final model; rows where they differ are marked."""
     before, after = diagnosis.baseline.refit, diagnosis.final.refit
     recording = after.model.recording
     changed = bool(after.hypothesis.added)
-    shown = Comparison(
+    return Comparison(
         recording,
         recording.observed - after.delta.numpy(),
         after.sigma.expand(len(recording)).numpy(),
         before=recording.observed - before.delta.numpy() if changed else None,
         marked=None if diagnosis.where is None else diagnosis.where.rows.numpy(),
     )
-    figure = Figure(figsize=curve_size(recording))
+
+
+def comparison_figure(diagnosis: Diagnosis) -> Figure:
+    """What :func:`comparison` says, drawn."""
+    shown = comparison(diagnosis)
+    figure = Figure(figsize=curve_size(shown.recording))
     draw_curves(shown, figure)
     return figure
 
@@ -122,18 +128,45 @@ def added_parameters(diagnosis: Diagnosis) -> dict[str, str]:
     return found
 
 
+def headline(content: Mapping[str, Any]) -> str:
+    """The verdict in one line, from the content of diagnosis.json."""
+    told = [_or(family) for family in content["families"]]
+    noise = [NOISE.get(str(name), str(name)) for name in content["named"]]
+    verdict = VERDICTS[content["verdict"]].format(
+        named=_and(noise if content["verdict"] == "noise_model" else told)
+    )
+    chance = _chance(content["global_p"])
+    return f"{verdict} The chance of structure like this where nothing is missing: {chance}."
+
+
+def lines(diagnosis: Diagnosis) -> list[str]:
+    """What a terminal shows: the verdict, what was found, the materials before and after, what to do next."""
+    content = diagnosis.to_json()
+    told = [headline(content)]
+    told += [f"  {name} = {value}" for name, value in added_parameters(diagnosis).items()]
+    if content["named"]:
+        rows = [(f"  {name}", before, f"→ {after}") for name, before, after in _changes(content["materials"])]
+        rows += [
+            (f"  {name}", before, f"→ {after}")
+            for name, before, after in _improvement(content["improvement"])
+        ]
+        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+        told += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
+    told.append(f"left: {content['remaining']['note']}")
+    if content["next_observation"]:
+        told.append(f"next: {content['next_observation']}")
+    if content["verdict"] == "missing_physics":
+        effects = json.dumps(diagnosis.completed.model.effects)
+        told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")
+    return told
+
+
 def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     """Verdict, proof, place, materials and what cannot be told, in sentences, from the content of
     diagnosis.json.
     """
     named, improvement = content["named"], content["improvement"]
-    told = [_or(family) for family in content["families"]]
-    noise = [NOISE.get(str(name), str(name)) for name in named]
-    verdict = VERDICTS[content["verdict"]].format(
-        named=_and(noise if content["verdict"] == "noise_model" else told)
-    )
-    chance = f"The chance of structure like this where nothing is missing: {_chance(content['global_p'])}."
-    paragraphs = [f"{verdict} {chance}"]
+    paragraphs = [headline(content)]
     if content["verdict"] == "missing_physics":
         proof = (
             f"With it in the model chi-square falls from {improvement['chi2_before']:.0f} to "

@@ -1,7 +1,7 @@
 """Writes the recording of ``torchlc demo``: python examples/reference/make_demo.py
 
-The truth holds what the scene does not say: a fifth of the panels' area is a smoother material, so that the
-recording's peak is sharper than any one-lobe panel can make it.
+The truth holds what the scene does not say: the panels' lobe has a heavier tail than a cosine power, so that the
+recording's peak is both sharp and wide. The disc of the Sun, which the scene leaves out, is in the truth as well.
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ MATERIALS = {
     "body": {"n": 12030.0, "r_spec": 0.491, "r_diff": 0.157},
     "panel": {"n": 154.0, "r_spec": 0.0325, "r_diff": 0.0172},
 }
-MISSING = {
-    "second_material": {"material": "panel", "weight": 0.2, "n": 2000.0, "r_spec": 0.0325, "r_diff": 0.0172}
-}
+MISSING = {"finite_sun": {}, "lobe_tail": {"material": "panel", "g": 3.0}}
 
 
 def main() -> None:

@@ -43,7 +43,7 @@ def make() -> Made:
             axes.plot(bare.hour, np.where(eclipse > 0, shadowed.mag, np.nan), "--", color=colour, lw=1.1)
             axes.axvspan(*span(bare.hour, eclipse >= 1), color=colour, alpha=0.16, lw=0)
     axes.plot([], [], ":", color="0.4", label="below the horizon")
-    axes.plot([], [], "--", color="0.4", label="with the Earth's shadow (umbra shaded)")
+    axes.plot([], [], "--", color="0.4", label="with the Earth's shadow")
     axes.set(ylim=(FAINTEST, 2.0), xlim=(12, 20), xlabel="hours UT, 10 October 2020", ylabel="magnitude")
     axes.legend(fontsize=8.5, loc="upper left")
     return numbers, figure

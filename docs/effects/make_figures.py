@@ -1,0 +1,365 @@
+"""What each effect leaves behind if a model lacks it: ``.venv/bin/python docs/effects/make_figures.py [--sizes] [NAME ...]``.
+
+Every effect is put into a scene in which it matters. Its figure shows the magnitudes with it less those
+without, once as the materials are and once after the materials have been refitted without it, against time
+and against the coordinate that belongs to the effect. Noise effects show what they add to the errors.
+sizes.json keeps sizes and costs for the page; ``--sizes`` leaves the costs as they were.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+
+import torchlc
+from torchlc.diagnose.coordinates import coordinates
+from torchlc.diagnose.refit import Hypothesis, refit
+from torchlc.effects import registry
+from torchlc.effects.base import Entry
+from torchlc.likelihood import Likelihood
+from torchlc.orbit import above_horizon, make_track, observation_grid
+from torchlc.recording import Recording
+from torchlc.style import BEFORE, DATA, MODEL, style
+
+HERE = Path(__file__).parent
+FIGURES = HERE / "figures"
+SIZES = HERE / "sizes.json"
+ERROR_MAG = 0.02
+BATCH = 8
+REPEATS = 3
+DARK = 1e-4
+"""Rows with less than this share of the brightest row's light are not drawn."""
+
+GEO = (Path(torchlc.__file__).parent / "demo" / "scene.toml").read_text(encoding="utf-8")
+LEO = """
+format = "torchlc-scene/1"
+name = "box-wing in a low orbit"
+[orbit]
+tle = ["1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927",
+       "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537"]
+[[stations]]
+id = "field"
+latitude = 31.5
+longitude = 92.0
+height = 4500.0
+[attitude]
+mode = "nadir"
+[[components]]
+name = "body"
+shape = "box"
+size = [2.0, 1.5, 0.6]
+centre = [0, 0, 0]
+material = "body"
+[[components]]
+name = "panel"
+shape = "plate"
+size = [2.5, 6.0]
+centre = [0, 4.0, 0]
+u = [1, 0, 0]
+v = [0, 1, 0]
+material = "panel"
+tracks = { target = "sun", axis = [0, 1, 0] }
+[materials.body]
+n = { value = 100.0, low = 1.0, high = 1e6, prior = "loguniform" }
+r_spec = { value = 0.2, low = 0.0, high = 1.0 }
+r_diff = { value = 0.4, low = 0.0, high = 1.0 }
+[materials.panel]
+n = { value = 300.0, low = 1.0, high = 1e6, prior = "loguniform" }
+r_spec = { value = 0.1, low = 0.0, high = 1.0 }
+r_diff = { value = 0.05, low = 0.0, high = 1.0 }
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+SPINNER = (
+    LEO[: LEO.index("[attitude]")].replace("a low orbit", "a spin of one turn a minute")
+    + """[attitude]
+mode = "inertial"
+spin_axis = [0.3, 0.0, 1.0]
+spin_rate = 60.0
+"""
+    + LEO[LEO.index("[[components]]") :].replace('tracks = { target = "sun", axis = [0, 1, 0] }', "")
+)
+WHITE = {"panel.n": 30.0, "panel.r_spec": 0.1, "panel.r_diff": 0.7, "body.r_diff": 0.6}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scene and its grid of times: start, hours, cadence (s), exposure (s)."""
+
+    text: str
+    start: str
+    hours: float
+    cadence: float
+    exptime: float | None = None
+
+
+SETTINGS = {
+    "geostationary, a night": Setting(GEO, "2020-10-17T13:00", 8.0, 120.0),
+    "geostationary, a mirror's glint": Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
+    "geostationary, an eclipse": Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
+    "geostationary, a year at one hour": Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
+    "low orbit, one pass": Setting(LEO, "2008-09-20T12:07", 10 / 60, 4.0),
+    "low orbit, a turn a minute": Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
+}
+NIGHT, MIRROR, ECLIPSE, YEAR, PASS, SPIN = SETTINGS
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect's scene, coordinate, and the values at which it is shown; materials may be others than the
+    scene's."""
+
+    setting: str
+    coordinate: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    target: str | None = None
+    materials: Mapping[str, float] = field(default_factory=dict)
+
+
+PANEL_GLINT = "glint_angle_deg[panel +Y/front]"
+PASS_GLINT = "glint_angle_deg[panel/front]"
+CASES = {
+    "exposure_smearing": Case(SPIN, "spin_phase"),
+    "time_offset": Case(PASS, PASS_GLINT, {"s": 2.0}),
+    "along_track_offset": Case(PASS, PASS_GLINT, {"deg": 0.1}),
+    "light_time": Case(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0}),
+    "spin_rate_offset": Case(SPIN, "time", {"rev_per_hour": 0.3}),
+    "attitude_offset": Case(NIGHT, PANEL_GLINT, {"x": 1.0, "y": 0.0, "z": 1.0}),
+    "wobble": Case(NIGHT, "cycle of the wobble", {"deg": 1.0, "period_min": 80.0}),
+    "panel_offset": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
+    "panel_cant": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
+    "sun_distance": Case(YEAR, "distance of the Sun, au"),
+    "finite_sun": Case(MIRROR, PANEL_GLINT, materials={"panel.n": 1e5}),
+    "earth_shadow": Case(ECLIPSE, "shadow_coordinate"),
+    "earthshine": Case(PASS, "phase_angle_deg", {"albedo": 0.3}, materials=WHITE),
+    "interreflection": Case(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE),
+    "self_shadowing": Case(SPIN, "spin_phase"),
+    "appendage": Case(NIGHT, "phase_angle_deg", {"area": 1.5, "lon": 20.0, "lat": 70.0}),
+    "back_transmission": Case(PASS, "phase_angle_deg", {"t_d": 0.02}, "panel"),
+    "normal_dispersion": Case(NIGHT, PANEL_GLINT, {"deg": 3.0}, "panel"),
+    "lobe_tail": Case(NIGHT, PANEL_GLINT, {"g": 2.0}, "panel"),
+    "second_material": Case(
+        NIGHT, PANEL_GLINT, {"weight": 0.2, "n": 3000.0, "r_spec": 0.05, "r_diff": 0.05}, "panel"
+    ),
+    "opposition_surge": Case(NIGHT, "phase_angle_deg", {"b0": 0.8, "h": 0.05}, "body"),
+    "background": Case(NIGHT, "inverse_flux", {"fraction": 0.1}),
+    "saturation": Case(NIGHT, "flux", {"q": 0.05, "limit": 0.8}),
+    "color_term": Case(NIGHT, "share of panel +Y", {"mag": 0.2}, "panel +Y"),
+    "extinction_residual": Case(PASS, "airmass", {"mag_per_airmass": 0.1}),
+    "zero_point_drift": Case(NIGHT, "time", {"mag_per_hour": 0.03}),
+    "zero_point_step": Case(NIGHT, "time", {"mag": 0.1, "time": 5.0}),
+    "jitter": Case(NIGHT, "mag", {"mag": 0.05}),
+    "red_noise": Case(NIGHT, "lag, min", {"mag": 0.05, "tau_min": 20.0}),
+    "outliers": Case(NIGHT, "mag", {"fraction": 0.05, "width": 8.0}),
+}
+
+
+def with_effects(text: str, effects: list[str], values: Mapping[str, float]) -> torchlc.Scene:
+    """The scene with this list of effects and nothing else, their values in place."""
+    scene = torchlc.Scene.from_toml(text)
+    parameters = {
+        key: value for key, value in scene.model.parameters.items() if not key.startswith("earth_shadow")
+    }
+    update = {"effects": effects, "parameters": {**parameters, **values}}
+    return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
+
+
+def rows(setting: Setting) -> Recording:
+    scene = torchlc.Scene.from_toml(setting.text)
+    grid = observation_grid(scene, setting.start, setting.hours, setting.cadence)
+    if setting.exptime is not None:
+        grid = replace(grid, exptime=np.full(len(grid), setting.exptime))
+    seen = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
+    return replace(seen, observed=np.zeros(len(seen)), error=np.full(len(seen), ERROR_MAG))
+
+
+def materials_at(model: torchlc.LightCurve, materials: Mapping[str, float]) -> torch.Tensor:
+    theta = model.theta().detach().clone()
+    for name, value in materials.items():
+        theta[model.names.index(name)] = value
+    return theta
+
+
+def measured(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+    """Sizes of what ``name`` leaves, and the columns that its figure shows."""
+    setting = SETTINGS[case.setting]
+    entry = str(Entry(name, case.target))
+    full = {
+        f"{name}.{key}" + (f"[{case.target}]" if case.target else ""): value
+        for key, value in case.values.items()
+    }
+    recording = rows(setting)
+    holding = torchlc.LightCurve(with_effects(setting.text, [entry], full), recording)
+    theta = materials_at(holding, case.materials)
+    with torch.no_grad():
+        light = holding.brightness(theta).flux
+        bare = torchlc.LightCurve(with_effects(setting.text, [], {}), recording)
+        light = torch.minimum(light, bare.brightness(materials_at(bare, case.materials)).flux)
+        recording = recording.keep((light > DARK * light.max()).numpy(), "dark")
+        holding = torchlc.LightCurve(with_effects(setting.text, [entry], full), recording)
+        seen = holding(theta).numpy()
+    lacking = torchlc.LightCurve(with_effects(setting.text, [], {}), replace(recording, observed=seen.copy()))
+    without = materials_at(lacking, case.materials)
+    again = refit(Likelihood(lacking), Hypothesis(), without[None])
+    with torch.no_grad():
+        plain = seen - lacking(without).numpy()
+        along = {key: value.numpy() for key, value in coordinates(lacking, without).items()}
+        shares = lacking.brightness(without, shares=True)
+        assert shares.shares is not None  # asked for
+    along |= {f"share of {one}": shares.shares[i].numpy() for i, one in enumerate(shares.components)}
+    sun = lacking.view(lacking.values(without)).state.sun.reshape(-1, len(recording), 3)[0]
+    along["distance of the Sun, au"] = torch.linalg.vector_norm(sun, dim=-1).numpy() / 149_597_870.7
+    if "period_min" in case.values:
+        along["cycle of the wobble"] = (
+            recording.seconds / 60 % case.values["period_min"] / case.values["period_min"]
+        )
+    left = again.delta.numpy()
+    sizes = {
+        "rms_mag": float(np.sqrt(np.mean((plain - np.median(plain)) ** 2))),
+        "refitted_rms_mag": float(np.sqrt(np.mean(left**2))),
+        "refitted_most_mag": float(np.abs(left).max()),
+    }
+    columns = {
+        "hours": recording.seconds / 3600, "plain": plain, "left": left, "along": along[case.coordinate],
+        "with": seen, "without": seen - left,
+    }  # fmt: skip
+    return sizes, columns
+
+
+def cost(setting: Setting, entry: str) -> float:
+    """Processor time of a call with BATCH sets of parameters, those of the effect free, over that of the bare
+    model; taken in turn, the least of each."""
+    recording = rows(setting)
+    models = [torchlc.LightCurve(with_effects(setting.text, one, {}), recording) for one in ([], [entry])]
+    sets = [nearby(model) for model in models]
+    least = [float("inf"), float("inf")]
+    with torch.no_grad():
+        for _ in range(REPEATS + 1):
+            for index, (model, theta) in enumerate(zip(models, sets, strict=True)):
+                began = time.process_time()
+                model(theta)
+                least[index] = min(least[index], time.process_time() - began)
+    return least[1] / least[0]
+
+
+def nearby(model: torchlc.LightCurve) -> torch.Tensor:
+    """BATCH sets (BATCH, P) of parameters about where the model starts."""
+    generator = torch.Generator().manual_seed(0)
+    parameters = model.parameter_set
+    low, high = parameters.flat_bounds()
+    spread = torch.where(torch.isfinite(high - low), high - low, 0.01)
+    start = torch.where(torch.isfinite(model.theta().detach()), model.theta().detach(), 3.0)
+    y = parameters.to_flat(start) + 1e-3 * spread * torch.rand(BATCH, len(start), generator=generator)
+    return parameters.from_flat(torch.minimum(torch.maximum(y, low + 1e-6), high - 1e-6))
+
+
+def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+    """Errors drawn without and with a noise effect."""
+    setting = SETTINGS[case.setting]
+    full = {f"{name}.{key}": value for key, value in case.values.items()}
+    drawn = []
+    for effects, values in (([], {}), ([name], full)):
+        scene = with_effects(setting.text, effects, values)
+        clean = torchlc.simulate(scene, rows(setting)).mag
+        drawn.append(torchlc.simulate(scene, rows(setting), noise=ERROR_MAG, seed=3).mag - clean)
+    plain, left = drawn
+    sizes = {
+        "rms_mag": float(np.std(left)),
+        "refitted_rms_mag": None,
+        "refitted_most_mag": float(np.abs(left).max()),
+    }
+    return sizes, {"hours": rows(setting).seconds / 3600, "plain": plain, "left": left}
+
+
+def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
+    noise = registry()[name].stage == "noise"
+    with plt.rc_context({**style(8.5), "figure.facecolor": "white"}):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.5), layout="constrained")
+        hours = columns["hours"]
+        scale, unit = (1.0, "hours") if hours.max() < 100 else (24.0, "days")
+        if hours.max() < 0.5:
+            scale, unit = 1 / 60, "minutes"
+        labels = (
+            ("quoted errors alone", "with the noise") if noise else ("left out", "and materials refitted")
+        )
+        dots = {"ls": "", "marker": "o", "ms": 2.2}
+        for values, colour, label in zip(
+            (columns["plain"], columns["left"]), (BEFORE, MODEL), labels, strict=True
+        ):
+            left.plot(hours / scale, values, color=colour, label=label, **dots)
+        left.set_xlabel(unit)
+        left.set_ylabel("drawn error, mag" if noise else "with − without, mag")
+        left.legend(fontsize=7.5, handletextpad=0.1, borderaxespad=0.1)
+        if noise:
+            shown_noise(case, columns, right)
+        elif case.coordinate == "time":
+            right.plot(hours / scale, columns["with"], color=DATA, label="with it", **dots)
+            right.plot(hours / scale, columns["without"], color=MODEL, lw=1.1, label="without, refitted")
+            right.invert_yaxis()
+            right.set(xlabel=unit, ylabel="mag")
+            right.legend(fontsize=7.5, borderaxespad=0.1)
+        else:
+            for key, colour in (("plain", BEFORE), ("left", MODEL)):
+                right.plot(columns["along"], columns[key], color=colour, **dots)
+            right.set_xlabel(case.coordinate.replace("_deg", ", deg ").replace("_", " "))
+        for axes in (left, right):
+            if not (axes is right and (noise or case.coordinate == "time")):
+                axes.axhline(0, color=DATA, lw=0.7, zorder=0)
+                axes.invert_yaxis()
+        shown = ", ".join(f"{key} {value:g}" for key, value in case.values.items())
+        size = sizes["rms_mag"] if noise else sizes["refitted_rms_mag"]
+        figure.suptitle(
+            f"{name}{': ' + shown if shown else ''} ({case.setting}); rms {size:.2g} mag, at most "
+            f"{sizes['refitted_most_mag']:.2g}", fontsize=8.5,
+        )  # fmt: skip
+        FIGURES.mkdir(exist_ok=True)
+        figure.savefig(FIGURES / f"{name}.png", dpi=110)
+        plt.close(figure)
+
+
+def shown_noise(case: Case, columns: Mapping[str, np.ndarray], axes: Any) -> None:
+    """Distribution of the errors, or their autocorrelation where that is what the noise changes."""
+    if case.coordinate != "mag":
+        minutes = 60 * columns["hours"][:40]
+        for key, colour in (("plain", BEFORE), ("left", MODEL)):
+            one = columns[key] - columns[key].mean()
+            lagged = [np.mean(one[: len(one) - k] * one[k:]) / np.mean(one**2) for k in range(len(minutes))]
+            axes.plot(minutes - minutes[0], lagged, "o-", ms=2.2, lw=0.8, color=colour)
+        axes.axhline(0, color=DATA, lw=0.7)
+        axes.set(xlabel="lag, min", ylabel="autocorrelation")
+        return
+    edges = np.linspace(-1, 1, 41) * np.abs(columns["left"]).max()
+    for key, colour in (("plain", BEFORE), ("left", MODEL)):
+        axes.hist(columns[key], edges, histtype="step", color=colour, log=True)
+    axes.set(xlabel="drawn error, mag", ylabel="rows")
+
+
+def main(names: list[str], *, costs: bool) -> None:
+    told = json.loads(SIZES.read_text(encoding="utf-8")) if SIZES.exists() else {}
+    for name in names or CASES:
+        case = CASES[name]
+        work: Callable[[str, Case], Any] = noise_of if registry()[name].stage == "noise" else measured
+        sizes, columns = work(name, case)
+        draw(name, case, sizes, columns)
+        told[name] = {"setting": case.setting, **sizes, "cost": told.get(name, {}).get("cost")}
+        if costs:
+            told[name]["cost"] = cost(SETTINGS[case.setting], str(Entry(name, case.target)))
+        print(name, told[name], flush=True)
+        whole = {one: told[one] for one in CASES if one in told}
+        SIZES.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main([name for name in sys.argv[1:] if name != "--sizes"], costs="--sizes" not in sys.argv)

@@ -47,7 +47,7 @@ def observation_grid(
         first = instant(start, "utc")
     except UnreadableTime as error:
         raise InputError(None, "--start", repr(error.found), error.expected) from None
-    elapsed = np.repeat(np.arange(count) * cadence_s, chosen.size)
+    elapsed = np.repeat(np.arange(count) * float(cadence_s), chosen.size)
     time = in_scale(after(first, elapsed), "utc")
     places = np.tile(chosen, count)
     longitudes = np.array([place.longitude for place in scene.stations])

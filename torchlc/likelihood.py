@@ -257,7 +257,7 @@ def compiled(likelihood: Likelihood, theta: Tensor) -> Callable[[Tensor], Tensor
     """``log_prob`` without gradients by ``torch.compile``, for batches of the size of theta (B, P) and a fixed
     geometry, several times as fast; the plain one, with a warning, where there is no C++ compiler.
 
-    Compiling costs as much as some thousand calls; another size is compiled anew.
+    Compiling costs as much as two thousand calls; another size is compiled anew.
     """
     plain = torch.no_grad()(likelihood.log_prob)
     if shutil.which(os.environ.get("CXX", "g++")) is None:

@@ -112,7 +112,7 @@ class AshikhminShirley(Brdf):
 
 def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     """Logarithms of the normal and grazing sums and their derivatives per grid step, (G, 2, 2, T): value and
-    slope, normal and grazing; -1000 where there is no light."""
+    slope, normal and grazing; -600 where there is no light."""
     log_half = table["log_half"]
     light = torch.stack([table["normal"], table["grazing"]])
     spread = table.get("spread")
@@ -133,9 +133,9 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
             exponent, turning = torch.where(free, exponent, widest), turning * free
         shone = light * lobe(exponent)
         total = shone.sum(-2)
-        dark = total <= 1e-280
+        dark = total <= 1e-260
         safe = torch.where(dark, 1.0, total)
-        logs.append(torch.where(dark, -1e3, torch.log(safe)))
+        logs.append(torch.where(dark, -600.0, torch.log(safe)))
         slopes.append(torch.where(dark, 0.0, (shone * turning).sum(-2) / safe) * GRID_STEP)
     return torch.stack([torch.stack(logs), torch.stack(slopes)], 1)
 
@@ -148,7 +148,7 @@ def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor
     h01 = t * t * (3 - 2 * t)
     weight = torch.stack([1 - h01, t * (1 - t) ** 2, h01, t * t * (t - 1)], -1)
     rows = 2 * per_epoch(cell.long()) + torch.arange(4, device=cell.device)
-    normal, grazing = lobe(combined(table["lobes"], rows, weight)).chunk(2, -1)
+    normal, grazing = combined(table["lobes"], rows, weight).exp_().chunk(2, -1)
     return normal, grazing
 
 

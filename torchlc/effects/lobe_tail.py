@@ -18,14 +18,13 @@ NODES = 48
 
 
 class LobeTail(Effect):
-    """The lobe is 1 / (1 + (a^-2 - 1) sin^2)^g (generalised Trowbridge-Reitz; g = 2: GGX), as wide at half
-    height as the cosine power and with the same integral over the hemisphere, so that a heavier tail lowers
-    the peak.
+    """More light far from the glint than a cosine power gives, and a lower peak for it.
 
-    At g = 2 the glint is 0.6 mag fainter and the tail at 3 half widths 2.9 mag brighter. Anisotropic lobes
-    take the width of each azimuth and the geometric mean of the two norms, as Ashikhmin and Shirley's own
-    does: off by a relative 1/n. Neglected: the masking that a tail meets at grazing light, 0.07 mag at 75
-    deg both ways for n = 200.
+    The lobe is 1 / (1 + (a^-2 - 1) sin^2)^g (generalised Trowbridge-Reitz; g = 2: GGX), as wide at half
+    height as the cosine power and with the same integral over the hemisphere. At g = 2 the glint is 0.6 mag
+    fainter and the tail at 3 half widths 2.9 mag brighter. Anisotropic lobes take the width of each azimuth
+    and the geometric mean of the two norms, as Ashikhmin and Shirley's own does: off by a relative 1/n.
+    Neglected: the masking that a tail meets at grazing light, 0.07 mag at 75 deg both ways for n = 200.
     """
 
     name = "lobe_tail"

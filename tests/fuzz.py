@@ -38,6 +38,7 @@ from tests.bad_input_cases import (
     VECTOR_RECORDING,
     VECTOR_SCENE,
 )
+from tests.test_layouts import ALCDEF, DAMIT, MMT, SIMPLE
 from torchlc.cli import run
 from torchlc.effects import names as effect_names
 from torchlc.scaffold import PRESETS, new_scene
@@ -81,6 +82,27 @@ centre = [-2, 0, 0]
 material = "body"
 
 """
+EPHEMERIS = """\
+CCSDS_OEM_VERS = 2.0
+CREATION_DATE = 2020-10-17T00:00:00
+ORIGINATOR = TEST
+META_START
+CENTER_NAME = EARTH
+REF_FRAME = ITRF2014
+TIME_SYSTEM = TAI
+META_STOP
+2020-10-17T12:00:00.000 -26500.0 32800.0 100.0 0.0 0.0 0.05
+2020-10-17T15:00:00.000 -26500.0 32800.0 600.0 0.0 0.0 0.03
+2020-10-17T18:00:00.000 -26500.0 32800.0 800.0 0.0 0.0 0.0
+2020-10-17T21:00:00.000 -26500.0 32800.0 600.0 0.0 0.0 -0.03
+"""
+BESIDE = {
+    "body.obj": TETRAHEDRON.encode(),
+    "turn.csv": QUATERNIONS.encode(),
+    "many.txt": f"{LINES[0]}\n{LINES[1]}\n0 ANOTHER NAME\n{LINES[0]}\n{LINES[1]}\n".encode(),
+    "sat.oem": EPHEMERIS.encode(),
+}
+"""Files that scenes name."""
 SCENES = [
     SCENE,
     SCENE.replace('effects = ["self_shadowing"]\n', ""),
@@ -91,12 +113,14 @@ SCENES = [
     MESH_SCENE,
     VECTOR_SCENE,
     ALTAZ_SCENE,
+    SCENE.replace(TLE, 'tle_file = "many.txt"\n\n'),
+    SCENE.replace(TLE, 'oem_file = "sat.oem"\n\n'),
     *(
         new_scene(Elements("x", (LINES[0], LINES[1])), preset, mesh="body.obj" if preset == "mesh" else None)
         for preset in PRESETS
     ),
 ]
-RECORDINGS = [RECORDING, VECTOR_RECORDING, ALTAZ_RECORDING, ECSV, ECSV_VECTORS]
+RECORDINGS = [RECORDING, VECTOR_RECORDING, ALTAZ_RECORDING, ECSV, ECSV_VECTORS, MMT, ALCDEF, SIMPLE, DAMIT]
 ODD = [
     *(0, -1, 1, 2, 3, 90, 1000, 100_000, 2**63, 10**30, -(10**30)),
     *(
@@ -192,18 +216,26 @@ def cases(commands: list[tuple[str, ...]]) -> st.SearchStrategy[Case]:
 
     def changed(texts: tuple[str, str]) -> st.SearchStrategy[Case]:
         scene, recording = restructured(texts[0]).flatmap(spliced), recelled(texts[1]).flatmap(spliced)
-        return st.builds(_case, scene, recording, st.sampled_from(commands))
+        return st.builds(_case, scene, recording, beside(), st.sampled_from(commands))
 
     return pair.flatmap(changed)
+
+
+def beside() -> st.SearchStrategy[dict[str, bytes]]:
+    """The files that scenes name: as they are, or one of them damaged."""
+
+    def damaged(name: str) -> st.SearchStrategy[dict[str, bytes]]:
+        return spliced(BESIDE[name]).map(lambda content: {**BESIDE, name: content})
+
+    return st.one_of(st.just(BESIDE), st.sampled_from(sorted(BESIDE)).flatmap(damaged))
 
 
 def _suited(scene: str) -> str:
     return {VECTOR_SCENE: VECTOR_RECORDING, ALTAZ_SCENE: ALTAZ_RECORDING}.get(scene, RECORDING)
 
 
-def _case(scene: bytes, recording: bytes, command: tuple[str, ...]) -> Case:
-    files = {"scene.toml": scene, "recording.csv": recording}
-    return Case(files | {"body.obj": TETRAHEDRON.encode(), "turn.csv": QUATERNIONS.encode()}, command)
+def _case(scene: bytes, recording: bytes, beside: dict[str, bytes], command: tuple[str, ...]) -> Case:
+    return Case({"scene.toml": scene, "recording.csv": recording, **beside}, command)
 
 
 def spliced(content: bytes) -> st.SearchStrategy[bytes]:

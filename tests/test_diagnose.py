@@ -85,7 +85,13 @@ def test_quick_makes_at_most_three_refits_and_finds_the_same() -> None:
 @needs_practice
 def test_only_the_listed_effects_are_candidates() -> None:
     scene, recording, _ = practice("exposure_smearing")
-    content = diagnose(scene, recording, effects=["background", "zero_point_drift"]).to_json()
+    result = diagnose(scene, recording, effects=["background", "zero_point_drift"])
+    content = result.to_json()
+    table = result.to_table()
+    assert list(table["effect"]) == [one["effect"] for one in content["candidates"]]
+    assert table["chi2_after"][0] == content["candidates"][0]["chi2_after"]
+    assert content["verdict"] in repr(result) and "<pre>Diagnosis: " in result._repr_html_()
+    assert len(result.plot_curve()) % 2 == 0
     assert {one["effect"] for one in content["candidates"]} <= {
         "background", "zero_point_drift", "jitter", "red_noise", "outliers",
     }  # fmt: skip

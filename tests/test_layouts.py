@@ -233,6 +233,17 @@ def same(found: Recording, expected: Recording) -> None:
     assert abs((found.time - expected.time).to_value(u.s)).max() < 2e-9
 
 
+def test_a_recording_and_a_scene_tell_what_they_are(read):
+    told = repr(recording := read(CSV))
+    assert told.startswith(
+        "Recording: 3 rows of mag, 2016-12-31T23:59:58 to 2017-01-01T00:00:00 UTC, 2 curves"
+    )
+    assert "errors of 0.02" in told and "errors to be fitted" in repr(read(MMT))
+    scene = Scene.from_toml(SCENE.replace("box-wing", "<b>box</b>"))
+    assert "free        panel.n, panel.r_spec, panel.r_diff, zero_point" in repr(scene)
+    assert "&lt;b&gt;box&lt;/b&gt;" in scene._repr_html_() and "<pre>" in recording._repr_html_()
+
+
 class TestTimeSeries:
     @pytest.mark.parametrize("text", [CSV, MMT, ALCDEF, DAMIT, "# time_scale: tdb\n" + DAMIT])
     def test_there_and_back(self, read, text: str):

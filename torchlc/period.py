@@ -7,6 +7,7 @@ period is twice what the periodogram prefers.
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,7 +20,9 @@ from torchlc.likelihood import MAG_PER_LN
 from torchlc.recording import Recording
 
 if TYPE_CHECKING:
+    from astropy.table import Table
     from astropy.timeseries import LombScargle
+    from matplotlib.axes import Axes
 
 SCHEMA = "torchlc-period/1"
 OVERSAMPLING = 4
@@ -84,6 +87,29 @@ class Periodogram:
     searched_s: tuple[float, float]
     unit: str
     warnings: Sequence[str]
+
+    def to_table(self) -> Table:
+        """One row a candidate, best first: period_s, period_sd_s, power, false_alarm_probability, amplitude."""
+        from astropy.table import Table
+
+        names = ("period_s", "period_sd_s", "power", "false_alarm_probability", "amplitude")
+        return Table({name: [getattr(one, name) for one in self.candidates] for name in names})
+
+    def plot(self, recording: Recording, axes: Axes | None = None) -> Axes:
+        """``recording`` folded with the best period, brighter up."""
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots()[1]
+        best = self.candidates[0].period_s
+        phase, values = phase_curve(recording, best)
+        axes.plot(phase, values, ".")
+        axes.set(xlabel=f"phase of {spoken(best)}", ylabel="mag about the mean of its curve")
+        axes.invert_yaxis()
+        return axes
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
 
     def to_json(self) -> dict[str, Any]:
         from torchlc.output import without_nan

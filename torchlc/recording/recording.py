@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from torchlc.scene import Scene
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
 
@@ -64,6 +65,22 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.observed)
+
+    def __repr__(self) -> str:
+        first, last = (str(cast(Any, self.time[i]).isot)[:19] for i in (0, -1))
+        told = [f"{len(self)} rows of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
+        for names, what in (
+            (self.curve_ids, "curve"),
+            (self.night_ids, "night"),
+            (self.station_ids, "station"),
+        ):
+            told.append(f"{len(names)} {what}{'s' * (len(names) != 1)}")
+        told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")
+        told += [f"{count} {reason} dropped" for reason, count in self.dropped.items()]
+        return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
 
     @property
     def error_source(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
@@ -35,6 +36,26 @@ class Scene(Table):
     _directory: Path | None = PrivateAttr(None)
     _source: str | Path | None = PrivateAttr(None)
     _warnings: list[str] = PrivateAttr(default_factory=list)
+
+    def __repr__(self) -> str:
+        orbit = next(key for key in type(self.orbit).model_fields if getattr(self.orbit, key))
+        free = [name for name, number in self.numbers().items() if isinstance(number, Free)]
+        free += [name for name, number in self.model.parameters.items() if isinstance(number, Free)]
+        effects = "known physics" if self.model.effects is None else ", ".join(self.model.effects) or "none"
+        lines = [
+            f"Scene: {self.name}",
+            f"  orbit       {orbit}",
+            f"  stations    {', '.join(station.id for station in self.stations) or 'none'}",
+            f"  attitude    {self.attitude.mode}",
+            f"  components  {', '.join(f'{one.name} ({one.shape})' for one in self.components)}",
+            f"  materials   {', '.join(f'{name} ({one.model})' for name, one in self.materials.items())}",
+            f"  effects     {effects}",
+            f"  free        {', '.join(free) or 'nothing'}",
+        ]
+        return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
 
     @property
     def directory(self) -> Path | None:

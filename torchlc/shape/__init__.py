@@ -22,6 +22,7 @@ from torchlc.shape.tracking import ALONG_AXIS, tracking_pose
 __all__ = ["Facets", "Hull", "Part", "Shape", "tracking_pose"]
 
 SMOOTH: dict[str, Any] = {"cylinder": Cylinder, "cone": Cone, "dish": Dish, "sphere": Sphere}
+MOST_FACETS = 300_000
 LEAST_AROUND = 64
 MOST_AROUND = {"cylinder": 4096, "cone": 4096, "dish": 512, "sphere": 512}
 
@@ -35,9 +36,21 @@ class Shape:
 
     def __init__(self, scene: Any, lobe_n: Mapping[str, float]) -> None:
         self.warnings: list[str] = []
-        self.parts: tuple[Part, ...] = tuple(
-            self._part(component, scene, lobe_n) for component in scene.components
-        )
+        parts: list[Part] = []
+        facets = 0
+        for component in scene.components:
+            parts.append(self._part(component, scene, lobe_n))
+            facets += len(parts[-1].faces)
+            if facets > MOST_FACETS:
+                place, found = f"component {component.name!r}", f"more than {MOST_FACETS:,} facets in all"
+                raise InputError(
+                    scene.source,
+                    place,
+                    found,
+                    f"at most {MOST_FACETS:,}",
+                    "Fewer parts or wider lobes need less.",
+                )
+        self.parts: tuple[Part, ...] = tuple(parts)
 
     def _part(self, component: Any, scene: Any, lobe_n: Mapping[str, float]) -> Part:
         match component.shape:

@@ -98,7 +98,8 @@ STAGES = {
 
 def write_library(app: object) -> None:
     """effects/_library.md: every effect, in the order of the stages."""
-    lines: list[str] = []
+    sizes = json.loads((HERE / "effects" / "sizes.json").read_text(encoding="utf-8"))
+    lines = sizes_and_costs(sizes)
     stage = ""
     for effect in effects_listing():
         if effect["stage"] != stage:
@@ -106,6 +107,23 @@ def write_library(app: object) -> None:
             lines += [f"## {STAGES[stage]}", "", f"Stage `{stage}`.", ""]
         lines += section(effect)
     (HERE / "effects" / "_library.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def sizes_and_costs(sizes: dict[str, dict[str, Any]]) -> list[str]:
+    """The table of what each effect leaves behind and what it costs, from what make_figures.py measured."""
+    lines = [
+        "## Sizes and costs",
+        "",
+        "| effect | scene | left out, rms mag | materials refitted, rms mag | at most | cost |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, one in sizes.items():
+        refitted = "" if one["refitted_rms_mag"] is None else f"{one['refitted_rms_mag']:.2g}"
+        lines.append(
+            f"| [{name}](#{name}) | {one['setting']} | {one['rms_mag']:.2g} | {refitted} | "
+            f"{one['refitted_most_mag']:.2g} | {one['cost']:.2g} |"
+        )
+    return [*lines, ""]
 
 
 def section(effect: dict[str, Any]) -> list[str]:
@@ -125,7 +143,7 @@ def section(effect: dict[str, Any]) -> list[str]:
         ]
         lines.append("")
     if (HERE / "effects" / "figures" / f"{name}.png").exists():
-        lines += [f"![Light curve with and without {name}](figures/{name}.png)", ""]
+        lines += [f"![What {name} leaves if it is left out](figures/{name}.png)", ""]
     return lines
 
 

@@ -48,13 +48,13 @@ def test_a_few_rows_are_not_judged():
 
 
 def test_truths_from_the_prior_are_ranked_evenly():
-    """Two reflectances drawn from their triangle, 24 recordings of twelve rows, draws from their posteriors."""
+    """Two reflectances drawn from their triangle, 14 recordings of twelve rows, draws from their posteriors."""
     panel = {"n": 30.0, "r_spec": setting.FREE["r_spec"], "r_diff": setting.FREE["r_diff"]}
     scene = setting.object_1({"body": setting.TABLE_3[1]["body"], "panel": panel})
     grid = torchlc.simulate(scene, start="2020-10-17T14:00:00", hours=7.0, cadence=2280.0).recording
     grid = replace(grid, error=np.full(len(grid), 0.3))
     model = torchlc.LightCurve(scene, grid)
-    truths = model.parameter_set.sample_prior(24, torch.Generator().manual_seed(1))
+    truths = model.parameter_set.sample_prior(14, torch.Generator().manual_seed(1))
     rng = np.random.default_rng(2)
     found = []
     for seed, truth in enumerate(truths):

@@ -277,7 +277,8 @@ def names() -> Iterator[str]:
     for _, one, two in PAIRS:
         yield f"two-{one}-{two}"
     yield from ("wrong-box-wing", "wrong-box-box", "wrong-orbit-leo", "wrong-orbit-meo", "wrong-clock-leo",
-                "wrong-clock-rocket", "ggx-wing-self_shadowing", "ggx-geo-panel_offset", "outside-flash",
+                "wrong-clock-rocket", "ggx-wing-self_shadowing", "ggx-geo-panel_offset",
+                "ggx-wing-self_shadowing-bare", "ggx-geo_free-panel_offset-bare", "outside-flash",
                 "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
 
 
@@ -359,7 +360,7 @@ def wrong_scene(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
 
 def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     """An effect on an object whose every surface obeys another law than the model's."""
-    kind, effect = words
+    kind, effect, *bare = words
     setup = at[kind](rng)
     _, maker, first, limits = RECIPES[effect]
     make = maker(rng)
@@ -368,14 +369,14 @@ def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
         material: {
             "model": "ggx",
             "alpha": round(float(np.sqrt(2.0 / (values["n"] + 2.0))), 4),
-            "f0": values["r_spec"],
-            "r_diff": values["r_diff"],
+            "f0": 0.6 if bare else values["r_spec"],
+            "r_diff": 0.0 if bare else values["r_diff"],
         }
         for material, values in setup.materials.items()
     }
     answer = {
         "verdict": "missing_physics",
-        "note": "every surface is a rough conductor (GGX) over a Lambert base",
+        "note": "every surface is a rough conductor (GGX)" + (", bare" if bare else " over a Lambert base"),
         "family": [[effect, "lobe_tail"]],
     }
     return replace(setup, true_materials=rough), concealed, answer

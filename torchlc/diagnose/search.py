@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -42,6 +43,8 @@ MATERIALS = 24
 EVIDENCE_GAIN = 3.5
 HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
+GROSS = 6.0
+"""Standard deviations of chi-square beyond which a mismatch is gross."""
 TIED = 2.0
 """Difference of log evidence within which refits count as equally good."""
 BEAM = 3
@@ -314,10 +317,16 @@ def nameable(found: Found) -> bool:
     return True
 
 
-def better(new: Found, old: Found, excess: float | None, gain: float = HELDOUT_GAIN) -> bool:
+def better(
+    new: Found,
+    old: Found,
+    excess: float | None,
+    gain: float = HELDOUT_GAIN,
+    evidence: float = EVIDENCE_GAIN,
+) -> bool:
     """Whether ``new`` earns its place over ``old``: evidence, held-out density and a share of the chi-square
     excess."""
-    if new.log_evidence - old.log_evidence < EVIDENCE_GAIN:
+    if new.log_evidence - old.log_evidence < evidence:
         return False
     if new.score.heldout_total - old.score.heldout_total < gain:
         return False
@@ -398,15 +407,18 @@ def compatible(stem: Found, entry: str) -> bool:
 def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list[Found]:
     """Refits to extend where none is good enough alone: at the quoted errors each must gain over the baseline.
 
-    Of two missing effects either alone may leave so much that noise describes the rest as well as all.
+    Of two missing effects either alone may leave so much that noise describes the rest as well as all. That is
+    so of a gross mismatch; a faint one that no effect explains is left at that.
     """
+    dof = null.refit.likelihood.degrees_of_freedom
+    if excess is None or excess < GROSS * math.sqrt(2 * dof):
+        return []
     white = null.score.by_kind["white"][0]
     gains = {id(found): found.score.by_kind["white"][0] - white for found in sound}
     kept = [
         found
         for found in sound
-        if gains[id(found)] > EVIDENCE_GAIN
-        and (excess is None or null.refit.chi2 - found.refit.chi2 > EXCESS_SHARE * excess)
+        if gains[id(found)] > EVIDENCE_GAIN and null.refit.chi2 - found.refit.chi2 > EXCESS_SHARE * excess
     ]
     return sorted(kept, key=lambda found: -gains[id(found)])[:BEAM]
 
@@ -422,8 +434,9 @@ def leader_first(ranked: Sequence[Found]) -> list[Found]:
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
     the others."""
-    alone = not best.hypothesis.added
-    if not better(found, best, excess, gain=HELDOUT_GAIN if alone else 0.0):
+    if not better(found, best, excess, gain=0.0):
+        return False
+    if not best.hypothesis.added and not better(found, best, excess, 2 * HELDOUT_GAIN, 2 * EVIDENCE_GAIN):
         return False
     members = frozenset(found.hypothesis.plain)
     for entry in members:

@@ -22,7 +22,7 @@ from torchlc.shape.tracking import ALONG_AXIS, tracking_pose
 __all__ = ["Facets", "Hull", "Part", "Shape", "tracking_pose"]
 
 SMOOTH: dict[str, Any] = {"cylinder": Cylinder, "cone": Cone, "dish": Dish, "sphere": Sphere}
-MOST_FACETS = 300_000
+MOST_FACETS = 1_000_000
 LEAST_AROUND = 64
 MOST_AROUND = {"cylinder": 4096, "cone": 4096, "dish": 512, "sphere": 512}
 

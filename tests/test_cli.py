@@ -49,7 +49,18 @@ def process(*arguments: str, **options) -> subprocess.Popen[str]:
 
 
 def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
-    for command in ("", "simulate", "fit", "diagnose", "campaign", "period", "materials", "effects", "demo", "init"):
+    for command in (
+        "",
+        "simulate",
+        "fit",
+        "diagnose",
+        "campaign",
+        "period",
+        "materials",
+        "effects",
+        "demo",
+        "init",
+    ):
         assert run([*command.split(), "--help"]) == 0
         assert "Usage" in capsys.readouterr().out
     assert run([]) == 0

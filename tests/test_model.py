@@ -329,7 +329,14 @@ def test_gradient_through_shadows():
 
 def test_gradient_of_known_physics_on_the_demo():
     """Exposure, solar disc, light time, shadow of the Earth and of the parts together."""
-    known = ["sun_distance", "light_time", "finite_sun", "earth_shadow", "exposure_smearing", "self_shadowing"]
+    known = [
+        "sun_distance",
+        "light_time",
+        "finite_sun",
+        "earth_shadow",
+        "exposure_smearing",
+        "self_shadowing",
+    ]
     worst = worst_gradient(demo(known))
     assert max(worst.values()) < 1e-5, worst
 

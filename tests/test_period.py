@@ -36,7 +36,7 @@ def test_a_sinusoid_is_found_within_its_formal_error(tmp_path: Path, error: floa
     mag = 10 + 0.3 * np.sin(2 * np.pi * hours / 0.137) + 0.02 * generator.normal(size=400)
     found = find_period(seen := recording(tmp_path, hours, mag, error))
     best = found.candidates[0]
-    assert found.to_table()["period_s"][0] == best.period_s and f"{best.period_s:.1f}" in found._repr_html_()
+    assert found.to_table()["period_s"][0] == best.period_s and f"{best.period_s:.6g}" in found._repr_html_()
     (drawn,) = found.plot(seen).lines
     folded, phase = np.asarray(drawn.get_ydata()), np.asarray(drawn.get_xdata())
     assert np.std(folded[(phase > 0.4) & (phase < 0.45)]) < 0.1 < np.std(folded), "a curve, not a cloud"

@@ -120,6 +120,10 @@ def test_noise_at_off_is_no_noise(name: str) -> None:
         assert torch.isfinite(slope).all(), place
 
 
+INTERPOLATED = {"exposure_smearing": 1e-4}
+"""A batch of exposure times is interpolated over tables made once: relative, a ten-thousandth of the light."""
+
+
 @pytest.mark.parametrize("name", PARAMETRIC)
 def test_slopes_are_finite_and_those_of_central_differences(name: str) -> None:
     model = with_effect(name)
@@ -141,8 +145,9 @@ def test_slopes_are_finite_and_those_of_central_differences(name: str) -> None:
             up, down = curve(moved)
         central = (up - down) / (2 * step)
         slope = slopes["typical"][:, index]
+        near = INTERPOLATED.get(name, 1e-5)
         torch.testing.assert_close(
-            slope, central, rtol=1e-5, atol=1e-5 * float(slope.abs().max()) + 2e-15 / step
+            slope, central, rtol=near, atol=near * float(slope.abs().max()) + 2e-15 / step
         )
 
 
@@ -153,7 +158,8 @@ def test_a_batch_is_its_members(name: str) -> None:
     curve = relative(model)
     with torch.no_grad():
         alone = torch.stack([curve(theta) for theta in members])
-        torch.testing.assert_close(curve(members), alone, rtol=1e-12, atol=1e-13)
+        near = INTERPOLATED.get(name, 1e-12)
+        torch.testing.assert_close(curve(members), alone, rtol=near, atol=0.1 * near)
         torch.testing.assert_close(torch.vmap(curve)(members), alone, rtol=1e-12, atol=1e-13)
 
 

@@ -153,14 +153,18 @@ def polish(
     *,
     level_at: Tensor | None = None,
     iterations: int = 60,
+    held: Sequence[int] = (),
 ) -> Minimum:
-    """Levenberg-Marquardt from natural values theta (S, P) with the noise held: its covariance whitens the
-    rows, prior rows follow. Noise levels of curves without errors are those of the residuals at ``level_at``
+    """Levenberg-Marquardt from natural values theta (S, P) with the noise held, and the columns ``held`` at the
+    values of the first row: the noise's covariance whitens the rows, prior rows follow. Noise levels of curves without errors are those of the residuals at ``level_at``
     (P,), where noise parameters then stay."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
     with torch.no_grad():
+        if held:
+            index = list(held)
+            low[index] = high[index] = parameters.to_flat(theta[0])[index]
         reference = parameters.start() if level_at is None else level_at
         if level_at is not None:
             stay, index = parameters.to_flat(level_at), noise_columns(likelihood)

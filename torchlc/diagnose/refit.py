@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -49,7 +49,8 @@ class Refit:
     slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y
     as a Gaussian (mean, precision).
 
-    ``held`` marks coordinates at a bound, whose columns of slopes are zero.
+    ``held`` marks coordinates at a bound, whose columns of slopes are zero; ``others`` are further minima that the
+    data leave possible.
     """
 
     hypothesis: Hypothesis
@@ -65,6 +66,7 @@ class Refit:
     held: Tensor
     chi2: float
     objective: float
+    others: tuple[Refit, ...] = ()
 
     @property
     def model(self) -> LightCurve:
@@ -159,15 +161,22 @@ def refit(
             found = polish(likelihood, theta, None, iterations=iterations, level_at=level_at)
             order = torch.argsort(found.cost)
             theta = parameters.from_flat(found.y[order])
-    best = linearised(likelihood, hypothesis, theta[0])
-    if likelihood.fitted_errors:
-        return best
-    last = found.cost[order[0]]
-    for one, cost in zip(theta[1:], found.cost[order[1:]], strict=True):
-        if cost - last > MODE_APART and cost - found.cost[order[0]] < MODE_DEPTH:
-            best = max(best, linearised(likelihood, hypothesis, one), key=lambda mode: mode.log_mass)
-            last = cost
-    return best
+    return leading(likelihood, hypothesis, theta, found.cost[order])
+
+
+def leading(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor, cost: Tensor) -> Refit:
+    """Of minima theta (S, P) in order of their cost (S,) the one with the largest posterior mass, with the others
+    that the data leave possible; where errors are fitted, the deepest alone."""
+    modes = [linearised(likelihood, hypothesis, theta[0])]
+    last = cost[0]
+    for one, own in zip(theta[1:], cost[1:], strict=True):
+        if likelihood.fitted_errors or own - cost[0] > MODE_DEPTH:
+            break
+        if own - last > MODE_APART:
+            modes.append(linearised(likelihood, hypothesis, one))
+            last = own
+    best = max(modes, key=lambda mode: mode.log_mass)
+    return replace(best, others=tuple(mode for mode in modes if mode is not best))
 
 
 def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) -> Refit:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "torchlc-diagnosis/1"
+DRAWS = 4000
 
 
 @dataclass(frozen=True)
@@ -226,8 +227,8 @@ class Diagnosis:
 
 
 def materials(refit: Refit) -> dict[str, dict[str, float]]:
-    """Median, sd and 90 % interval of every free material parameter, from the linear posterior in flat
-    coordinates."""
+    """Median, sd and 90 % interval of every free material parameter, from the posterior's minima, each linear in
+    flat coordinates and weighed by its mass."""
     parameters = refit.model.parameter_set
     owners = set(refit.model.scene.materials)
     names = [i for i, name in enumerate(parameters.names) if name.rpartition(".")[0] in owners]
@@ -235,9 +236,15 @@ def materials(refit: Refit) -> dict[str, dict[str, float]]:
         return {}
     generator = torch.Generator().manual_seed(0)
     low, high = parameters.flat_bounds()
-    values, vectors = torch.linalg.eigh(refit.covariance())
-    noise = torch.randn(4000, len(parameters), generator=generator, dtype=refit.y.dtype)
-    draws = refit.y + noise @ (vectors * torch.sqrt(values.clamp(min=0))).T
+    modes = [refit, *refit.others]
+    weight = torch.softmax(torch.tensor([mode.log_mass for mode in modes], dtype=refit.y.dtype), 0)
+    member = torch.multinomial(weight, DRAWS, replacement=True, generator=generator)
+    draws = refit.y.new_empty(DRAWS, len(parameters))
+    for number, mode in enumerate(modes):
+        values, vectors = torch.linalg.eigh(mode.covariance())
+        noise = torch.randn(DRAWS, len(parameters), generator=generator, dtype=refit.y.dtype)
+        spread = mode.y + noise @ (vectors * torch.sqrt(values.clamp(min=0))).T
+        draws = torch.where((member == number)[:, None], spread, draws)
     draws = torch.minimum(torch.maximum(draws, low), high)
     theta = parameters.from_flat(draws)
     found = {}

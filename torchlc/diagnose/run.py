@@ -24,6 +24,7 @@ from torchlc.diagnose.search import (
     Probe,
     affordable,
     candidate_entries,
+    explored,
     judged,
     nameable,
     probe,
@@ -141,7 +142,7 @@ def _under_own_law(
             progress("signatures", 0.05 + 0.1 * (number + 1) / len(entries))
     gates = [_gate(refit, scorer, found_coordinates, probes, seed) for refit in baseline]
     first_gate = max(gates, key=lambda one: one.global_p)
-    start = judged(baseline[0], scorer)
+    start = judged(replace(baseline[0], others=tuple(baseline[1:])), scorer)
     common = {
         "scorer": scorer,
         "gate": first_gate,
@@ -179,6 +180,8 @@ def _under_own_law(
         most_refits=QUICK_REFITS if quick else None,
         progress=progress,
     )
+    if final is not start:
+        final = explored(final, scorer, seed)
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
     verdict, named = _verdict(start, final, scorer, found_coordinates, seed)
     groups = (

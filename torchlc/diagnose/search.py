@@ -19,6 +19,7 @@ from torchlc.diagnose.refit import (
     effect_columns,
     effect_starts,
     is_slow,
+    leading,
     linearised,
     refit,
 )
@@ -38,6 +39,7 @@ FEW_STARTS = 3
 PLACES = 12
 SLOW_PLACES = 4
 """Values of an effect's own parameters, half of them the best of its probe, that are tried with ..."""
+WIDE = 8
 MATERIALS = 24
 """... so many draws of the materials from their priors."""
 EVIDENCE_GAIN = 3.5
@@ -394,6 +396,27 @@ def search(
         best = accepted[0]
         beam = accepted[:BEAM]
     return best, first, others
+
+
+def explored(found: Found, scorer: Scorer, seed: int) -> Found:
+    """The refit with all the minima that a wide search of the materials finds while its effects and the geometry
+    stay, so that what is said of materials spans them."""
+    at, likelihood = found.refit, found.refit.likelihood
+    if likelihood.fitted_errors or found.score.noise.kind == "outliers" or not at.names:
+        return found
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.cat([other_materials(at, generator) for _ in range(WIDE)])
+    starts = screened(likelihood, draws, STARTS, torch.arange(len(draws)))
+    kept = {
+        column for added in at.hypothesis.added for column in effect_columns(at.model.parameter_set, added)
+    }
+    held = sorted(kept | set(at.model.assembly.geometry_columns))
+    with torch.no_grad():
+        reached = polish(likelihood, torch.cat([at.theta[None], starts]), None, held=held)
+    order = torch.argsort(reached.cost)
+    theta = likelihood.model.parameter_set.from_flat(reached.y[order])
+    wide = leading(likelihood, at.hypothesis, theta, reached.cost[order])
+    return Found(wide, scorer.score(wide))
 
 
 def compatible(stem: Found, entry: str) -> bool:

@@ -201,7 +201,7 @@ def _times(path: Path, texts: list[tuple[int, str]], scale: str, late_s: float) 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ErfaWarning)
             times = Time(np.array(plain), format="isot", scale=scale)
-            return cast(Time, times + TimeDelta(late_s, format="sec")) if late_s else times
+            return cast(Time, times + TimeDelta(late_s, format="sec") if late_s else times)
     except ValueError as error:
         raise InputError(
             path, None, f"a time that does not exist ({error})"[:200], "calendar dates"

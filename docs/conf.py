@@ -71,7 +71,40 @@ def calibration_of_the_posterior() -> dict[str, str]:
     }
 
 
-myst_substitutions |= calibration_of_the_posterior()
+def calibration_of_the_verdict() -> dict[str, str]:
+    """What docs/calibration/verdict.md says in numbers, from those that its example wrote."""
+    numbers = json.loads((HERE / "calibration" / "verdicts.json").read_text(encoding="utf-8"))
+    outcomes: dict[str, dict[str, int]] = numbers["outcomes"]
+    words = list(dict.fromkeys(word for counts in outcomes.values() for word in counts))
+    table = [
+        "| what was concealed | cases | " + " | ".join(words) + " |",
+        "|---|---|" + "---|" * len(words),
+        *(
+            f"| {kind} | {sum(counts.values())} | "
+            + " | ".join(str(counts.get(word, "")) for word in words)
+            + " |"
+            for kind, counts in outcomes.items()
+        ),
+    ]
+
+    def percent(share: float) -> str:
+        return f"{100 * share:.0f} %"
+
+    return {
+        "verdict_after": percent(numbers["materials_inside_90"]["after"]),
+        "verdict_before": percent(numbers["materials_inside_90"]["before"]),
+        "verdict_cases": str(numbers["cases"]),
+        "verdict_clean": str(sum(outcomes["nothing missing"].values())),
+        "verdict_fitting": percent(numbers["chi2_within_3_sigma"]),
+        "verdict_ks": f"{numbers['clean_p_uniform_ks_p']:.2f}",
+        "verdict_longest": f"{numbers['processor_seconds']['longest']:.0f}",
+        "verdict_overlap": f"{numbers['median_overlap']:.2f}",
+        "verdict_seconds": f"{numbers['processor_seconds']['median']:.0f}",
+        "verdict_table": "\n".join(table),
+    }
+
+
+myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "effects/_library.md"]
 autodoc_typehints = "description"

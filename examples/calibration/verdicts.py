@@ -35,6 +35,10 @@ from torchlc.terminal import quiet_libraries
 SIZES = ("small", "medium", "large", "as_is")
 WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
 """Effects by how much chi-square the true model gains over the best refit without it."""
+KINDS = (
+    "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "other noise",
+    "scene slightly wrong", "other reflection law", "outside the library",
+)  # fmt: skip
 GAINS = (1.0, 2.0, 4.0, 5.0, 8.0, 14.0, 30.0, 300.0)
 OUTCOMES = {
     "right": "#3f9b5c",
@@ -172,11 +176,18 @@ def group(row: dict[str, Any]) -> str:
     return known.get(head, head)
 
 
+def ordered(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The kinds of case that there are, in the order in which they are told."""
+    there = {group(row) for row in rows}
+    return [kind for kind in KINDS if kind in there] + sorted(there - set(KINDS))
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Counts of each outcome by kind of case, and the measures over all of them."""
     counts = {
-        kind: dict(Counter(judged(row) for row in rows if group(row) == kind))
-        for kind in sorted(set(map(group, rows)))
+        kind: {word: n for word in OUTCOMES if (n := found[word])}
+        for kind in ordered(rows)
+        for found in [Counter(judged(row) for row in rows if group(row) == kind)]
     }
     clean = [row["global_p"] for row in rows if group(row) == "nothing missing"]
     named = [row for row in rows if row["verdict"] == "missing_physics"]
@@ -212,9 +223,9 @@ def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
     (folder / "verdicts.json").write_text(json.dumps(summary(rows), indent=1) + "\n")
     with plt.rc_context(style(9)):
         figure, (left, middle, right) = plt.subplots(
-            1, 3, figsize=(11, 3.4), width_ratios=(1.5, 1, 1), layout="constrained"
+            1, 3, figsize=(11, 3.8), width_ratios=(1.5, 1, 1), layout="constrained"
         )
-        kinds = sorted({group(row) for row in rows}, reverse=True)
+        kinds = ordered(rows)[::-1]
         for place, kind in enumerate(kinds):
             members = [judged(row) for row in rows if group(row) == kind]
             begin = 0.0
@@ -225,7 +236,7 @@ def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
             left.text(1.01, place, str(len(members)), va="center")
         left.set_yticks(range(len(kinds)), kinds)
         left.set_xlabel("share of cases")
-        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=len(OUTCOMES))
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5)
         one = [
             row for row in rows if group(row).startswith("one effect") and row["truth"]["gain"] is not None
         ]

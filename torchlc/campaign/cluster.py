@@ -12,6 +12,8 @@ import contextlib
 import logging
 import math
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -42,6 +44,19 @@ def require_dask() -> None:
 
 
 @contextlib.contextmanager
+def deaf_children() -> Iterator[None]:
+    """Processes begun here do not hear Ctrl-C, which a terminal sends to all: the campaign ends them itself."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
 def connected(scheduler: str | None, workers: int | None, threads: int) -> Iterator[Client]:
     """A client of the scheduler at that address, else of as many worker processes of our own (by default one
     a core), which end with the block."""
@@ -57,15 +72,16 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
                 ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
             )
             stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": limits}))
-            target: Any = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers or max(1, cores() // threads),
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                    silence_logs=logging.CRITICAL,
+            with deaf_children():
+                target: Any = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers or max(1, cores() // threads),
+                        threads_per_worker=1,
+                        host="127.0.0.1",
+                        scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                        silence_logs=logging.CRITICAL,
+                    )
                 )
-            )
         else:
             target = scheduler
         try:

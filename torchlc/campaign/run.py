@@ -134,7 +134,11 @@ def run_campaign(
 
 
 def _run_in(root: Path, campaign: str, job: Job) -> str:
-    return run_object(job, root / job.directory, campaign)
+    """One object, on a worker; what its libraries could hand back to the cluster they do where they are."""
+    import dask.config
+
+    with dask.config.set(scheduler="synchronous"):
+        return run_object(job, root / job.directory, campaign)
 
 
 def _failures(directory: Path) -> tuple[tuple[str, str], ...]:

@@ -19,14 +19,12 @@ import torch
 from torch import Tensor
 
 from torchlc.likelihood import MAG_PER_LN, Likelihood
+from torchlc.reflectances import REWEIGHTED, about, linear_columns, linear_light
 
-REFLECTANCES = ("r_spec", "r_diff", "f0", "albedo")
 WIDER = 1.2
 """The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
 FLAT_VARIANCE = 1 / 12
 """Of a reflectance about which nothing is known."""
-REWEIGHTED = 2
-"""Times that the regression is done again about its own result, so that it is one of magnitudes, not of flux."""
 FAR_LOG_P = -15.0
 """log of a normal probability, 5 standard deviations out, below which a quantile is polished."""
 KINDS = {
@@ -50,7 +48,7 @@ class Redraw:
         held = set(model.assembly.geometry_columns)
         held |= {i for i, name in enumerate(names) if name.partition(".")[0] in _noisy(likelihood)}
         short = [name.partition("[")[0].rpartition(".")[2] for name in names]
-        self.linear = [i for i, name in enumerate(short) if name in REFLECTANCES and i not in held]
+        self.linear = [i for i in linear_columns(model) if i not in held]
         self.others = [i for i in range(len(names)) if i not in held and i not in self.linear]
         self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
         self.first = {second: first for first, second in model.parameter_set.pairs}
@@ -121,14 +119,7 @@ class Redraw:
         columns of x (W, P).
         """
         likelihood, model = self.likelihood, self.likelihood.model
-        parameters = model.parameter_set
-        count = len(self.linear)
-        points = x[:, None].repeat(1, count + 1, 1)
-        points[:, :, self.linear] = 0.0
-        for place, column in enumerate(self.linear):
-            points[:, place + 1, column] = 1.0
-        flux = model.brightness(parameters.from_straight(points)[0]).flux
-        dark, design = flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
+        dark, design = linear_light(model, x, self.linear)
         if likelihood.kind == "flux":
             assert self.gain is not None  # flux has one
             gain = self.gain[likelihood.curve]
@@ -136,14 +127,12 @@ class Redraw:
             mean, factor = self._solution(dark, design, observed, sigma)
         else:
             observed = likelihood.observed_flux * 10 ** (
-                0.4 * model.zero_point(parameters.from_straight(x)[0])
+                0.4 * model.zero_point(model.parameter_set.from_straight(x)[0])
             )
             sigma = self.sigma / MAG_PER_LN
             mean, factor = self._solution(dark, design, observed, observed * sigma)
             for _ in range(REWEIGHTED):
-                predicted = dark + (design @ mean[..., None])[..., 0]
-                near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
-                target = near * (1.0 + torch.log(observed / near))
+                target, near = about(dark, design, mean, observed)
                 mean, factor = self._solution(dark, design, target, near * sigma)
         return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
 

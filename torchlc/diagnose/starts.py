@@ -15,10 +15,8 @@ import torch
 from torch import Tensor
 
 from torchlc.likelihood import MAG_PER_LN, Likelihood
+from torchlc.reflectances import REWEIGHTED, about, linear_columns, linear_light
 
-REFLECTANCES = ("r_spec", "r_diff", "f0", "albedo")
-REWEIGHTED = 2
-"""Times that the regression is done again about its own result, so that it is one of magnitudes, not of flux."""
 SWEEPS = 25
 
 
@@ -59,41 +57,30 @@ def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:
     itself where nothing is linear."""
     model = likelihood.model
     parameters = model.parameter_set
-    held = set(model.assembly.geometry_columns)
-    first = {second: one for one, second in parameters.pairs}
-    short = [name.partition("[")[0].rpartition(".")[2] for name in parameters.names]
-    linear = [i for i, name in enumerate(short) if name in REFLECTANCES and i not in held]
+    linear = linear_columns(model)
     if not linear:
         return theta.clone()
+    first = {second: one for one, second in parameters.pairs}
+    limits = [(parameters.free[i].prior.low, parameters.free[i].prior.high) for i in linear]
+    rest = {linear.index(i): linear.index(first[i]) for i in linear if first.get(i) in linear}
     x = parameters.to_straight(theta)
-    points = x[:, None].repeat(1, len(linear) + 1, 1)
-    points[:, :, linear] = 0.0
-    for place, column in enumerate(linear):
-        points[:, place + 1, column] = 1.0
-    flux = model.brightness(parameters.from_straight(points)[0]).flux
-    dark, design = flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
+    dark, design = linear_light(model, x, linear)
     found = likelihood.residuals(theta)
     sigma = torch.where(likelihood.limit, torch.inf, found.sigma.expand(found.delta.shape))
+
+    def solved(target: Tensor, error: Tensor) -> Tensor:
+        return bounded(design / error[..., None], (target - dark) / error, limits, rest)
+
     if likelihood.kind == "flux":
         assert found.gain is not None  # flux has one
         gain = found.gain[:, likelihood.curve].abs().clamp(min=1e-300)
-        target, near, weight = likelihood.observed / gain, None, gain / sigma
+        values = solved(likelihood.observed / gain, sigma / gain)
     else:
-        target = likelihood.observed_flux * 10 ** (0.4 * model.zero_point(theta))
-        target = target.expand(flux[:, 0].shape)
-        near, weight = target, MAG_PER_LN / sigma / target
-    observed = target
-    limits = [(parameters.free[i].prior.low, parameters.free[i].prior.high) for i in linear]
-    rest = {linear.index(i): linear.index(first[i]) for i in linear if first.get(i) in linear}
-    values = x[:, linear]
-    for _ in range(1 if near is None else 1 + REWEIGHTED):
-        values = bounded(weight[..., None] * design, weight * (target - dark), limits, rest)
-        if near is not None:
-            predicted = dark + (design @ values[..., None])[..., 0]
-            near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
-            target = near * (1.0 + torch.log(observed / near))
-            weight = MAG_PER_LN / sigma / near
-    x = x.clone()
+        observed = (likelihood.observed_flux * 10 ** (0.4 * model.zero_point(theta))).expand(dark.shape)
+        values = solved(observed, observed * sigma / MAG_PER_LN)
+        for _ in range(REWEIGHTED):
+            target, near = about(dark, design, values, observed)
+            values = solved(target, near * sigma / MAG_PER_LN)
     x[:, linear] = values
     return parameters.from_straight(x)[0]
 

@@ -20,7 +20,6 @@ import torch
 from torchlc import __version__
 from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
-from torchlc.effects.base import Entry
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
 from torchlc.likelihood import Likelihood
@@ -340,9 +339,7 @@ def _search(
     errors are too small.
     """
     found = fit_map(likelihood, seed=seed, progress=progress)
-    effects = [
-        str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in likelihood.model.effects
-    ]
+    effects = [effect.entry for effect in likelihood.model.effects]
     doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
     if not doubtful:
         return found, []

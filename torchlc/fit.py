@@ -156,8 +156,8 @@ def polish(
     held: Sequence[int] = (),
 ) -> Minimum:
     """Levenberg-Marquardt from natural values theta (S, P) with the noise held, and the columns ``held`` at the
-    values of the first row: the noise's covariance whitens the rows, prior rows follow. Noise levels of curves without errors are those of the residuals at ``level_at``
-    (P,), where noise parameters then stay."""
+    values of the first row: the noise's covariance whitens the rows, prior rows follow. Noise levels of curves
+    without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchlc.assemble import COMPONENT_SIZES, assemble
 from torchlc.effects import GEOMETRY_STAGES
-from torchlc.effects.base import Entry, View
+from torchlc.effects.base import View
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import angle_between
@@ -59,7 +59,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
     natural values theta (P,).
     """
     moving = [
-        str(Entry(effect.name, effect.target, effect.by, effect.width))
+        effect.entry
         for effect in model.effects
         if effect.stage in GEOMETRY_STAGES
         and effect.nodes == 1

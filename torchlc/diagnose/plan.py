@@ -14,7 +14,6 @@ from torch import Tensor
 from torchlc.assemble import assemble
 from torchlc.diagnose.refit import Refit
 from torchlc.diagnose.search import Found
-from torchlc.effects.base import Entry
 from torchlc.errors import TorchlcError
 from torchlc.least_squares import differences
 from torchlc.model import LightCurve
@@ -102,11 +101,7 @@ def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float
 def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
     """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another
     night."""
-    entries = [
-        str(Entry(one.name, one.target, one.by, one.width))
-        for one in refit.model.effects
-        if one.stage != "noise"
-    ]
+    entries = [one.entry for one in refit.model.effects if one.stage != "noise"]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
     parameters = model.parameter_set
     if parameters.names != refit.names:

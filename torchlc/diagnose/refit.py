@@ -112,9 +112,7 @@ class Workbench:
     def _model(self, hypothesis: Hypothesis) -> LightCurve:
         if not hypothesis.added:
             return LightCurve(self.base.scene, self.base.recording, assembly=self.base)
-        own = [
-            str(Entry(effect.name, effect.target, effect.by, effect.width)) for effect in self.base.effects
-        ]
+        own = [effect.entry for effect in self.base.effects]
         assembly = assemble(self.base.scene, self.base.recording, [*own, *hypothesis.added], base=self.base)
         model = LightCurve(self.base.scene, self.base.recording, assembly=assembly)
         for other in self._likelihoods.values():

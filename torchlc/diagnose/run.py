@@ -20,6 +20,7 @@ from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
+    GROSS,
     Found,
     Probe,
     affordable,
@@ -35,8 +36,6 @@ from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.errors import InputError
 from torchlc.fit import find_modes
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
 from torchlc.recording import Recording
 from torchlc.scene import Scene
 
@@ -47,9 +46,8 @@ LEFT_AFTER = 0.5
 CONSISTENT = 2.0
 """Standard deviations of chi-square within which what is left counts as nothing."""
 LAW_EVIDENCE = 10.0
-LAW_EXCESS = 6.0
-"""Another law of reflection is tried where chi-square is left beyond LAW_EXCESS of its standard deviations, and
-taken where its best model gains LAW_EVIDENCE over that of the scene's own law."""
+"""Another law of reflection is tried where a gross mismatch is left, and taken where its best model gains this
+over that of the scene's own law."""
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 
@@ -69,24 +67,21 @@ def diagnose(
     refits in the first round, and stays with the scene's law of reflection. Raises InputError for an unknown
     effect name.
     """
-    began = time.monotonic()
-    found = _under_own_law(scene, recording, quick=quick, effects=effects, seed=seed, progress=progress)
+    for name in effects or ():
+        if name not in registry():
+            raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
+    own = Start(scene, recording, seed)
+    found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
     if quick or not _left_over(found):
         return found
-    others = under_other_laws(scene)
+    others = {law: Start(other, recording, seed) for law, other in under_other_laws(scene).items()}
     if others:
-        law = min(others, key=lambda one: _objective(others[one], recording, seed))
-        new = _under_own_law(others[law], recording, effects=effects, seed=seed, progress=progress)
+        law = min(others, key=lambda one: others[one].modes[0].objective)
+        new = _under_one_law(others[law], effects=effects, progress=progress)
         gained = new.final.log_evidence - found.final.log_evidence
         if new.verdict in ("missing_physics", "adequate") and gained > LAW_EVIDENCE:
             found = _told(found, new, law)
-    return replace(found, seconds=time.monotonic() - began)
-
-
-def _objective(scene: Scene, recording: Recording, seed: int) -> float:
-    likelihood = Likelihood(LightCurve(scene, recording))
-    modes, _, _ = find_modes(likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
-    return modes[0].objective
+    return replace(found, seconds=time.monotonic() - own.began)
 
 
 def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
@@ -102,32 +97,34 @@ def _left_over(found: Diagnosis) -> bool:
     if found.verdict == "adequate" or found.final.refit.likelihood.fitted_errors:
         return False
     dof = found.final.refit.likelihood.degrees_of_freedom
-    return found.verdict == "unexplained" or found.final.refit.chi2 > dof + LAW_EXCESS * math.sqrt(2 * dof)
+    return found.verdict == "unexplained" or found.final.refit.chi2 > dof + GROSS * math.sqrt(2 * dof)
 
 
-def _under_own_law(
-    scene: Scene,
-    recording: Recording,
+class Start:
+    """A scene, a recording and the minima of the scene's own model, from which a diagnosis begins."""
+
+    def __init__(self, scene: Scene, recording: Recording, seed: int) -> None:
+        self.began = time.monotonic()
+        self.scene, self.recording, self.seed = scene, recording, seed
+        self.bench = Workbench(assemble(scene, recording), seed)
+        self.likelihood = self.bench.likelihood(Hypothesis())
+        self.modes, _, _ = find_modes(self.likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
+
+
+def _under_one_law(
+    own: Start,
     *,
     quick: bool = False,
     effects: Sequence[str] | None = None,
-    seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """The diagnosis with surfaces that reflect as the scene says."""
-    began = time.monotonic()
-    for name in effects or ():
-        if name not in registry():
-            raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
-    base = assemble(scene, recording)
-    bench = Workbench(base, seed)
-    null = Hypothesis()
-    likelihood = bench.likelihood(null)
-    modes, _, _ = find_modes(likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
-    baseline = [linearised(likelihood, null, mode.theta) for mode in modes[:3]]
+    scene, recording, seed = own.scene, own.recording, own.seed
+    bench, likelihood = own.bench, own.likelihood
+    baseline = [linearised(likelihood, Hypothesis(), mode.theta) for mode in own.modes[:3]]
     if progress is not None:
         progress("baseline", 0.05)
-    context = base.context
+    context = bench.base.context
     group = context.curve if len(recording.curve_ids) >= 4 else context.night
     scorer = Scorer(
         context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors
@@ -162,7 +159,7 @@ def _under_own_law(
             first=(),
             where=None,
             final_gate=first_gate,
-            seconds=time.monotonic() - began,
+            seconds=time.monotonic() - own.began,
             **common,
         )
 
@@ -205,7 +202,7 @@ def _under_own_law(
         first=tuple(first),
         where=where,
         final_gate=after,
-        seconds=time.monotonic() - began,
+        seconds=time.monotonic() - own.began,
         **common,
     )
 

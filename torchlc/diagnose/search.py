@@ -39,9 +39,10 @@ FEW_STARTS = 3
 PLACES = 12
 SLOW_PLACES = 4
 """Values of an effect's own parameters, half of them the best of its probe, that are tried with ..."""
-WIDE = 8
 MATERIALS = 24
 """... so many draws of the materials from their priors."""
+WIDE = 192
+"""Draws of the materials among which further minima of the final refit are looked for."""
 EVIDENCE_GAIN = 3.5
 HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
@@ -209,7 +210,9 @@ def extended(
     if seeds:
         pool = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in seeds])
     else:
-        pool = torch.cat([torch.stack([one.theta for one in at]), other_materials(at[0], generator)])
+        pool = torch.cat(
+            [torch.stack([one.theta for one in at]), other_materials(at[0], MATERIALS, generator)]
+        )
         pool = bench.start(hypothesis, pool, at[0].names)
     theta = pool.repeat(places, 1)
     group = torch.arange(places).repeat_interleave(len(pool))
@@ -218,15 +221,20 @@ def extended(
     return judged(fitted, scorer)
 
 
-def other_materials(at: Refit, generator: torch.Generator) -> Tensor:
-    """MATERIALS draws (S, P) of a refit's parameters from the prior, those of its effects and of the geometry
+def other_materials(at: Refit, count: int, generator: torch.Generator) -> Tensor:
+    """Draws (count, P) of a refit's parameters from the prior, those of its effects and of the geometry
     kept."""
-    parameters = at.model.parameter_set
-    kept = {column for added in at.hypothesis.added for column in effect_columns(parameters, added)}
-    columns = sorted(kept | set(at.model.assembly.geometry_columns))
-    draws = parameters.sample_prior(MATERIALS, generator)
+    draws = at.model.parameter_set.sample_prior(count, generator)
+    columns = settled(at)
     draws[:, columns] = at.theta[columns]
     return draws
+
+
+def settled(at: Refit) -> list[int]:
+    """Columns of a refit's theta that belong to its effects or to the geometry."""
+    parameters = at.model.parameter_set
+    kept = {column for added in at.hypothesis.added for column in effect_columns(parameters, added)}
+    return sorted(kept | set(at.model.assembly.geometry_columns))
 
 
 def second_look(
@@ -405,14 +413,10 @@ def explored(found: Found, scorer: Scorer, seed: int) -> Found:
     if likelihood.fitted_errors or found.score.noise.kind == "outliers" or not at.names:
         return found
     generator = torch.Generator().manual_seed(seed)
-    draws = torch.cat([other_materials(at, generator) for _ in range(WIDE)])
+    draws = other_materials(at, WIDE, generator)
     starts = screened(likelihood, draws, STARTS, torch.arange(len(draws)))
-    kept = {
-        column for added in at.hypothesis.added for column in effect_columns(at.model.parameter_set, added)
-    }
-    held = sorted(kept | set(at.model.assembly.geometry_columns))
     with torch.no_grad():
-        reached = polish(likelihood, torch.cat([at.theta[None], starts]), None, held=held)
+        reached = polish(likelihood, torch.cat([at.theta[None], starts]), None, held=settled(at))
     order = torch.argsort(reached.cost)
     theta = likelihood.model.parameter_set.from_flat(reached.y[order])
     wide = leading(likelihood, at.hypothesis, theta, reached.cost[order])

@@ -315,6 +315,11 @@ class Effect:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.target or ''})"
 
+    @property
+    def entry(self) -> str:
+        """Itself as a scene's list of effects has it."""
+        return str(Entry(self.name, self.target, self.by, self.width))
+
     def full_name(self, quantity: str) -> str:
         return f"{self.name}.{quantity}" + (f"[{self.target}]" if self.target else "")
 

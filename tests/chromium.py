@@ -61,6 +61,15 @@ class Page:
         self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         self._loaded = False
         self._call("Page.navigate", url=path.resolve().as_uri())
+        self._wait_until_loaded()
+
+    def leave(self, script: str) -> None:
+        """Run a script that leads to another page, and wait until that is there."""
+        self._loaded = False
+        self.run(script)
+        self._wait_until_loaded()
+
+    def _wait_until_loaded(self) -> None:
         while not self._loaded:
             self._event(self._message())
 

@@ -257,8 +257,8 @@ def test_the_page_sorts_and_filters(disturbed: Path, dark: bool):
         assert tab.run(shown) == [HOSTILE]
         assert tab.run("document.documentElement.scrollWidth") == 360
         assert tab.problems == []
-        tab.run(f"location.href = {json.dumps(link)}")
-        until(lambda: tab.run("document.title").endswith(": fit"), 20)
+        tab.leave(f"location.href = {json.dumps(link)}")
+        assert tab.run("document.title").endswith(": fit")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from torchlc.brdf.base import per_pair
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
 
-NODES = 48
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 class LobeTail(Effect):
@@ -85,8 +85,7 @@ def _norm(n: Tensor, g: Tensor) -> Tensor:
     near = u.abs() < 1e-6
     ratio = torch.where(near, 1 - 0.5 * u, -torch.expm1(-u) / torch.where(near, 1.0, u))
     closed = 0.5 * log_k / k * ratio
-    x, w = np.polynomial.legendre.leggauss(NODES)
-    place, weight = (torch.as_tensor(array).to(n) for array in (0.5 * (x + 1), 0.5 * w))
+    place, weight = (torch.as_tensor(array).to(n) for array in (0.5 * (NODES + 1), 0.5 * WEIGHTS))
     k, g, span = k[..., None], g[..., None], torch.log1p(2 * k)[..., None]
     grown = torch.expm1(span * place)  # 2 k (1 - c)
     below = grown / (2 * k)

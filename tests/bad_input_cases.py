@@ -268,6 +268,18 @@ SCENE_CASES = [
         'sigma = 1.0, prior = "lognormal"',
         "zero_point.value",
     ),
+    _scene(
+        "a size per curve",
+        "size = [2.0,",
+        'size = [{ value = 2.0, low = 1.0, high = 3.0, per = "curve" },',
+        'size[0].per: "curve"',
+    ),
+    _scene(
+        "a material per night",
+        "n = 1000.0",
+        'n = { value = 9.0, low = 1.0, high = 99.0, per = "night" }',
+        'materials.body.n.per: "night"',
+    ),
     _scene("unknown per", "sigma = 0.02,", 'sigma = 0.02, per = "week",', "zero_point.per: 'week'"),
     _scene(
         "bound beyond physics",

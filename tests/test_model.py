@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import sys
 from pathlib import Path
 
@@ -418,6 +420,38 @@ def test_the_table_of_a_fixed_geometry_is_the_model_of_a_free_one():
     fixed = torchlc.LightCurve(scene, recording, effects=["self_shadowing"])
     assert free.geometry_free and not fixed.geometry_free
     torch.testing.assert_close(free(), fixed(), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("number", ["spin_rate", "spin_phase"])
+def test_an_attitude_that_each_curve_has_for_itself(number):
+    """The rows of each curve are those of the whole recording at that curve's value."""
+    values = {"spin_rate": 3.0, "spin_phase": 20.0}
+    text = TUMBLER.format(*setting.ORBITS[1], "lambert", MASTS["lambert"])
+
+    def light(given: dict[str, object], curve: np.ndarray) -> np.ndarray:
+        keys = "".join(f"{key} = {value}\n" for key, value in given.items())
+        scene = torchlc.Scene.from_toml(re.sub(r"spin_rate = .*\nspin_phase = .*\n", keys, text))
+        recording = dataclasses.replace(rows(scene), curve=curve, curve_ids=("a", "b.c"))
+        model = torchlc.LightCurve(scene, recording)
+        theta = model.theta().detach().clone()
+        for name, value in (("a", 1.0), ("b.c", 2.5)):
+            if (full := f"attitude.{number}[{name}]") in model.names:
+                theta[model.names.index(full)] = value
+        return model(theta).detach().numpy()
+
+    curve = np.arange(len(rows(torchlc.Scene.from_toml(text)).seconds)) % 2
+    own = light({**values, number: '{ value = 2.0, sigma = 1.0, per = "curve" }'}, curve)
+    first, second = (light({**values, number: value}, curve) for value in (1.0, 2.5))
+    assert np.nanmax(abs(first - second)) > 0.01
+    np.testing.assert_allclose(own, np.where(curve == 0, first, second), rtol=1e-12)
+
+
+def test_a_part_is_the_same_in_every_curve():
+    text = TUMBLER.format(*setting.ORBITS[1], "lambert", MASTS["lambert"])
+    own = '"appendage.area" = { value = 1.0, low = 0.0, high = 2.0, per = "curve" }'
+    scene = torchlc.Scene.from_toml(text.replace("effects = []", 'effects = ["appendage"]') + own)
+    with pytest.raises(torchlc.InputError, match=r"appendage\.area\.per.*expected one value"):
+        torchlc.LightCurve(scene, rows(scene))
 
 
 def test_shares_sum_to_one_and_weigh_the_components():

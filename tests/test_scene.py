@@ -86,7 +86,7 @@ model = "lambert"
 albedo = { value = 0.8, low = 0.0, high = 1.0 }
 [materials.gold]
 n_u = 10.0
-n_v = { value = 100.0, low = 1, high = 1e4, prior = "loguniform", per = "curve" }
+n_v = { value = 100.0, low = 1, high = 1e4, prior = "loguniform" }
 r_spec = 0.5
 r_diff = { value = 0.3, sigma = 0.2 }
 [model.parameters]

@@ -113,7 +113,7 @@ class Assembly:
         }
         found = []
         for column, name in enumerate(self.parameters.names):
-            owner, _, short = name.rpartition(".")
+            owner, _, short = name.partition("[")[0].rpartition(".")
             effect = owners.get(name.partition(".")[0])
             material = effect is not None and effect.brdf is not None and _is_material(effect.brdf, short)
             if owner == "attitude" or short in COMPONENT_SIZES or (effect is not None and not material):
@@ -144,6 +144,10 @@ class Assembly:
             if keys and all(key in values for key in keys):
                 return torch.stack(torch.broadcast_tensors(*[values[key] for key in keys]), -1)[..., index]
         raise KeyError(name)
+
+    def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """``values`` with the attitude's numbers by full name as `rows` gives them."""
+        return {**values, **{name: self.rows(values, name) for name in self.attitude.numbers}}
 
     def material_values(
         self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
@@ -391,6 +395,9 @@ def _parameters(
                 ]
                 continue
             number = given.get(name, given.get(f"{effect.name}.{quantity.name}"))
+            if effect.brdf is not None and isinstance(number, SceneFree) and number.per is not None:
+                place, expected = f"{name}.per", "one value for the whole recording: the effect is a part"
+                raise InputError(scene.source, f"model.parameters.{place}", f'"{number.per}"', expected)
             add(name, number, quantity)
     simplex = [
         (f"{material}.{a}", f"{material}.{b}")

@@ -88,7 +88,7 @@ class Attitude(nn.Module):
         super().__init__()
         attitude = scene.attitude
         self.mode = attitude.mode
-        self._numbers = {
+        self.numbers = {
             name: getattr(number, "value", number)
             for name, number in scene.numbers().items()
             if name.startswith("attitude.")
@@ -155,7 +155,7 @@ class Attitude(nn.Module):
         return self.frame @ body_from_frame.transpose(-1, -2)
 
     def _value(self, name: str, values: Mapping[str, Tensor], like: Tensor) -> Tensor:
-        value = values[name] if name in values else self._numbers[name]
+        value = values[name] if name in values else self.numbers[name]
         return torch.as_tensor(value, dtype=like.dtype, device=like.device)
 
 

@@ -388,7 +388,7 @@ class LightCurve(nn.Module):
         for effect in a.stage("orbit"):
             request = effect.orbit(request, a.own(effect, values), context)
         state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
-        turned = dict(values)
+        turned = a.attitude_values(values)
         for effect in a.stage("spin"):
             turned = effect.spin(turned, a.own(effect, values), context)
         rotation = a.attitude.rotation(state, turned)

@@ -30,7 +30,7 @@ class Wobble(Effect):
     )
 
     def attitude(self, rotation, state, p, context):
-        lon, lat = torch.deg2rad(p["axis_lon"]), torch.deg2rad(p["axis_lat"])
+        lon, lat = map(torch.deg2rad, torch.broadcast_tensors(p["axis_lon"], p["axis_lat"]))
         across = torch.cos(lat)
         axis = torch.stack([across * torch.cos(lon), across * torch.sin(lon), torch.sin(lat)], -1)
         turn = 2 * math.pi * state.time / (60 * p["period_min"]) + torch.deg2rad(p["phase_deg"])

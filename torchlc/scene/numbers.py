@@ -129,6 +129,13 @@ def between(low: float = -math.inf, high: float = math.inf, *, above: bool = Fal
     return AfterValidator(lambda number: within(number, low, high, above=above))
 
 
+def _one_for_all(number: float | Free) -> float | Free:
+    if isinstance(number, Free) and number.per is not None:
+        expected = "one value for the whole recording, which sizes and materials have"
+        raise problem(f'"{number.per}"', expected, "per")
+    return number
+
+
 def _direction(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     if not math.hypot(*vector) > 1e-9:
         raise problem(f"{list(vector)}", "a direction, not of length 0")
@@ -144,6 +151,9 @@ def _name(text: str) -> str:
 
 
 Positive = Annotated[Number, between(0.0, above=True)]
+Constant = Annotated[Number, AfterValidator(_one_for_all)]
+"""A number that is one for the whole recording."""
+Size = Annotated[Constant, between(0.0, above=True)]
 Vector = tuple[Real, Real, Real]
 Direction = Annotated[tuple[Real, Real, Real], AfterValidator(_direction)]
 Name = Annotated[str, AfterValidator(_name)]

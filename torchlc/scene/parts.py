@@ -9,12 +9,14 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from torchlc.scene.numbers import (
+    Constant,
     Direction,
     Free,
     Name,
     Number,
     Positive,
     Real,
+    Size,
     Table,
     Vector,
     between,
@@ -162,7 +164,7 @@ class Box(_Component):
     """``size`` along body X, Y, Z before ``rotation``."""
 
     shape: Literal["box"]
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[Size, Size, Size]
     face_materials: dict[Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"], Name] = Field(default_factory=dict)
 
     def numbers(self) -> dict[str, float | Free]:
@@ -179,7 +181,7 @@ class Plate(_Component):
     """A two-sided rectangle, ``size`` along u and v; the normal of its front is u x v."""
 
     shape: Literal["plate"]
-    size: tuple[Positive, Positive]
+    size: tuple[Size, Size]
     u: Direction
     v: Direction
     back_material: Name | None = None
@@ -214,8 +216,8 @@ class Cylinder(_Component):
     """Closed by two caps; ``axis`` points to cap+, ``facets`` is the least number of side facets."""
 
     shape: Literal["cylinder"]
-    radius: Positive
-    length: Positive
+    radius: Size
+    length: Size
     axis: Direction = (0.0, 0.0, 1.0)
     facets: Facets | None = None
 
@@ -227,9 +229,9 @@ class Cone(_Component):
     """A frustum from ``radius`` to ``radius_top`` along ``axis``."""
 
     shape: Literal["cone"]
-    radius: Positive
-    radius_top: Annotated[Number, between(0.0)] = 0.0
-    length: Positive
+    radius: Size
+    radius_top: Annotated[Constant, between(0.0)] = 0.0
+    length: Size
     axis: Direction = (0.0, 0.0, 1.0)
     facets: Facets | None = None
 
@@ -241,8 +243,8 @@ class Dish(_Component):
     """An open two-sided bowl; ``axis`` points out of its opening."""
 
     shape: Literal["dish"]
-    radius: Positive
-    depth: Positive
+    radius: Size
+    depth: Size
     axis: Direction = (0.0, 0.0, 1.0)
     facets: Facets | None = None
 
@@ -252,7 +254,7 @@ class Dish(_Component):
 
 class Sphere(_Component):
     shape: Literal["sphere"]
-    radius: Positive
+    radius: Size
 
     def numbers(self) -> dict[str, float | Free]:
         return {"radius": self.radius}
@@ -274,7 +276,7 @@ class Material(Table):
 
     model: str = "ashikhmin-shirley"
     preset: str | None = None
-    parameters: dict[str, Number] = Field(default_factory=dict)
+    parameters: dict[str, Constant] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod

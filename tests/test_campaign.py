@@ -28,7 +28,7 @@ from tests.chromium import PROGRAM, Page
 from tests.small_case import write_case
 from torchlc.campaign.cluster import connected, spread
 from torchlc.campaign.manifest import Job, check_manifest, read_manifest
-from torchlc.campaign.objects import read_record
+from torchlc.campaign.objects import origin_of, read_record
 from torchlc.cli import run
 from torchlc.errors import TorchlcError
 from torchlc.output import LOCK_NAME, OutputDirectory
@@ -224,6 +224,20 @@ def test_a_repetition_does_only_what_is_not_finished(
     assert json.loads((folders["d"] / "diagnosis.json").read_text())["provenance"]["seed"] == 10
     for name in (HOSTILE, "c"):
         assert folders[name].stat().st_mtime_ns == before[name], "finished objects are left alone"
+
+
+@pytest.mark.parametrize("name", ["elements.txt", "orbit.oem"])
+def test_the_files_that_a_scene_names_are_part_of_a_result(name: str, tmp_path: Path):
+    """Elements brought up to date make the object be done again."""
+    key = {"elements.txt": "tle_file", "orbit.oem": "oem_file"}[name]
+    (tmp_path / "scene.toml").write_text(f'[orbit]\n{key} = "{name}"\n')
+    (tmp_path / "recording.csv").write_text("")
+    job = Job("a", tmp_path / "scene.toml", tmp_path / "recording.csv", "fit", seed=0)
+    seen = set()
+    for content in ("old", "new"):
+        (tmp_path / name).write_text(content)
+        seen.add(json.dumps(origin_of(job)))
+    assert len(seen) == 2
 
 
 def test_a_hostile_name_stays_in_its_place(disturbed: Path):

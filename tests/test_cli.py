@@ -231,6 +231,8 @@ def test_a_chain_of_other_data_is_not_resumed(
     capsys.readouterr()
     assert run(arguments) == 2
     assert "a chain of other data" in capsys.readouterr().err
+    assert run([arguments[0], *case, *arguments[3:], "--seed", "4"]) == 2
+    assert "a chain of seed 0; expected one of seed 4" in capsys.readouterr().err
     assert (tmp_path / "out" / "fit.json").read_bytes() == before
 
 

@@ -117,6 +117,14 @@ def test_a_file_limit_is_told_as_a_full_disk_and_leaves_no_half_file(tmp_path: P
     assert [p.name for p in tmp_path.iterdir()] == ["small.txt"]
 
 
+def test_a_disk_without_room_for_a_lock_keeps_nothing(tmp_path: Path):
+    text = FULL.replace("100_000, 100_000", "0, 0")
+    command = [sys.executable, "-c", text, str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "ResourceError: no room on disk" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_json_has_no_nan(tmp_path: Path):
     content = {
         "a": [1.0, math.nan, np.float64(math.inf)],

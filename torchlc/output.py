@@ -99,7 +99,11 @@ class OutputDirectory:
                 if _same_file(descriptor, lock):
                     started = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
                     os.ftruncate(descriptor, 0)
-                    os.write(descriptor, json.dumps({"pid": os.getpid(), "started": started}).encode())
+                    try:
+                        os.write(descriptor, json.dumps({"pid": os.getpid(), "started": started}).encode())
+                    except OSError:
+                        lock.unlink()
+                        raise
                     self._descriptor = descriptor
                     return
                 os.close(descriptor)  # its owner finished between our open and our lock

@@ -197,7 +197,7 @@ def sample(
     )
     state = None
     if resume and chain_file is not None:
-        state = _resumed(chain_file, backend, names, count, density)
+        state = _resumed(chain_file, backend, names, count, seed, density)
     if state is None:
         start = initial_walkers(fit, count, seed)
         state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
@@ -223,7 +223,7 @@ def sample(
             progress("emcee", min(max(share, backend.iteration / limit), 0.99))
         grown = backend.iteration >= written + max(200, written // 4)
         if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
-            write_chain(chain_file, backend, names)
+            write_chain(chain_file, backend, names, seed)
             written, clock = backend.iteration, time.monotonic()
     return _posterior(likelihood, backend, names, steps)
 
@@ -236,7 +236,7 @@ def _next_check(iteration: int) -> int:
     return due
 
 
-def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -> None:
+def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str], seed: int) -> None:
     """The chain so far in emcee's HDF5 layout (straight coordinates), whole or not at all."""
     stream = io.BytesIO()
     with h5py.File(stream, "w") as file:
@@ -244,7 +244,7 @@ def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str]) -
         walkers, dimensions = backend.shape
         group.attrs.update(
             version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False,
-            iteration=backend.iteration, parameters=names,
+            iteration=backend.iteration, parameters=names, seed=seed,
         )  # fmt: skip
         for index, part in enumerate(backend.random_state or ()):
             group.attrs[f"random_state_{index}"] = part
@@ -260,6 +260,7 @@ def _resumed(
     backend: emcee.backends.Backend,
     names: list[str],
     walkers: int,
+    seed: int,
     density: Callable[[np.ndarray], np.ndarray],
 ) -> emcee.State | None:
     """Fill the in-memory backend from a chain on disk; None if there is none."""
@@ -270,6 +271,7 @@ def _resumed(
         with h5py.File(path, "r") as file:
             attributes: Any = file[BACKEND_NAME].attrs
             stored = list(attributes["parameters"])
+            begun = int(attributes.get("seed", seed))
         shape = disk.shape
     except (OSError, KeyError) as error:
         raise InputError(
@@ -283,6 +285,9 @@ def _resumed(
             f"{walkers} walkers over {', '.join(names)}",
             "Remove it to start anew, or give the scene and --walkers it was made with",
         )
+    if begun != seed:
+        hint = f"Remove it to start anew, or go on with --seed {begun}"
+        raise InputError(path, None, f"a chain of seed {begun}", f"one of seed {seed}", hint)
     backend.reset(*shape)
     backend.grow(disk.iteration, None)
     backend.chain[:] = disk.get_chain()

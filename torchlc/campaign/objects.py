@@ -177,12 +177,13 @@ def _record(job: Job, folder: Path, status: str, **more: Any) -> str:
 
 
 def _named_files(scene: bytes) -> Iterator[str]:
-    """Meshes and quaternions that a scene names; nothing where it is not TOML, which its reader will say."""
+    """Meshes, quaternions, elements and ephemerides that a scene names; nothing where it is not TOML, which its
+    reader will say."""
 
     def walk(node: Any) -> Iterator[str]:
         if isinstance(node, dict):
             for key, value in node.items():
-                if key == "file" and isinstance(value, str):
+                if key in ("file", "tle_file", "oem_file") and isinstance(value, str):
                     yield value
                 else:
                     yield from walk(value)

@@ -99,8 +99,9 @@ class LightCurve(nn.Module):
             self._keys.append((owner, short))
         shared = sibling is not None and sibling.tables_key == self.tables_key
         self._tables: dict[bool, Tables] = sibling._tables if shared and sibling is not None else {}
-        self._nodes: list[Tables] = []
-        self._node_step = 1.0
+        self._nodes: dict[bool, tuple[list[Tables], float]] = (
+            sibling._nodes if shared and sibling is not None else {}
+        )
         self._recent: dict[tuple[bool, bytes], Tables] = {}
         self._steps: dict[tuple[bool, int], Tables] = {}
 
@@ -184,13 +185,16 @@ class LightCurve(nn.Module):
         if not self.geometry_free:
             detail = shares or self.assembly.needs_shares
             return self._chunked(theta, self.tables(detail), shares)
-        if theta.ndim == 1:
-            return self._single(theta, shares)
         flat = theta.reshape(-1, theta.shape[-1])
-        if not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
+        clock = self._only_clock()
+        if theta.ndim == 1 and not clock:
+            return self._single(theta, shares)
+        if clock or not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
             stepped = self._stepping_effect()
             grouped = None
-            if stepped is not None:
+            if clock:
+                grouped = self._interpolated(flat, shares)
+            elif stepped is not None:
                 grouped = self._stepped(flat, stepped, shares)
             elif not torch.is_grad_enabled():
                 grouped = self._grouped(flat, shares)
@@ -211,14 +215,13 @@ class LightCurve(nn.Module):
 
     def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
-        almost none do, so that a vectorised call is better. Recent tables are kept: an optimiser comes back
+        almost none do and a few fit into one vectorised call. Recent tables are kept: an optimiser comes back
         to the point it stepped from."""
-        if self._only_clock():
-            return self._interpolated(flat, shares)
         moving = flat[:, self.assembly.geometry_columns]
         distinct, member = torch.unique(moving, dim=0, return_inverse=True)
         slow = any(effect.name == "self_shadowing" for effect in self.effects)
-        if len(distinct) > 0.6 * len(flat) and not slow:
+        many = self.assembly.pairs > VALUES_AT_ONCE
+        if len(distinct) > 0.6 * len(flat) and not slow and not many:
             return None
         detail = shares or self.assembly.needs_shares
         flux = flat.new_empty(len(flat), self.assembly.T)
@@ -236,6 +239,10 @@ class LightCurve(nn.Module):
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares
         return Brightness(flux, kept, self.assembly.components)
+
+    def forget(self) -> None:
+        """Drops the tables of recent geometries, which an optimiser at work comes back to."""
+        self._recent.clear()
 
     def batch_size(self, tables: Tables | None = None) -> int:
         """Values of theta that are worked out at once where the geometry is fixed: VALUES_AT_ONCE over the
@@ -267,50 +274,42 @@ class LightCurve(nn.Module):
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a
         turn apart, by cubics through four of them; offsets beyond the outermost are taken there."""
-        values = self.parameter_set.values(flat[0])
-        detail = shares or self.assembly.needs_shares
+        nodes, step = self._clock_nodes(shares or self.assembly.needs_shares)
         half = NODES // 2
-        if not self._nodes:
-            still = {
-                **values,
-                **{
-                    name: torch.zeros_like(v)
-                    for name, v in values.items()
-                    if name.startswith("time_offset.s")
-                },
-            }
-            later = {
-                **values,
-                **{
-                    name: torch.ones_like(v) for name, v in values.items() if name.startswith("time_offset.s")
-                },
-            }
-            state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
-            first, second = (self.assembly.attitude.rotation(one, values) for one in state)
-            turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
-            self._node_step = float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
-            for k in range(-half, half + 1):
-                moved = {
-                    name: still[name] + k * self._node_step * (later[name] - still[name]) for name in values
-                }
-                self._nodes.append(self.make_tables(self.view(moved), moved, detail, compact=True))
-        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / self._node_step
+        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / step
         place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
         first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
         column = torch.arange(self.assembly.T)
         surfaces = []
-        for number, surface in enumerate(self._nodes[0].surfaces):
+        for number, surface in enumerate(nodes[0].surfaces):
             table = {}
             for name in surface.table:
-                stack = torch.stack([node.surfaces[number].table[name] for node in self._nodes])
+                stack = torch.stack([node.surfaces[number].table[name] for node in nodes])
                 table[name] = sum(
                     (weights[k] * stack[first_node + k, column] for k in range(4)),
                     start=torch.zeros_like(place),
                 )
             surfaces.append(replace(surface, table=table))
-        tables = replace(self._nodes[0], surfaces=tuple(surfaces))
+        tables = replace(nodes[0], surfaces=tuple(surfaces))
         return self.shine(tables, self.parameter_set.values(flat), shares)
+
+    def _clock_nodes(self, detail: bool) -> tuple[list[Tables], float]:
+        """Tables at NODES offsets of the clock about none, and the step between them, s."""
+        if detail not in self._nodes:
+            with torch.no_grad():
+                values = self.parameter_set.values(self.parameter_set.start())
+                clocks = [name for name in values if name.startswith("time_offset.s")]
+                state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
+                first, second = (self.assembly.attitude.rotation(one, values) for one in state)
+                turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
+                step = float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
+                made = []
+                for k in range(-(NODES // 2), NODES // 2 + 1):
+                    moved = {**values, **{name: torch.full_like(values[name], k * step) for name in clocks}}
+                    made.append(self.make_tables(self.view(moved), moved, detail, compact=True))
+                self._nodes[detail] = made, step
+        return self._nodes[detail]
 
     def _stepping_effect(self) -> Effect | None:
         """The effect whose parameter alone moves the geometry, if light can be interpolated over it."""

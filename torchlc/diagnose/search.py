@@ -70,10 +70,12 @@ class Probe:
     psi: Tensor
     signatures: Tensor
     scores: Tensor
+    together: float = 0.0
+    """What the parts of a divided offset score together, less the one that each would in pure noise."""
 
     @property
     def score(self) -> float:
-        return float(self.scores.max()) if len(self.scores) else 0.0
+        return float(self.scores.max()) if len(self.scores) else self.together
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ def judged(fitted: Refit, scorer: Scorer) -> Found:
     """A refit with its score; where outliers describe its residuals best, refitted with those rows given less
     weight, for least squares follow them."""
     found = Found(fitted, scorer.score(fitted))
+    fitted.model.forget()
     for _ in range(REWEIGHTED):
         likelihood = found.refit.likelihood
         if found.score.noise.kind != "outliers" or likelihood.fitted_errors or not likelihood.model.names:
@@ -151,23 +154,35 @@ def divisions(bench: Workbench) -> list[str]:
 
 
 def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
-    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters."""
+    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters; of a divided offset
+    only what its parts score together."""
     hypothesis = at.hypothesis.with_effect(entry)
     likelihood = bench.likelihood(hypothesis)
     parameters = likelihood.model.parameter_set
     columns = effect_columns(parameters, entry)
+    per = Entry.parse(entry).per
     count = 1 if not columns else GRID if len(columns) <= 2 else GRID_PER_DIMENSION * len(columns)
     if is_slow(likelihood.model):
         count = min(count, 16)
-    generator = torch.Generator().manual_seed(seed)
-    psi = effect_starts(likelihood, entry, count, generator)
-    theta = bench.start(hypothesis, at.theta[None].expand(count, -1), at.names)
-    theta[:, columns] = psi
+    theta = bench.start(hypothesis, at.theta[None], at.names)
+    if per is not None:
+        psi = theta.new_zeros(0, len(columns))
+        theta[:, columns] += divided_step(entry)
+    else:
+        generator = torch.Generator().manual_seed(seed)
+        psi = effect_starts(likelihood, entry, count, generator)
+        theta = theta.repeat(count, 1)
+        theta[:, columns] = psi
     with torch.no_grad():
         change = (at.delta - likelihood.residuals(theta).delta) / at.sigma
+    likelihood.model.forget()
     change = torch.nan_to_num(change)
+    if per is not None:
+        context = bench.base.context
+        part = context.curve if per == "curve" else context.night
+        change = torch.where(part == torch.unique(part)[:, None], change, 0.0)
     basis, peaked = residual_projection(at)
-    padded = torch.cat([change, change.new_zeros(count, len(peaked))], 1)
+    padded = torch.cat([change, change.new_zeros(len(change), len(peaked))], 1)
     projected = padded - (padded @ basis) @ basis.T
     norm = torch.linalg.vector_norm(projected, dim=1)
     raw = torch.linalg.vector_norm(change, dim=1)
@@ -176,7 +191,15 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
     u = torch.cat([at.delta / at.sigma, at.model.parameter_set.prior_residuals(at.theta)])
     u[len(at.delta) :] = -u[len(at.delta) :]
     scores = (unit @ u) ** 2
+    if per is not None:
+        return Probe(entry, psi, unit[:0, : len(at.delta)], scores[:0], max(float((scores - 1.0).sum()), 0.0))
     return Probe(entry, psi[usable], unit[:, : len(at.delta)], scores)
+
+
+def divided_step(entry: str) -> float:
+    """The offset by which every part of a divided effect is moved to see what it does."""
+    (quantity,) = registry()[Entry.parse(entry).name].quantities
+    return quantity.typical - quantity.off  # pyright: ignore[reportOperatorIssue]
 
 
 def extended(

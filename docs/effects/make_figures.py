@@ -109,10 +109,13 @@ SETTINGS = {
     "geostationary, a mirror's glint": Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
     "geostationary, an eclipse": Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
     "geostationary, a year at one hour": Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
-    "low orbit, one pass": Setting(LEO, "2008-09-20T12:07", 10 / 60, 4.0),
+    "low orbit, one pass": Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
     "low orbit, a turn a minute": Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
+    "low orbit, a turn in eight minutes": Setting(
+        SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0
+    ),
 }
-NIGHT, MIRROR, ECLIPSE, YEAR, PASS, SPIN = SETTINGS
+NIGHT, MIRROR, ECLIPSE, YEAR, PASS, SPIN, SLOW = SETTINGS
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ CASES = {
     "earth_shadow": Case(ECLIPSE, "shadow_coordinate"),
     "earthshine": Case(PASS, "phase_angle_deg", {"albedo": 0.3}, materials=WHITE),
     "interreflection": Case(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE),
-    "self_shadowing": Case(SPIN, "spin_phase"),
+    "self_shadowing": Case(SLOW, "sun_lon_body"),
     "appendage": Case(NIGHT, "phase_angle_deg", {"area": 1.5, "lon": 20.0, "lat": 70.0}),
     "back_transmission": Case(PASS, "phase_angle_deg", {"t_d": 0.02}, "panel"),
     "normal_dispersion": Case(NIGHT, PANEL_GLINT, {"deg": 3.0}, "panel"),
@@ -285,13 +288,15 @@ def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.nda
 def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
     noise = registry()[name].stage == "noise"
     with plt.rc_context({**style(8.5), "figure.facecolor": "white"}):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.5), layout="constrained")
+        figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.7), layout="constrained")
         hours = columns["hours"]
         scale, unit = (1.0, "hours") if hours.max() < 100 else (24.0, "days")
         if hours.max() < 0.5:
             scale, unit = 1 / 60, "minutes"
         labels = (
-            ("quoted errors alone", "with the noise") if noise else ("left out", "and materials refitted")
+            ("quoted errors alone", "with the noise")
+            if noise
+            else ("left out", "left out, materials refitted")
         )
         dots = {"ls": "", "marker": "o", "ms": 2.2}
         for values, colour, label in zip(
@@ -300,15 +305,15 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
             left.plot(hours / scale, values, color=colour, label=label, **dots)
         left.set_xlabel(unit)
         left.set_ylabel("drawn error, mag" if noise else "with − without, mag")
-        left.legend(fontsize=7.5, handletextpad=0.1, borderaxespad=0.1)
         if noise:
             shown_noise(case, columns, right)
         elif case.coordinate == "time":
             right.plot(hours / scale, columns["with"], color=DATA, label="with it", **dots)
-            right.plot(hours / scale, columns["without"], color=MODEL, lw=1.1, label="without, refitted")
+            right.plot(
+                hours / scale, columns["without"], color=MODEL, lw=1.1, label="without it, materials refitted"
+            )
             right.invert_yaxis()
             right.set(xlabel=unit, ylabel="mag")
-            right.legend(fontsize=7.5, borderaxespad=0.1)
         else:
             for key, colour in (("plain", BEFORE), ("left", MODEL)):
                 right.plot(columns["along"], columns[key], color=colour, **dots)
@@ -317,12 +322,12 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
             if not (axes is right and (noise or case.coordinate == "time")):
                 axes.axhline(0, color=DATA, lw=0.7, zorder=0)
                 axes.invert_yaxis()
+        figure.legend(loc="outside lower center", ncols=4, fontsize=8, handletextpad=0.3)
         shown = ", ".join(f"{key} {value:g}" for key, value in case.values.items())
-        size = sizes["rms_mag"] if noise else sizes["refitted_rms_mag"]
-        figure.suptitle(
-            f"{name}{': ' + shown if shown else ''} ({case.setting}); rms {size:.2g} mag, at most "
-            f"{sizes['refitted_most_mag']:.2g}", fontsize=8.5,
-        )  # fmt: skip
+        rms = f"rms {sizes['rms_mag']:.2g} mag"
+        if not noise:
+            rms += f", refitted {sizes['refitted_rms_mag']:.2g}"
+        figure.suptitle(f"{name}{': ' + shown if shown else ''} ({case.setting}): {rms}", fontsize=8.5)
         FIGURES.mkdir(exist_ok=True)
         figure.savefig(FIGURES / f"{name}.png", dpi=110)
         plt.close(figure)

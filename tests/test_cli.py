@@ -20,6 +20,7 @@ import torchlc
 from tests.bad_input_cases import CASES, Case
 from tests.small_case import write_case
 from torchlc.cli import run
+from torchlc.output import LOCK_NAME
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"
 TLE = """\
@@ -168,39 +169,84 @@ def test_warnings_of_libraries_stay_away(
     assert "from a library" not in capsys.readouterr().err
 
 
-def test_a_killed_fit_resumes_to_the_same_answer_and_a_second_one_is_refused(
-    case: tuple[str, str], tmp_path: Path
+def test_an_interrupted_fit_resumes_to_the_same_answer_and_a_second_one_is_refused(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """Ctrl-C ends with 130 and says how to go on; kill -9 leaves whole files; the result is that of an undisturbed run."""
+    """Ctrl-C ends with 130 and says how to go on; the result is that of an undisturbed run."""
 
     def arguments(name: str) -> list[str]:
         return ["fit", *case, "-o", str(tmp_path / name), "--steps", "500", "--seed", "3", "--quiet"]
 
     first = process(*arguments("b"))
     until(lambda: (tmp_path / "b" / "chain.h5").exists(), first)
-    second = process(*arguments("b"))
-    code, (_, error) = second.wait(180), second.communicate()
-    assert code == 2 and f"in use by another run: process {first.pid}" in error
-    assert len(error.splitlines()) == 1
+    assert run(arguments("b")) == 2
+    error = capsys.readouterr().err
+    assert f"in use by another run: process {first.pid}" in error and len(error.splitlines()) == 1
     first.send_signal(signal.SIGINT)
     _, error = first.communicate(timeout=180)
     assert first.returncode == 130
     assert error.splitlines() == [
         f"torchlc: interrupted; continue with: torchlc {' '.join(arguments('b'))} --resume"
     ]
-    third = process(*arguments("b"), "--resume")
-    time.sleep(1.5)
-    third.kill()
-    third.communicate()
-    last = process(*arguments("b"), "--resume")
-    assert last.wait(240) == 0, last.communicate()
-    last.communicate()
+    assert run([*arguments("b"), "--resume"]) == 0
     assert run(arguments("a")) == 0
     told = [json.loads((tmp_path / name / "fit.json").read_text()) for name in "ab"]
     for one in told:
         del one["seconds"], one["provenance"]
     assert told[0] == told[1]
     assert not [p for p in (tmp_path / "b").iterdir() if p.name.startswith(".")]
+
+
+def test_an_interrupted_diagnosis_leaves_nothing_and_says_how_to_begin_again(
+    case: tuple[str, str], tmp_path: Path
+):
+    arguments = ["diagnose", *case, "-o", str(tmp_path / "out"), "--quiet"]
+    worker = process(*arguments)
+    until((tmp_path / "out" / LOCK_NAME).exists, worker)
+    worker.send_signal(signal.SIGINT)
+    said, error = worker.communicate(timeout=180)
+    assert worker.returncode == 130 and not said
+    assert error.splitlines() == [f"torchlc: interrupted; begin again with: torchlc {' '.join(arguments)}"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("buffered", [True, False])
+@pytest.mark.parametrize("command", ["effects", "materials --json", "fit --help"])
+def test_a_reader_that_has_gone_away_is_no_error(command: str, buffered: bool):
+    """As in ``torchlc effects | head -1``."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "torchlc", *command.split()], stdout=writer, stderr=subprocess.PIPE, text=True,
+        check=False, env={**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"},
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_options_and_names():
+    typed = {
+        "torchlc di": {"diagnose"},
+        "torchlc diagnose --q": {"--quick", "--quiet"},
+        "torchlc diagnose a b --effects panel_offset,earth": {
+            "panel_offset,earth_shadow", "panel_offset,earthshine"
+        },
+        "torchlc materials fit a --model gg": {"ggx"},
+        "torchlc init my.toml --shape cu": {"cubesat"},
+        "torchlc fit a b --use f": {"flux"},
+    }  # fmt: skip
+    asks = "".join(
+        f"COMP_WORDS=({words}); COMP_CWORD={len(words.split()) - 1}; COMPREPLY=()\n"
+        '_torchlc_completion torchlc; (IFS=" "; echo "${COMPREPLY[*]}")\n'
+        for words in typed
+    )
+    where = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", f'eval "$(torchlc --show-completion bash)"\n{asks}'],
+        capture_output=True, text=True, check=True, env={**os.environ, "PATH": where},
+    )  # fmt: skip
+    assert [set(line.split()) for line in done.stdout.splitlines()] == list(typed.values())
 
 
 def until(condition, worker: subprocess.Popen[str]) -> None:

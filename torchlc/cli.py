@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchlc import __version__
+from torchlc import __version__, completion
 from torchlc.terminal import exit_code, printable, progress_bar, say, show_json
 
 if TYPE_CHECKING:
@@ -40,7 +40,10 @@ Threads = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Use = Annotated[
-    str | None, typer.Option(help="mag or flux, of a recording that has both.", show_default=False)
+    str | None,
+    typer.Option(
+        help="mag or flux, of a recording that has both.", show_default=False, autocompletion=completion.kinds
+    ),
 ]
 Trust = Annotated[bool, typer.Option("--trust", help="Let the scene name files outside its own folder.")]
 
@@ -127,9 +130,7 @@ def fit(
     json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Find what the object is made of: Adam, then emcee; fit.json, posterior.nc, chain.h5, report.html and
-    figures.
-    """
+    """Find what the object is made of: Adam, then emcee; fit.json, posterior.nc, chain.h5, report.html."""
     use_threads(threads)
     from torchlc import api
 
@@ -151,7 +152,11 @@ def diagnose(
     out: Out,
     effects: Annotated[
         str | None,
-        typer.Option(help="The only candidates, comma-separated; noise is always added.", show_default=False),
+        typer.Option(
+            help="The only candidates, comma-separated; noise is always added.",
+            show_default=False,
+            autocompletion=completion.effects,
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="No sampler, few refits.")] = False,
     use: Use = None,
@@ -213,9 +218,7 @@ def campaign(
     threads: Annotated[int, typer.Option(help="Threads of each worker.", min=1, max=1024)] = 1,
     json: Json = False,
 ) -> None:
-    """Fit or diagnose many objects on Dask: a directory each, summary.parquet and index.html. Repeated, it
-    does what is not done yet.
-    """
+    """Fit or diagnose many objects on Dask. Repeated, it does what is not done yet."""
     use_threads(threads)
     from torchlc import api
 
@@ -315,7 +318,9 @@ def fit_material(
         Path,
         typer.Argument(metavar="FILE", help="CSV with incidence, azimuth, exit, brdf.", show_default=False),
     ],
-    model: Annotated[str, typer.Option(help="Reflection model.")] = "ashikhmin-shirley",
+    model: Annotated[
+        str, typer.Option(help="Reflection model.", autocompletion=completion.laws)
+    ] = "ashikhmin-shirley",
     without_peak: Annotated[
         float, typer.Option(metavar="DEG", help="Leave out rows this near the mirror direction.", min=0)
     ] = 0.0,
@@ -347,7 +352,10 @@ def init(
         Path, typer.Option(metavar="FILE", help="Two-line elements of one object.", show_default=False)
     ],
     shape: Annotated[
-        str, typer.Option(help="box-wing, cubesat, rocket body, cylinder or mesh.")
+        str,
+        typer.Option(
+            help="box-wing, cubesat, rocket body, cylinder or mesh.", autocompletion=completion.shapes
+        ),
     ] = "box-wing",
     station: Annotated[
         str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
@@ -458,12 +466,15 @@ def show_fit(result: FitResult, out: Path, *, quiet: bool, json: bool) -> None:
 
 def after_interrupt(arguments: list[str]) -> str:
     """How to go on after Ctrl-C."""
-    if arguments[:1] == ["campaign"]:
-        return f"; continue with: torchlc {shlex.join(arguments)}"
-    if arguments[:1] != ["fit"]:
-        return ""
-    again = arguments if "--resume" in arguments else [*arguments, "--resume"]
-    return f"; continue with: torchlc {shlex.join(again)}"
+    match arguments[:1]:
+        case ["fit"]:
+            again = arguments if "--resume" in arguments else [*arguments, "--resume"]
+            return f"; continue with: torchlc {shlex.join(again)}"
+        case ["campaign"]:
+            return f"; continue with: torchlc {shlex.join(arguments)}"
+        case ["diagnose" | "demo"]:
+            return f"; begin again with: torchlc {shlex.join(arguments)}"
+    return ""
 
 
 def run(arguments: list[str]) -> int:

@@ -48,7 +48,9 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
     except UsageProblem as error:
         say(f"error: {one_line(getattr(error, 'format_message', error.__str__)())}. Try --help.")
         return USAGE
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit) as error:
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise  # the command line's library makes an exit of a broken pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:

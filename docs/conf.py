@@ -8,6 +8,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 import torchlc
 from torchlc.diagnose import evidence, families, gate, run, search, where
 from torchlc.effects import registry
@@ -18,7 +21,8 @@ author = "the torchlc authors"
 project_copyright = "2026, the torchlc authors"
 version = release = torchlc.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "deflist", "substitution"]
 myst_substitutions = {
     "adequate_p": f"{run.ADEQUATE_P:g}",
@@ -192,5 +196,14 @@ def prior(one: dict[str, Any]) -> str:
     return f"{one['prior']}({sigma:g})" if one["prior"] == "halfnormal" else one["prior"]
 
 
+def write_formula(page: Any, node: nodes.math | nodes.math_block) -> None:
+    """As MathML, which a browser shows by itself, offline."""
+    page.body.append(
+        convert(node.astext(), display="block" if isinstance(node, nodes.math_block) else "inline")
+    )
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
     app.connect("builder-inited", write_library)
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))

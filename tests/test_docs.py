@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from tests.run_page import blocks
 ROOT = Path(__file__).parent.parent
 NEEDS_SHARED = "<!-- needs ../shared -->"
 """Stands in a page whose code reads the data beside the repository."""
+FETCHED = re.compile(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
 PAGES = sorted(
     page
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
@@ -57,3 +59,9 @@ def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr[-4000:]
     assert "panel_offset" in (tmp_path / "html" / "effects" / "index.html").read_text(encoding="utf-8")
+    fetched = [
+        (str(page.relative_to(tmp_path)), found)
+        for page in (tmp_path / "html").rglob("*.html")
+        for found in FETCHED.findall(page.read_text(encoding="utf-8"))
+    ]
+    assert not fetched, "the pages open without a network"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,7 @@ autodoc_typehints_description_target = "documented_params"
 html_theme = "furo"
 html_title = f"torchlc {version}"
 
+BOLD = re.compile(r'<mi mathvariant="bold">([a-z])</mi>')
 STAGES = {
     "clock": "When light is taken",
     "orbit": "Where it is taken",
@@ -197,10 +199,12 @@ def prior(one: dict[str, Any]) -> str:
 
 
 def write_formula(page: Any, node: nodes.math | nodes.math_block) -> None:
-    """As MathML, which a browser shows by itself, offline."""
-    page.body.append(
-        convert(node.astext(), display="block" if isinstance(node, nodes.math_block) else "inline")
-    )
+    """As MathML, which a browser shows by itself, offline; bold letters as characters of their own, as browsers
+    want them."""
+    block = isinstance(node, nodes.math_block)
+    formula = convert(node.astext(), display="block" if block else "inline")
+    formula = BOLD.sub(lambda letter: f"<mi>{chr(ord('𝐚') + ord(letter[1]) - ord('a'))}</mi>", formula)
+    page.body.append(f'<div style="padding: 0.6em 0">{formula}</div>' if block else formula)
     raise nodes.SkipNode
 
 

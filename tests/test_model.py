@@ -39,7 +39,7 @@ C_SUN = 455.0
 
 
 def facet_irradiance(n, u, v, area, sun, obs, range_m, material):
-    """Eqs. 2-6, 8 and 9 for one facet and one epoch, in floats, term by term as printed and audited."""
+    """Eqs. 2-6, 8 and 9 for one facet and one epoch, in floats, term by term as printed."""
     n_u, n_v = material.get("n_u", material.get("n")), material.get("n_v", material.get("n"))
     r_spec, r_diff = material["r_spec"], material["r_diff"]
     if n @ sun <= 0 or n @ obs <= 0:

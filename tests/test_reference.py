@@ -82,7 +82,7 @@ def test_sun_of_meeus_example() -> None:
     assert np.linalg.norm(vector) / sky.AU_KM == pytest.approx(0.99760775, abs=2e-6)
 
 
-def test_object_1_geometry_of_the_audit() -> None:
+def test_object_1_geometry_of_one_night() -> None:
     """17 October 2020: least phase angle 16.8 deg at 16.52 UT, airmass 1.39-1.46; ranges from astropy."""
     one = scene("""
         [attitude]
@@ -318,7 +318,7 @@ def test_penumbra_of_a_straight_limb() -> None:
     assert np.all(np.diff(share) <= 0)
 
 
-def test_umbra_of_the_audit() -> None:
+def test_umbra_of_one_night() -> None:
     """10 October 2020: penumbra 16.199-16.648 UT; the grazing umbra of the flattened Earth lasts 9.8 min."""
     one = scene(ATTITUDE + plate("a", [0, 0, 0]))
     hours = np.arange(16.1, 16.75, 0.004)

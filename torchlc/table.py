@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchlc.brdf.base import Brdf, Incidence, incidence
+from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.effects.base import Light, Patch, View
 
 PAIRS_PER_CHUNK = 200_000
@@ -85,15 +85,22 @@ def _columns(view: View, patch: Patch) -> tuple[Tensor, ...]:
     found: list[tuple[Tensor, ...]] = []
     observer = _into(patch.pose, view.to_observer)
     for light in view.lights:
-        source = _into(patch.pose, light.direction)
-        angles = incidence(
-            patch.normal[:, None, :], patch.u[:, None, :], source[:, :, None], observer[None, :, None]
-        )  # (L, Q, F, T)
-        weight = _weight(view, patch, light, angles.cos_i, angles.cos_r, slice(None))
+        cos_i, cos_r, *bisector = _projections(patch, _into(patch.pose, light.direction), observer)
+        weight = _weight(view, patch, light, cos_i, cos_r, slice(None))
+        angles = projected(cos_i, cos_r, *bisector)
         spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
         values = (*vars(angles).values(), *spread, weight)
         found.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
     return tuple(torch.cat(column) for column in zip(*found, strict=True))
+
+
+def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:
+    """What :func:`~torchlc.brdf.base.projected` asks for, of directions to light (L, Q, T, 3) and observer
+    (Q, T, 3) in the patch's frame: (L, Q, F, T) each, with an axis of 1 where it is the same along it."""
+    bisector = source + observer
+    v = torch.linalg.cross(patch.normal, patch.u)
+    pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
+    return *((one @ axis.mT).mT for one, axis in pairs), (bisector * bisector).sum(-1)[..., None, :]
 
 
 def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, ...]:
@@ -104,13 +111,11 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
         pose = None if patch.pose is None else patch.pose[..., rows, :, :]
         observer = _into(pose, view.to_observer[:, rows])
         for light in view.lights:
-            source = _into(pose, light.direction[:, :, rows])
-            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+            cos_i, cos_r, *bisector = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
             weight = _weight(view, patch, light, cos_i, cos_r, rows)
             row, line, instant, facet = weight.permute(3, 0, 1, 2).nonzero(as_tuple=True)
-            angles = incidence(
-                patch.normal[facet], patch.u[facet], source[line, instant, row], observer[instant, row]
-            )
+            pair = (line, instant, facet, row)
+            angles = projected(*(one.expand(weight.shape)[pair] for one in (cos_i, cos_r, *bisector)))
             spread = [] if light.spread is None else [0.25 * light.spread[:, :, rows][line, instant, row]]
             found.append((row, *vars(angles).values(), *spread, weight[line, instant, facet, row]))
     row, *columns = (torch.cat(column) for column in zip(*found, strict=True))

@@ -58,27 +58,35 @@ class Incidence:
 
 
 def incidence(normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) -> Incidence:
-    """Angles from unit vectors (..., 3) that broadcast; ``u`` lies in the facet and v = n x u.
+    """Angles from unit vectors (..., 3) that broadcast; ``u`` lies in the facet and v = n x u."""
+    bisector = to_sun + to_observer
+    v = torch.linalg.cross(*torch.broadcast_tensors(normal, u))
+    return projected(
+        (normal * to_sun).sum(-1),
+        (normal * to_observer).sum(-1),
+        (u * bisector).sum(-1),
+        (v * bisector).sum(-1),
+        (bisector * bisector).sum(-1),
+    )
+
+
+def projected(cos_i: Tensor, cos_r: Tensor, along_u: Tensor, along_v: Tensor, square: Tensor) -> Incidence:
+    """Angles from the cosines and from s + o: its components along u and v, and the square of its length.
 
     log(n.h) comes from sin^2 = (h.u)^2 + (h.v)^2 near the glint, where the cosine has lost its digits, and
     from n.h elsewhere.
     """
-    bisector = to_sun + to_observer
-    square = (bisector * bisector).sum(-1)
     length = torch.sqrt(square.clamp(min=4 * TINY_COS**2))
-    half = bisector / length[..., None]
-    cos_n = (normal * half).sum(-1)
-    square_u = (u * half).sum(-1) ** 2
-    v = torch.linalg.cross(*torch.broadcast_tensors(normal, u))
-    square_v = (v * half).sum(-1) ** 2
+    cos_n = (cos_i + cos_r) / length
+    square_u, square_v = (along_u / length) ** 2, (along_v / length) ** 2
     front = cos_n > 0
     per_square = _log_cos_per_sin2(
         torch.where(front, cos_n, 0.5), torch.where(front, square_u + square_v, 0.75)
     )
     behind = 0.5 * math.log(TINY_COS)
     return Incidence(
-        cos_i=(normal * to_sun).sum(-1),
-        cos_r=(normal * to_observer).sum(-1),
+        cos_i=cos_i,
+        cos_r=cos_r,
         cos_half=0.5 * length,
         log_u=torch.where(front, square_u * per_square, behind),
         log_v=torch.where(front, square_v * per_square, behind),

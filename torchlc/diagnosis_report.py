@@ -5,6 +5,7 @@ the materials.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,6 +25,7 @@ from torchlc.report import environment, markup, origin, png
 from torchlc.results import stated
 from torchlc.viewer import viewer_data
 
+MOST_PARTS = 4
 MOST_CANDIDATES = 15
 MOST_INTERVALS = 12
 NOISE = {
@@ -90,8 +92,15 @@ def context(diagnosis: Diagnosis) -> dict[str, Any]:
         "coordinate": where["coordinate"],
         "candidates": [_candidate(row) for row in physics[:MOST_CANDIDATES]],
         "noise": [_candidate(row) for row in tried if row["effect"] in NOISE],
+        "sets": [
+            {
+                **_candidate(row | {"parameters": {}, "effect": " + ".join(row["effects"])}),
+                "why": row["why_not"],
+            }
+            for row in content["sets"]
+        ],
         "screened": len(content["candidates"]) - len(tried) + max(len(physics) - MOST_CANDIDATES, 0),
-        "improvement": _improvement(content["improvement"]) if content["named"] else [],
+        "improvement": _improvement(content) if content["named"] else [],
         "materials": _changes(content["materials"]),
         "global_p": _chance(content["global_p"]),
     }
@@ -121,11 +130,11 @@ def comparison_figure(diagnosis: Diagnosis) -> Figure:
 
 def added_parameters(diagnosis: Diagnosis) -> dict[str, str]:
     """Values of the parameters that the final model adds, by effect and name, ready to print."""
-    found = {}
-    for entry in diagnosis.final.hypothesis.added:
-        for short, row in effect_parameters(diagnosis.final.refit, entry).items():
-            found[f"{Entry.parse(entry).name}.{short}"] = _pair(row["median"], row["sd"], row["unit"])
-    return found
+    return {
+        f"{Entry.parse(entry).name}.{short}": value
+        for entry in diagnosis.final.hypothesis.added
+        for short, value in _values(effect_parameters(diagnosis.final.refit, entry)).items()
+    }
 
 
 def headline(content: Mapping[str, Any]) -> str:
@@ -146,10 +155,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     told += [f"  {name} = {value}" for name, value in added_parameters(diagnosis).items()]
     if content["named"]:
         rows = [(f"  {name}", before, f"→ {after}") for name, before, after in _changes(content["materials"])]
-        rows += [
-            (f"  {name}", before, f"→ {after}")
-            for name, before, after in _improvement(content["improvement"])
-        ]
+        rows += [(f"  {name}", before, f"→ {after}") for name, before, after in _improvement(content)]
         widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
         told += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
     told.append(f"left: {content['remaining']['note']}")
@@ -169,7 +175,10 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     paragraphs = [headline(content)]
     if content["verdict"] == "missing_physics":
         proof = (
-            f"With it in the model chi-square falls from {improvement['chi2_before']:.0f} to "
+            f"With it in the model the residuals fall from {improvement['rms_before']:.3f} to "
+            f"{improvement['rms_after']:.3f} mag (root mean square)"
+            if content["error_source"] == "fitted"
+            else f"With it in the model chi-square falls from {improvement['chi2_before']:.0f} to "
             f"{improvement['chi2_after']:.0f} for {improvement['dof']} degrees of freedom"
         )
         if improvement["heldout_rms_after"] is not None and improvement["heldout_rms_before"] is not None:
@@ -217,9 +226,7 @@ def _place(where: Mapping[str, Any]) -> str:
 
 
 def _candidate(row: Mapping[str, Any]) -> dict[str, str]:
-    values = ", ".join(
-        f"{name} {_pair(one['median'], one['sd'], one['unit'])}" for name, one in row["parameters"].items()
-    )
+    values = ", ".join(f"{name} {value}" for name, value in _values(row["parameters"]).items())
     return {
         "effect": row["effect"] + (f" [{row['target']}]" if row.get("target") else ""),
         "evidence": _signed(row["delta_log_evidence"]),
@@ -229,11 +236,31 @@ def _candidate(row: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def _values(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Each parameter's value with its uncertainty; those that every curve or night has for itself in one, by their
+    root mean square and range."""
+    found = {}
+    for name, row in parameters.items():
+        short, bracket, _ = name.partition("[")
+        parts = [one["median"] for other, one in parameters.items() if other.startswith(f"{short}[")]
+        if not bracket or len(parts) <= MOST_PARTS:
+            found[name] = _pair(row["median"], row["sd"], row["unit"])
+        elif f"{short} of {len(parts)}" not in found:
+            spread = math.sqrt(sum(one**2 for one in parts) / len(parts))
+            unit = f" {row['unit']}" if row["unit"] else ""
+            low, high = min(parts), max(parts)
+            found[f"{short} of {len(parts)}"] = (
+                f"root mean square {spread:.3g}{unit}, from {low:.3g} to {high:.3g}{unit}"
+            )
+    return found
+
+
 def _improvement(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    rows = (("chi-square", "chi2", 0), ("rms, mag", "rms", 4), ("rms of unseen rows, mag", "heldout_rms", 4))
+    """(measure, before, after); chi-square only where errors are quoted, for fitted ones make it what it is."""
+    rows = [("chi-square", "chi2", 0), ("rms, mag", "rms", 4), ("rms of unseen rows, mag", "heldout_rms", 4)]
     found = []
-    for name, key, digits in rows:
-        before, after = content[f"{key}_before"], content[f"{key}_after"]
+    for name, key, digits in rows[content["error_source"] == "fitted" :]:
+        before, after = (content["improvement"][f"{key}_{when}"] for when in ("before", "after"))
         if before is not None and after is not None:
             found.append((name, f"{before:.{digits}f}", f"{after:.{digits}f}"))
     return found

@@ -44,12 +44,17 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Score:
-    """How a refit fares under its best noise model: log evidence, and the held-out log density by block."""
+    """How a refit fares under its best noise model: log evidence, and the held-out log density by block.
+
+    ``unseen``, where errors are fitted, is the root mean square, mag, of the parts of curves predicted from the
+    other parts.
+    """
 
     noise: NoiseModel
     log_evidence: float
     heldout: Tensor
     by_kind: dict[str, tuple[float, float]]
+    unseen: float = math.nan
 
     @property
     def heldout_total(self) -> float:
@@ -82,6 +87,18 @@ def make_blocks(seconds: Tensor, group: Tensor, count: int = 8) -> Blocks:
     return Blocks(rows, removed)
 
 
+def parts_of(seconds: Tensor, groups: Sequence[Tensor], count: int = 4) -> Blocks:
+    """Every group's rows cut in time into ``count`` runs, of which each block has one of every group."""
+    cuts: list[list[Tensor]] = [[] for _ in range(count)]
+    for group in groups:
+        order = group[torch.argsort(seconds[group])]
+        edges = [round(len(order) * k / count) for k in range(count + 1)]
+        for cut, (a, b) in zip(cuts, pairwise(edges), strict=True):
+            cut.append(order[a:b])
+    rows = [torch.cat(cut) for cut in cuts]
+    return Blocks(rows, rows)
+
+
 class Scorer:
     """Scores refits of one recording: its blocks, and the groups (curves) within which noise is
     correlated."""
@@ -89,6 +106,7 @@ class Scorer:
     def __init__(self, seconds: Tensor, curve: Tensor, blocks: Blocks, fitted_errors: bool) -> None:
         self.seconds, self.blocks, self.fitted_errors = seconds, blocks, fitted_errors
         self.groups = [torch.nonzero(curve == one)[:, 0] for one in torch.unique(curve)]
+        self.parts = parts_of(seconds, self.groups)
         span_min = float(max((seconds[g].max() - seconds[g].min()) for g in self.groups)) / 60
         steps = torch.cat([torch.diff(torch.sort(seconds[g]).values) for g in self.groups])
         cadence_min = float(steps.median()) / 60 if len(steps) else 1.0
@@ -119,7 +137,8 @@ class Scorer:
         by_kind = {
             kind: (value, float(self.heldout(refit, noise).sum())) for kind, (noise, value) in found.items()
         }
-        return Score(best[0], best[1], self.heldout(refit, best[0]), by_kind)
+        unseen = self.heldout_rms(refit, self.parts) if self.fitted_errors else math.nan
+        return Score(best[0], best[1], self.heldout(refit, best[0]), by_kind, unseen)
 
     def _fitted(self, refit: Refit, kind: str) -> NoiseModel | None:
         if kind == "white":
@@ -217,14 +236,16 @@ class Scorer:
         one = torch.ones_like(r)
         return replace(refit, delta=r, slopes=m, sigma=one, scale=one)
 
-    def heldout_rms(self, refit: Refit) -> float:
-        """Root mean square, mag, of the residuals of each block predicted from the rest."""
+    def heldout_rms(self, refit: Refit, blocks: Blocks | None = None) -> float:
+        """Root mean square, mag, of the residuals of each block (its own, if none are given) predicted from the
+        rest."""
+        blocks = blocks or self.blocks
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
         precision = torch.diag(refit.prior_precision[keep])
         shift = (refit.prior_mean - refit.y)[keep]
         total = 0.0
-        for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
+        for rows, removed in zip(blocks.rows, blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
             m = refit.slopes[rest][:, keep] / refit.sigma[rest, None]
             r = refit.delta[rest] / refit.sigma[rest]

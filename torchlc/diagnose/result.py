@@ -15,6 +15,7 @@ from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.gate import Gate
 from torchlc.diagnose.plan import Option
 from torchlc.diagnose.refit import Refit, effect_columns
+from torchlc.diagnose.rivals import told
 from torchlc.diagnose.search import Found, Probe
 from torchlc.diagnose.where import Where, as_json
 from torchlc.effects.base import Entry
@@ -51,6 +52,8 @@ class Diagnosis:
     seed: int
     seconds: float
     untried: Sequence[str] = ()
+    others: Sequence[Found] = ()
+    """Every refit of more effects than one that was made on the way."""
     law: str = ""
     """Another law of reflection under which the recording is described better than under the scene's own."""
     nights: Sequence[Option] = ()
@@ -122,6 +125,7 @@ class Diagnosis:
             {
                 "schema": SCHEMA,
                 "verdict": self.verdict,
+                "error_source": recording.error_source,
                 "global_p": self.gate.global_p,
                 "named": list(self.named),
                 "families": [list(family) for family in self.families],
@@ -131,6 +135,7 @@ class Diagnosis:
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
                 "next_observation": self.next_observation,
+                "sets": told(self.others, self.final),
                 "nights": [vars(night) for night in self.nights[:8]],
                 "untried": [
                     {"effect": entry, "reason": "each of its geometries costs a pass over the whole mesh"}

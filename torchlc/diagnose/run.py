@@ -200,6 +200,7 @@ def _under_one_law(
         named=tuple(named),
         families=tuple(tuple(one) for one in groups),
         first=tuple(first),
+        others=tuple(others),
         where=where,
         final_gate=after,
         seconds=time.monotonic() - own.began,
@@ -254,7 +255,8 @@ def _verdict(
 ) -> tuple[str, list[str]]:
     likelihood = start.refit.likelihood
     if final.hypothesis.added and nameable(final):
-        named = list(dict.fromkeys(final.hypothesis.names))
+        own = sorted(map(Entry.parse, final.hypothesis.added), key=lambda entry: entry.per is not None)
+        named = list(dict.fromkeys(entry.name for entry in own))
         if likelihood.fitted_errors:
             return "missing_physics", named
         before = start.refit.chi2 - likelihood.degrees_of_freedom

@@ -483,7 +483,8 @@ def leader_first(ranked: Sequence[Found]) -> list[Found]:
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
-    the others."""
+    the others: where errors are fitted and no excess of chi-square is known, by EXCESS_SHARE of the variance of
+    unseen parts of curves, for with many rows evidence grows for whatever bends a wrong model a little."""
     if not better(found, best, excess, gain=0.0):
         return False
     if not best.hypothesis.added and not better(found, best, excess, 2 * HELDOUT_GAIN, 2 * EVIDENCE_GAIN):
@@ -494,6 +495,7 @@ def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, e
         if without is not None and (
             found.score.heldout_total <= without.score.heldout_total
             or found.log_evidence - without.log_evidence < EVIDENCE_GAIN
+            or found.score.unseen**2 > (1.0 - EXCESS_SHARE) * without.score.unseen**2
         ):
             return False
     return True

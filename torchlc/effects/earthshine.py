@@ -13,18 +13,25 @@ from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import Quantity
 
 EARTH_RADIUS_KM = 6371.0
-ACROSS, ALONG = 16, 16
+LEAST, MOST = 12, 24
+"""Tiles along each side of the Earth's disc."""
 SMOOTH = 0.6
 """Least width of a lobe, as a standard deviation in widths of a tile."""
 
 
-def sunlit_tiles(position: Tensor, to_sun: Tensor, across: int, along: int) -> tuple[Tensor, Tensor, Tensor]:
+def tiles_across(radius: float, n: float) -> int:
+    """Tiles along each side of an Earth of angular ``radius``, rad, for a lobe of exponent ``n`` to be as wide in
+    the reflection, 2 / sqrt(n), as SMOOTH of the widest tile, pi / 2 of the mean."""
+    return min(max(math.ceil(0.5 * math.pi * SMOOTH * radius * math.sqrt(n)), LEAST), MOST)
+
+
+def sunlit_tiles(position: Tensor, to_sun: Tensor, across: int) -> tuple[Tensor, Tensor, Tensor]:
     """The part of the Earth that is both in sunlight and in sight of an object at ``position`` (..., 3) km,
     as tiles.
 
     ``to_sun`` (..., 3) is the unit vector from the Earth's centre. Returns unit vectors from the object to
     the tiles (L, ..., 3), the solid angle of each and its cosine of the Sun's zenith angle, (L, ...), L =
-    across x along.
+    across^2.
 
     Longitude and latitude are about the normal of the plane through object, Earth and Sun: at a latitude,
     limb and terminator are two longitudes, between which a Gauss-Legendre rule meets no edge; over
@@ -46,7 +53,9 @@ def sunlit_tiles(position: Tensor, to_sun: Tensor, across: int, along: int) -> t
     limb = torch.acos(1 / (height * torch.cos(latitude) ** 2))
     start = torch.minimum(torch.maximum(-limb, elongation - 0.5 * math.pi), limb)
     first, last = (torch.atan2(torch.sin(angle), height - torch.cos(angle)) for angle in (start, limb))
-    nodes, weights = (torch.as_tensor(array).to(position) for array in np.polynomial.legendre.leggauss(along))
+    nodes, weights = (
+        torch.as_tensor(array).to(position) for array in np.polynomial.legendre.leggauss(across)
+    )
     y, v = (array.reshape(-1, *(1,) * (elongation.ndim + 1)) for array in (nodes, weights))
     longitude, slope = _earth_angle(0.5 * (first + last) + 0.5 * (last - first) * y, height)
     step = 0.5 * (last - first) * v * slope * step * torch.cos(latitude)
@@ -81,10 +90,11 @@ def _perpendicular(up: Tensor, to_sun: Tensor) -> Tensor:
 
 
 class Earthshine(Effect):
-    """The sunlit part of the Earth in sight of the object, as 256 Lambert tiles, each a light of its own.
+    """The sunlit part of the Earth in sight of the object, as Lambert tiles, each a light of its own.
 
-    0.06 to 0.5 % of sunlight at GEO, up to 25 % in low orbit; a mirror that faces down shows the Earth's
-    image, here no sharper than half a tile. Neglected: clouds, seas and their glint (a factor 2 in albedo),
+    0.06 to 0.5 % of sunlight at GEO, up to 25 % in low orbit. Of 144 tiles, or as many as the sharpest lobe asks
+    for, at most 576: within 1 % for n up to 500 in low orbit and 30,000 at GEO. A sharper mirror that faces down
+    shows the Earth's image no sharper than half a tile. Neglected: clouds, seas and their glint (a factor 2 in albedo),
     the flattening (0.3 %), twilight, what other parts hide of the Earth, moonlight (1e-5 of sunlight).
     """
 
@@ -92,7 +102,6 @@ class Earthshine(Effect):
     stage = "light"
     order = 3
     linear = True
-    nodes = ACROSS * ALONG
     quantities = (
         Quantity(
             "albedo", "", 0.0, 1.0, "the Earth's diffuse reflectance", off=0.0, typical=0.3,
@@ -103,12 +112,20 @@ class Earthshine(Effect):
     def missing(self, context):
         return None if context.track.supports("position") else "the recording gives no geocentric position"
 
+    def prepared(self, context):
+        position = context.track.at(0.0, 0.0, 0.0).position
+        assert position is not None
+        height = torch.linalg.vector_norm(position, dim=-1).min() / EARTH_RADIUS_KM
+        self.across = tiles_across(math.asin(min(1.0, 1 / float(height))), max(context.lobes.values()))
+        self.nodes = self.across**2
+        return self
+
     def light(self, lights, view, p, context):
         position = view.state.position
         assert position is not None
         sun = position + view.state.sun
         distance = torch.linalg.vector_norm(sun, dim=-1)
-        direction, solid_angle, zenith = sunlit_tiles(position, sun / distance[..., None], ACROSS, ALONG)
+        direction, solid_angle, zenith = sunlit_tiles(position, sun / distance[..., None], self.across)
         body = torch.einsum("...ij,l...i->l...j", view.rotation, direction)
         irradiance = (AU_KM / distance) ** 2 * solid_angle * zenith / math.pi
         earth = Light(

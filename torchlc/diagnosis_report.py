@@ -219,8 +219,8 @@ def _place(where: Mapping[str, Any]) -> str:
     if where["components"]:
         first = where["components"][0]
         text += f"; {100 * first['share']:.0f} % of it comes from {first['name']}"
-    if where["coordinate"]:
-        one = where["coordinate"]
+    one = where["coordinate"]
+    if one and one["name"] != "time":  # the stretches are of time
         text += f"; it follows {one['name']} between {one['from']:.4g} and {one['to']:.4g}"
     return text + "."
 

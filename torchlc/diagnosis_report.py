@@ -94,7 +94,9 @@ def context(diagnosis: Diagnosis) -> dict[str, Any]:
         "noise": [_candidate(row) for row in tried if row["effect"] in NOISE],
         "sets": [
             {
-                **_candidate(row | {"parameters": {}, "effect": " + ".join(row["effects"])}),
+                **_candidate(
+                    row | {"parameters": {}, "effect": " + ".join(row["effects"]).replace("@", " of each ")}
+                ),
                 "why": row["why_not"],
             }
             for row in content["sets"]
@@ -228,7 +230,9 @@ def _place(where: Mapping[str, Any]) -> str:
 def _candidate(row: Mapping[str, Any]) -> dict[str, str]:
     values = ", ".join(f"{name} {value}" for name, value in _values(row["parameters"]).items())
     return {
-        "effect": row["effect"] + (f" [{row['target']}]" if row.get("target") else ""),
+        "effect": row["effect"]
+        + (f" [{row['target']}]" if row.get("target") else "")
+        + (f" of each {row['per']}" if row.get("per") else ""),
         "evidence": _signed(row["delta_log_evidence"]),
         "heldout": _signed(row["heldout_delta_log_likelihood"]),
         "chi2": "" if row["chi2_after"] is None else f"{row['chi2_after']:.0f}",

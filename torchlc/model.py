@@ -219,7 +219,7 @@ class LightCurve(nn.Module):
         to the point it stepped from."""
         moving = flat[:, self.assembly.geometry_columns]
         distinct, member = torch.unique(moving, dim=0, return_inverse=True)
-        slow = any(effect.name == "self_shadowing" for effect in self.effects)
+        slow = any(effect.name == "self_shadowing" or effect.stage == "scatter" for effect in self.effects)
         many = self.assembly.pairs > VALUES_AT_ONCE
         if len(distinct) > 0.6 * len(flat) and not slow and not many:
             return None

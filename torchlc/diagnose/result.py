@@ -135,7 +135,7 @@ class Diagnosis:
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
                 "next_observation": self.next_observation,
-                "sets": told(self.others, self.final),
+                "sets": told(self.others, self.final, self.baseline),
                 "nights": [vars(night) for night in self.nights[:8]],
                 "untried": [
                     {"effect": entry, "reason": "each of its geometries costs a pass over the whole mesh"}
@@ -160,6 +160,7 @@ class Diagnosis:
                 {
                     "effect": Entry.parse(entry).name,
                     "target": Entry.parse(entry).target,
+                    "per": Entry.parse(entry).per,
                     "score": self.probes[plain].score,
                     "p": self.gate.marginal.get(f"signature {plain}"),
                     "delta_log_evidence": found.score.by_kind["white"][0] - white,
@@ -174,6 +175,7 @@ class Diagnosis:
                     {
                         "effect": kind,
                         "target": None,
+                        "per": None,
                         "score": None,
                         "p": None,
                         "delta_log_evidence": value - white,
@@ -189,6 +191,7 @@ class Diagnosis:
             {
                 "effect": Entry.parse(entry).name,
                 "target": Entry.parse(entry).target,
+                "per": Entry.parse(entry).per,
                 "score": self.probes[entry].score,
                 "p": self.gate.marginal.get(f"signature {entry}"),
                 "delta_log_evidence": None,
@@ -214,15 +217,17 @@ class Diagnosis:
 
     def remaining(self) -> dict[str, Any]:
         p = self.final_gate.global_p
-        chi2, dof = self.final.refit.chi2, self.final.refit.likelihood.degrees_of_freedom
+        refit = self.final.refit
+        left = (
+            f"rms {_rms(refit.delta / refit.scale):.3f} mag"
+            if refit.likelihood.fitted_errors
+            else f"chi2 {refit.chi2:.0f} for {refit.likelihood.degrees_of_freedom} degrees of freedom"
+        )
         if p >= 0.01:
-            note = f"nothing that the data show: chi2 {chi2:.0f} for {dof} degrees of freedom"
+            note = f"nothing that the data show: {left}"
         else:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
-            note = (
-                f"structure is left: chi2 {chi2:.0f} for {dof} degrees of freedom, "
-                f"strongest in the statistic '{worst}'"
-            )
+            note = f"structure is left: {left}, strongest in the statistic '{worst}'"
             kind = self.final.score.noise.kind
             if kind != "white":
                 note += f"; described by {kind}"

@@ -10,13 +10,13 @@ from torchlc.diagnose.search import EVIDENCE_GAIN, EXCESS_SHARE, Found, nameable
 MOST_TOLD = 12
 
 
-def told(found: Sequence[Found], final: Found) -> list[dict[str, Any]]:
+def told(found: Sequence[Found], final: Found, null: Found) -> list[dict[str, Any]]:
     """The sets beside the final one, best first, each with its effects, what it gains over the final one, and in
-    words why it is not named."""
+    words why it is not named; of sets of the same names, divided otherwise or of other targets, the best alone."""
     rows = []
-    known = {frozenset(final.hypothesis.plain)}
+    known = {frozenset(final.hypothesis.names)}
     for one in sorted(found, key=lambda one: -one.log_evidence):
-        members = frozenset(one.hypothesis.plain)
+        members = frozenset(one.hypothesis.names)
         if members in known:
             continue
         known.add(members)
@@ -26,22 +26,22 @@ def told(found: Sequence[Found], final: Found) -> list[dict[str, Any]]:
                 "delta_log_evidence": one.log_evidence - final.log_evidence,
                 "heldout_delta_log_likelihood": one.score.heldout_total - final.score.heldout_total,
                 "chi2_after": one.refit.chi2,
-                "why_not": why_not(one, final),
+                "why_not": why_not(one, final, null),
             }
         )
     return rows[:MOST_TOLD]
 
 
-def why_not(found: Found, final: Found) -> str:
+def why_not(found: Found, final: Found, null: Found) -> str:
     """Why a set of effects is not the one that is named, in a few words."""
     behind = final.log_evidence - found.log_evidence
     if not nameable(found):
-        return "a parameter stands at its bound"
+        return "a parameter stands at its bound, or its parts scatter over all that is possible"
     if behind > 0:
         return f"log evidence {behind:.1f} lower"
-    lowered = 1.0 - (found.score.unseen / final.score.unseen) ** 2
+    lowered = (final.score.unseen**2 - found.score.unseen**2) / null.score.unseen**2
     if lowered < EXCESS_SHARE:
-        return f"lowers the variance of unseen parts of curves by {max(100 * lowered, 0):.0f} % only"
+        return f"takes {max(100 * lowered, 0):.0f} % only of the variance that the scene's own model leaves unseen"
     if found.score.heldout_total <= final.score.heldout_total:
         return "predicts unseen rows no better"
     if -behind < EVIDENCE_GAIN:

@@ -30,6 +30,7 @@ from torchlc.fit import polish
 
 GRID = 24
 GRID_PER_DIMENSION = 24
+MOST_SCANNED = 400
 STARTS = 12
 SLOW_STARTS = 3
 LEADERS = 2
@@ -53,6 +54,7 @@ TIED = 2.0
 BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
+SPREADS = 4.0
 PREVIEW_STEPS = 6
 MOST_GROWN = 10
 MOST_GROWN_BESIDE = 4
@@ -170,8 +172,8 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
         theta[:, columns] += divided_step(entry)
     else:
         generator = torch.Generator().manual_seed(seed)
-        psi = effect_starts(likelihood, entry, count, generator)
-        theta = theta.repeat(count, 1)
+        psi = scanned(bench, entry, effect_starts(likelihood, entry, count, generator))
+        theta = theta.repeat(len(psi), 1)
         theta[:, columns] = psi
     with torch.no_grad():
         change = (at.delta - likelihood.residuals(theta).delta) / at.sigma
@@ -194,6 +196,23 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
     if per is not None:
         return Probe(entry, psi, unit[:0, : len(at.delta)], scores[:0], max(float((scores - 1.0).sum()), 0.0))
     return Probe(entry, psi[usable], unit[:, : len(at.delta)], scores)
+
+
+def scanned(bench: Workbench, entry: str, psi: Tensor) -> Tensor:
+    """Values psi (G, k) to probe; of an effect that begins at some row, in which no descent finds the row, all
+    rows (MOST_SCANNED of them) at its typical size in their place."""
+    quantities = registry()[Entry.parse(entry).name].quantities
+    name = registry()[Entry.parse(entry).name].scanned
+    if not name:
+        return psi
+    stamps = torch.unique(bench.base.context.seconds).to(psi) / 3600
+    middle = 0.5 * (stamps[1:] + stamps[:-1])
+    if len(middle) > MOST_SCANNED:
+        middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED).long()]
+    columns = [
+        middle if one.name == name else torch.full_like(middle, one.typical or 0.0) for one in quantities
+    ]
+    return torch.stack(columns, -1)
 
 
 def divided_step(entry: str) -> float:
@@ -336,10 +355,17 @@ def _divided(
 
 
 def nameable(found: Found) -> bool:
-    """The parameters of every added effect are inside their bounds."""
+    """The parameters of every added effect are inside their bounds, which hold SPREADS of a divided offset's: one
+    that scatters more is no error of calibration, whatever it mends."""
     parameters = found.refit.model.parameter_set
     for entry in found.hypothesis.added:
-        quantities = {q.name: q for q in registry()[Entry.parse(entry).name].quantities}
+        parsed = Entry.parse(entry)
+        quantities = {q.name: q for q in registry()[parsed.name].quantities}
+        if parsed.width is not None:
+            (one,) = quantities.values()
+            off = one.off or 0.0
+            if SPREADS * parsed.width > min(off - one.low, one.high - off):
+                return False
         for column in effect_columns(parameters, entry):
             short = parameters.names[column].partition(".")[2].partition("[")[0]
             quantity = quantities[short]
@@ -483,19 +509,21 @@ def leader_first(ranked: Sequence[Found]) -> list[Found]:
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
-    the others: where errors are fitted and no excess of chi-square is known, by EXCESS_SHARE of the variance of
-    unseen parts of curves, for with many rows evidence grows for whatever bends a wrong model a little."""
+    the others: where errors are fitted and no excess of chi-square is known, by EXCESS_SHARE of the variance that
+    the baseline leaves in unseen parts of curves, for with many rows evidence grows for whatever bends a wrong
+    model a little."""
     if not better(found, best, excess, gain=0.0):
         return False
     if not best.hypothesis.added and not better(found, best, excess, 2 * HELDOUT_GAIN, 2 * EVIDENCE_GAIN):
         return False
     members = frozenset(found.hypothesis.plain)
+    least = EXCESS_SHARE * known[frozenset()].score.unseen ** 2
     for entry in members:
         without = known.get(members - {entry})
         if without is not None and (
             found.score.heldout_total <= without.score.heldout_total
             or found.log_evidence - without.log_evidence < EVIDENCE_GAIN
-            or found.score.unseen**2 > (1.0 - EXCESS_SHARE) * without.score.unseen**2
+            or without.score.unseen**2 - found.score.unseen**2 < least
         ):
             return False
     return True

@@ -287,7 +287,8 @@ class Effect:
     and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
-    to be interpolated where nothing else moves the geometry (0: never); ``brdf`` is the
+    to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
+    after the first row that has to be tried at every row, for no descent finds it; ``brdf`` is the
     reflection model of a surface that it adds; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
     the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its
@@ -302,6 +303,7 @@ class Effect:
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
     steps: int = 0
+    scanned: ClassVar[str] = ""
     brdf: ClassVar[type[Brdf] | None] = None
     linear: ClassVar[bool] = False
     divisible: ClassVar[bool] = False

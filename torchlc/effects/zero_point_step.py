@@ -22,6 +22,7 @@ class ZeroPointStep(Effect):
     name = "zero_point_step"
     stage = "detector"
     order = 2
+    scanned = "time"
     quantities = (
         Quantity(
             "mag", "mag", -2.0, 2.0, "added after the step",

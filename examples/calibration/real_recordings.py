@@ -1,0 +1,98 @@
+"""What diagnose says of real recordings left alone: Eros, Starlink over Pomenis, the tracks of Mini-MegaTORTORA.
+
+    python examples/calibration/real_recordings.py docs/real_data [--only TEXT]
+
+Results go to verdicts.json in the folder given, a recording after the other; those that are there are not done
+again. The recordings are looked for in ../shared/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import torchlc
+from torchlc.diagnose.refit import Refit
+from torchlc.diagnose.run import diagnose
+from torchlc.terminal import quiet_libraries
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+MOST = 6
+
+
+def recordings() -> Iterator[tuple[str, Path, Path]]:
+    """Name, scene and recording of each."""
+    for name in ("eros", "starlink_v15"):
+        yield name, DATA / name / "scene.toml", DATA / name / "recording.ecsv"
+    for track in sorted((DATA / "mmt9").glob("track_*.ecsv")):
+        number = track.stem.partition("_")[2]
+        yield f"mmt9 {number}", track.with_name(f"scene_{number}.toml"), track
+
+
+def scatter(refit: Refit) -> dict[str, float]:
+    """Robust sigma of all residuals, mag, and the median over curves of their rms, in mag or of their mean."""
+    left = (refit.delta / refit.scale).numpy()
+    curve = refit.model.recording.curve
+    middle = np.median(left)
+    return {
+        "robust_sigma": float(1.4826 * np.median(np.abs(left - middle))),
+        "median_curve": float(
+            np.median([np.sqrt(np.mean(left[curve == one] ** 2)) for one in np.unique(curve)])
+        ),
+    }
+
+
+def told(scene_file: Path, recording_file: Path) -> dict[str, Any]:
+    """Verdict, names, and what they rest on."""
+    scene, recording = torchlc.load(scene_file, recording_file)
+    began = time.process_time()
+    found = diagnose(scene, recording)
+    content = found.to_json()
+    keys = ("verdict", "named", "families", "global_p", "improvement", "remaining", "next_observation")
+    return {
+        "object": scene.name,
+        "rows": len(recording),
+        "curves": len(recording.curve_ids),
+        **{key: content[key] for key in keys},
+        "law": found.law,
+        "before": scatter(found.baseline.refit),
+        "after": scatter(found.final.refit),
+        "candidates": [
+            {key: row[key] for key in ("effect", "target", "per", "delta_log_evidence")}
+            for row in content["candidates"][:MOST]
+        ],
+        "sets": content["sets"][:MOST],
+        "cpu_seconds": time.process_time() - began,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--only", default="", help="recordings whose name contains this")
+    options = parser.parse_args()
+    if not DATA.is_dir():
+        print(f"{DATA} is not here: nothing to do")
+        return
+    torch.set_num_threads(1)
+    quiet_libraries()
+    file = options.out / "verdicts.json"
+    known = json.loads(file.read_text()) if file.exists() else {}
+    for name, scene, recording in recordings():
+        if options.only not in name or name in known:
+            continue
+        known[name] = told(scene, recording)
+        file.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
+        one = known[name]
+        print(f"{name}: {one['verdict']} {one['named']}, {one['cpu_seconds']:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -20,6 +20,7 @@ import starlink  # noqa: E402
 from page import MARKED, filled  # noqa: E402
 
 import torchlc  # noqa: E402
+from torchlc.diagnose.run import diagnose  # noqa: E402
 from torchlc.fit import fit_map  # noqa: E402
 
 
@@ -35,6 +36,40 @@ def test_eros_without_and_with_shadows_against_another_program():
     assert found["median_plain"] == pytest.approx(4.93, rel=0.10)
     assert found["median_shadowed"] == pytest.approx(3.58, rel=0.10)
     assert found["median_shadowed"] < found["median_plain"]
+
+
+@pytest.fixture(scope="module")
+def eros_recording():
+    return torchlc.load(eros.EROS / "scene.toml", eros.EROS / "recording.ecsv")
+
+
+@pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
+def test_shadows_and_clocks_of_eros_are_found(eros_recording):
+    """Every fourth curve, left alone: shadows first, then a clock for each curve, and nothing after them."""
+    scene, recording = eros_recording
+    some = recording.keep(np.isin(recording.curve, np.arange(1, 73, 4)), "another curve")
+    found = diagnose(scene, some)
+    assert (found.verdict, list(found.named)) == ("missing_physics", ["self_shadowing", "time_offset"])
+    rms = [
+        np.median([float(one.delta[some.curve == k].square().mean().sqrt()) for k in np.unique(some.curve)])
+        for one in (found.baseline.refit, found.final.refit)
+    ]
+    assert rms[1] < 0.7 * rms[0]
+    sets = found.to_json()["sets"]
+    assert all(one["why_not"] for one in sets)
+    assert {"self_shadowing", "time_offset"} not in [set(one["effects"]) for one in sets]
+
+
+@pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
+def test_no_shadows_are_claimed_where_they_do_not_help(eros_recording):
+    """The low curves of Eros, seen over a pole: the reference is no better with shadows on most of them."""
+    scene, recording = eros_recording
+    _, table, _ = eros.evaluate()
+    low = [name for name, row in table.items() if row["amplitude"] < 0.3]
+    assert len(low) > 10
+    names = np.array(recording.curve_ids)[recording.curve]
+    found = diagnose(scene, recording.keep(np.isin(names, low), "another curve"))
+    assert "self_shadowing" not in found.named
 
 
 @pytest.mark.skipif(not starlink.STARLINK.exists(), reason="needs ../shared/data/starlink_v15")

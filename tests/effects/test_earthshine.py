@@ -115,7 +115,7 @@ def test_every_pixel_of_a_fine_globe_as_a_light(tmp_path, radius, n, close):
     np.testing.assert_allclose(found, expected, rtol=close)
 
 
-@pytest.mark.parametrize(("radius", "n"), [(6878.0, 20.0), (6878.0, 500.0), (26560.0, 5000.0)])
+@pytest.mark.parametrize(("radius", "n"), [(6878.0, 20.0), (6878.0, 300.0), (26560.0, 5000.0)])
 def test_ten_times_as_many_tiles_give_the_same(tmp_path, monkeypatch, radius, n):
     """Within 1 %, or 1 % of the median where a lobe has just left the lit Earth."""
     random = np.random.default_rng(8)

@@ -62,6 +62,7 @@ class Redraw:
             jitter = model.noise(theta).jitter
             if jitter is not None:
                 sigma = torch.sqrt(sigma**2 + (jitter * found.scale) ** 2)
+        self._last: tuple[Tensor, Tensor, Tensor] | None = None
         self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
 
     def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +73,7 @@ class Redraw:
             within = (new >= self.low) & (new <= self.high)
             factor = torch.where(within[:, self.others].all(-1), factor, -math.inf)
             new[:, self.others] = torch.minimum(torch.maximum(new, self.low), self.high)[:, self.others]
-            centre, spread = self.regression(torch.cat([old, new]))
+            centre, spread = self.regressions(old, new)
             uniform = torch.as_tensor(random.random_sample((walkers, len(self.linear))))
             _, back = self.truncated(old, centre[:walkers], spread[:walkers])
             new, forth = self.truncated(new, centre[walkers:], spread[walkers:], uniform)
@@ -113,6 +114,27 @@ class Redraw:
             ].T
             new[rows, i], new[rows, j] = old[rows, j], old[rows, i]
         return new, factor
+
+    def regressions(self, old: Tensor, new: Tensor) -> tuple[Tensor, Tensor]:
+        """`regression` of old (W, P) and of new coordinates (W, P), one after the other; that of a walker which
+        has none but other reflectances since the last move is known from there."""
+        whole = torch.cat([old, new])
+        given = whole.clone()
+        given[:, self.linear] = 0.0
+        if self._last is None or len(self._last[0]) != len(given):
+            centre, spread = self.regression(whole)
+        else:
+            before, centre, spread = self._last
+            places = torch.arange(len(old)), torch.arange(len(old), len(given))
+            match = torch.stack([(before[place] == given[: len(old)]).all(-1) for place in places])
+            source = torch.where(match[1], *reversed(places))
+            anew = torch.cat([torch.nonzero(~match.any(0))[:, 0], places[1]])
+            centre, spread = (
+                torch.cat([one[source], one[places[1]]]).index_copy(0, anew, found)
+                for one, found in zip((centre, spread), self.regression(whole[anew]), strict=True)
+            )
+        self._last = given, centre, spread
+        return centre, spread
 
     def regression(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (W, K) and lower Cholesky factor (W, K, K) of the reflectances' covariance, given the other

@@ -26,11 +26,25 @@ def linear_columns(model: LightCurve) -> list[int]:
 def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:
     """Flux (B, T) at straight coordinates x (B, P) with the ``linear`` ones at zero, and what each of them adds
     for a whole one (B, T, K)."""
-    points = x[:, None].repeat(1, len(linear) + 1, 1)
-    points[:, :, linear] = 0.0
+    parameters = model.parameter_set
+    units = x[:1].repeat(len(linear) + 1, 1)
+    units[:, linear] = 0.0
     for place, column in enumerate(linear):
-        points[:, place + 1, column] = 1.0
-    flux = model.brightness(model.parameter_set.from_straight(points)[0]).flux
+        units[place + 1, column] = 1.0
+    if model.geometry_free:
+        points = x[:, None].repeat(1, len(units), 1)
+        points[:, :, linear] = units[:, linear]
+        flux = model.brightness(parameters.from_straight(points)[0]).flux
+    else:  # the lobes are those of one evaluation, only their shares differ
+        whole = dict(zip(parameters.names, parameters.from_straight(units)[0].unbind(-1), strict=True))
+        names = [parameters.names[column] for column in linear]
+        tables = model.tables(model.assembly.needs_shares)
+        pieces = []
+        for rows in x.split(max(1, model.batch_size(tables) // len(units))):
+            values = parameters.values(parameters.from_straight(rows)[0][:, None])
+            light = model.shine(tables, {**values, **{name: whole[name] for name in names}}).flux
+            pieces.append(light.expand(len(rows), len(units), -1))
+        flux = torch.cat(pieces)
     return flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
 
 

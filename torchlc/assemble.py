@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -78,7 +79,7 @@ class Assembly:
     def needs_shares(self) -> bool:
         return any(effect.needs_shares for effect in self.effects)
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Facet-row pairs of one evaluation, with the instants and lights that the effects bring; sizes the
         batches."""
@@ -90,7 +91,7 @@ class Assembly:
         """Facet-row pairs of the parts that are traced by rays."""
         return self.T * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
 
-    @property
+    @cached_property
     def patches(self) -> list[list[tuple[str, Tensor]]]:
         """For each part, the materials on it and the facets (indices) of each."""
         found = []
@@ -102,7 +103,7 @@ class Assembly:
             )
         return found
 
-    @property
+    @cached_property
     def geometry_columns(self) -> list[int]:
         """Places in theta of the parameters that move the geometry: the attitude's, sizes, and those of
         effects before the shade stage."""

@@ -20,6 +20,8 @@ from torchlc.quaternions import Slerp, read_quaternions
 from torchlc.recording import seconds_since
 from torchlc.rotations import frame_turned_about_y, frame_turned_about_z, rotation_about
 from torchlc.timestamps import UnreadableTime, instant
+from torchlc.tracing import transformed
+from torchlc.vectors import dot, unit
 
 if TYPE_CHECKING:
     from torchlc.recording import Recording
@@ -31,21 +33,21 @@ ALIGNED = 1e-12
 
 def nadir(position: Tensor, velocity: Tensor) -> Tensor:
     """+Z to Earth's centre, +X along the velocity made orthogonal to it, +Y against the orbit normal."""
-    z = _unit(-position)
+    z = unit(-position)
     y = _unit_cross(z, velocity)
     return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
 
 
 def yaw_steering(position: Tensor, sun: Tensor) -> Tensor:
     """+Z to Earth's centre, +Y = unit(Z x Sun), +X = Y x Z; any Y where the Sun is along Z."""
-    z = _unit(-position)
-    y = _unit_cross(z, _unit(sun))
+    z = unit(-position)
+    y = _unit_cross(z, unit(sun))
     return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
 
 
 def sun_pointing(sun: Tensor) -> Tensor:
     """+Z to the Sun, X = unit(z_gcrs x Z), Y = Z x X."""
-    z = _unit(sun)
+    z = unit(sun)
     x = _unit_cross(z.new_tensor([0.0, 0.0, 1.0]).expand_as(z), z)
     return torch.stack([x, torch.linalg.cross(z, x), z], dim=-1)
 
@@ -64,17 +66,15 @@ def spin_pole(longitude_deg: Tensor, latitude_deg: Tensor, turn: Tensor) -> Tens
     return spin @ frame_turned_about_y(colatitude) @ frame_turned_about_z(longitude)
 
 
-def _unit(vector: Tensor) -> Tensor:
-    return vector / torch.linalg.norm(vector, dim=-1, keepdim=True)
-
-
 def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
     """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles."""
     cross = torch.linalg.cross(a, b)
-    parallel = (cross**2).sum(-1, keepdim=True) <= ALIGNED * (b**2).sum(-1, keepdim=True)
+    parallel = (dot(cross, cross) <= ALIGNED * dot(b, b))[..., None]
+    if not transformed() and not bool(parallel.any()):
+        return unit(cross)
     x, y = (a.new_tensor(axis).expand_as(a) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     instead = torch.linalg.cross(a, torch.where(a[..., :1].abs() < 0.8, x, y))
-    return _unit(torch.where(parallel, instead, cross))
+    return unit(torch.where(parallel, instead, cross))
 
 
 class Attitude(nn.Module):

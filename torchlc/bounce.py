@@ -16,11 +16,12 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Incidence, incidence
-from torchlc.effects.base import Context, View, traced
+from torchlc.effects.base import Context, View
 from torchlc.shape import Part, tracking_pose
 from torchlc.shape.flat import Plate
 from torchlc.shape.part import like
 from torchlc.table import ANGLES, EMPTY
+from torchlc.tracing import traced
 from torchlc.visibility.cover import covered_area
 from torchlc.visibility.lines import blocked, planes
 from torchlc.visibility.outline import Joints, outline

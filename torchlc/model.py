@@ -9,14 +9,15 @@ lights, Q instants, T rows, F facets, C components.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial, reduce
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial, reduce
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 
-from torchlc.assemble import Assembly, assemble
+from torchlc.assemble import COMPONENT_SIZES, Assembly, assemble
 from torchlc.effects.base import (
     GEOMETRY_STAGES,
     Brightness,
@@ -32,12 +33,15 @@ from torchlc.effects.base import (
     Surface,
     View,
 )
+from torchlc.orbit import State
 from torchlc.parameters import ParameterSet
 from torchlc.recording import Recording
 from torchlc.scene import Scene
 from torchlc.shape import tracking_pose
 from torchlc.shape.part import like
 from torchlc.table import pair_table
+from torchlc.tracing import transformed
+from torchlc.vectors import unit
 
 RECENT_TABLES = 48
 """Compact tables of past geometries that a model keeps."""
@@ -46,10 +50,17 @@ CLOCK_TURN_DEG = 3.0
 MOST_TRACED_PAIRS = 1_000_000
 """Facet-row pairs of a mesh beyond which a clock offset is interpolated; 3 deg between nodes keep the cubic
 within 2e-4."""
+MOST_GRIDDED = 64
+"""Facets and instants together up to which a batch of geometries is worked out on one grid of all pairs, and
+beyond which only the pairs that are lit and seen are."""
+LATE = ("pointing", "light", "surface")
+"""Stages of which none turns the body or takes it elsewhere."""
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
 MOST_CONDENSED = 1_000_000
 """Pairs in all up to which that is done: the tabulation costs as much as 60 calls."""
+GRID_AT_ONCE = 2**20
+"""Pairs of facet and instant of all geometries that are worked out at once."""
 VALUES_AT_ONCE = 2**17
 """Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
 is in the cache when the next reads it, and memory does not grow with the batch."""
@@ -63,6 +74,11 @@ class Tables:
     surfaces: tuple[Surface, ...]
     scatter: tuple[tuple[Effect, Scatter], ...]
     sky: Sky
+
+
+Record = TypeVar("Record", State, Nodes)
+Key = tuple[str, str, bool, str | None]
+"""Component, material, whether its light is the Sun's, and what scales it: what a surface is of."""
 
 
 class LightCurve(nn.Module):
@@ -103,6 +119,8 @@ class LightCurve(nn.Module):
             sibling._nodes if shared and sibling is not None else {}
         )
         self._recent: dict[tuple[bool, bytes], Tables] = {}
+        self._still: dict[bool, dict[Key, Surface | None]] = {}
+        self._placed: View | None = None
         self._steps: dict[tuple[bool, int], Tables] = {}
 
     # ------------------------------------------------------------------ parameters
@@ -185,17 +203,19 @@ class LightCurve(nn.Module):
         if not self.geometry_free:
             detail = shares or self.assembly.needs_shares
             return self._chunked(theta, self.tables(detail), shares)
-        flat = theta.reshape(-1, theta.shape[-1])
+        flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
         clock = self._only_clock()
-        if theta.ndim == 1 and not clock:
+        if theta.ndim == 1 and not clock and (transformed() or not self._gridded):
             return self._single(theta, shares)
-        if clock or not torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
+        if clock or not transformed():
             stepped = self._stepping_effect()
             grouped = None
             if clock:
                 grouped = self._interpolated(flat, shares)
-            elif stepped is not None:
+            elif stepped is not None and theta.ndim > 1:
                 grouped = self._stepped(flat, stepped, shares)
+            elif self._gridded:
+                grouped = self._moved(flat, shares)
             elif not torch.is_grad_enabled():
                 grouped = self._grouped(flat, shares)
             if grouped is not None:
@@ -212,6 +232,45 @@ class LightCurve(nn.Module):
         flux = found[0].reshape(*theta.shape[:-1], -1)
         kept = found[1].reshape(*theta.shape[:-1], *found[1].shape[1:]) if len(found) > 1 else None
         return Brightness(flux, kept, self.assembly.components)
+
+    @cached_property
+    def _gridded(self) -> bool:
+        """True if geometries of a batch are worked out together: few facets, of given sizes, and nothing
+        that needs the geometry apart from the facets' angles."""
+        a = self.assembly
+        sized = any(self.names[column].rpartition(".")[2] in COMPONENT_SIZES for column in a.geometry_columns)
+        return (
+            a.pairs <= MOST_GRIDDED * a.T and not sized and not a.stage("scatter") and not self._only_clock()
+        )
+
+    def _moved(self, flat: Tensor, shares: bool) -> Brightness:
+        """Rows of theta (B, P), the geometry of each worked out once, or as often as gradients ask for it."""
+        detail = shares or self.assembly.needs_shares
+        counts, pieces = [], []
+        for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs)):
+            distinct, member = rows, None
+            if not torch.is_grad_enabled():
+                distinct, member = self._geometries(rows)
+            made = self.parameter_set.values(distinct)
+            tables = self.make_tables(self.view(made, len(distinct)), made, detail, compact=False)
+            if member is not None and len(distinct) > 1:
+                tables = _members(tables, member, self._still_surfaces(detail).values())
+            pieces.append(self.shine(tables, self.parameter_set.values(rows), shares))
+            counts.append(len(rows))
+        each = list(zip(counts, pieces, strict=True))
+        kept = [one.shares.expand(count, -1, -1) for count, one in each if one.shares is not None]
+        flux = torch.cat([one.flux.expand(count, -1) for count, one in each])
+        return Brightness(flux, torch.cat(kept) if kept else None, self.assembly.components)
+
+    def _geometries(self, rows: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Rows of theta (D, P) with different geometries, and which of them each of ``rows`` (B, P) shares, (B,);
+        None if D is B."""
+        moving = rows[:, self.assembly.geometry_columns]
+        distinct, member = torch.unique(moving, dim=0, return_inverse=True)
+        if len(distinct) == len(rows):
+            return rows, None
+        place = torch.arange(len(rows), device=rows.device)
+        return rows[member.new_empty(len(distinct)).index_copy(0, member, place)], member
 
     def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
@@ -359,7 +418,7 @@ class LightCurve(nn.Module):
 
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
         """A batch beyond ``batch_size`` is cut along its leading axis."""
-        flat = theta.reshape(-1, theta.shape[-1]) if theta.ndim > 1 else theta
+        flat = theta.flatten(0, -2) if theta.ndim > 1 else theta
         size = self.batch_size(tables)
         if theta.ndim == 1 or len(flat) <= size:
             return self.shine(tables, self.parameter_set.values(theta), shares)
@@ -374,48 +433,17 @@ class LightCurve(nn.Module):
 
     # ------------------------------------------------------------------ geometry
 
-    def view(self, values: Mapping[str, Tensor], rows: slice | None = None) -> View:
+    def view(self, values: Mapping[str, Tensor], batch: int = 1) -> View:
         """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to
-        surface."""
+        surface, of values (), or (B,) for a ``batch`` of B."""
         a = self.assembly
         context = a.context
-        zero = torch.zeros(1, a.T, dtype=a.dtype, device=a.device)
-        nodes = Nodes(zero, torch.ones(1, 1, dtype=a.dtype, device=a.device))
-        for effect in a.stage("clock"):
-            nodes = effect.clock(nodes, a.own(effect, values), context)
-        request = Request(nodes.offset, nodes.offset, zero[0, :1])
-        for effect in a.stage("orbit"):
-            request = effect.orbit(request, a.own(effect, values), context)
-        state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
-        turned = a.attitude_values(values)
-        for effect in a.stage("spin"):
-            turned = effect.spin(turned, a.own(effect, values), context)
-        rotation = a.attitude.rotation(state, turned)
-        for effect in a.stage("attitude"):
-            rotation = effect.attitude(rotation, state, a.own(effect, values), context)
-        range_km = torch.linalg.vector_norm(state.observer, dim=-1)
-        to_sun = torch.einsum("...ij,...i->...j", rotation, _unit(state.sun))
-        to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
-        facets = tuple(part.facets(values) for part in a.shape.parts)
-        poses: tuple[Tensor | None, ...] = tuple(
-            None
-            if part.tracks_axis is None
-            else tracking_pose(like(part.tracks_axis, to_sun), like(part.front, to_sun), to_sun)
-            for part in a.shape.parts
-        )
+        view = self._places(values, batch)
+        values = _per_instant(values, view.nodes, batch)
+        poses = view.poses
         for effect in a.stage("pointing"):
             poses = effect.pointing(poses, a.own(effect, values), context)
-        view = View(
-            nodes,
-            state,
-            rotation,
-            to_sun,
-            to_observer,
-            1e3 * range_km,
-            poses,
-            facets,
-            lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
-        )
+        view = replace(view, poses=poses)
         patches = tuple(
             Patch(
                 component=part.name,
@@ -429,7 +457,7 @@ class LightCurve(nn.Module):
                 part=number,
                 select=index,
             )
-            for number, (part, one) in enumerate(zip(a.shape.parts, facets, strict=True))
+            for number, (part, one) in enumerate(zip(a.shape.parts, view.facets, strict=True))
             for material, index in a.patches[number]
         )
         lights = view.lights
@@ -439,6 +467,57 @@ class LightCurve(nn.Module):
         for effect in a.stage("surface"):
             patches = effect.surface(patches, view, a.own(effect, values), context)
         return replace(view, patches=patches)
+
+    def _places(self, values: Mapping[str, Tensor], batch: int) -> View:
+        """Clock to attitude; kept where no free parameter has a part in it."""
+        a = self.assembly
+        moving = {self.names[column].partition(".")[0] for column in a.geometry_columns}
+        several = any(effect.nodes > 1 for effect in a.stage("clock"))
+        late = moving <= {effect.name for effect in a.effects if effect.stage in LATE} and not several
+        if late and self._placed is not None:
+            return replace(self._placed, batch=batch)
+        context = a.context
+        zero = torch.zeros(batch if several else 1, a.T, dtype=a.dtype, device=a.device)
+        nodes = Nodes(zero, torch.ones_like(zero[:, :1]))
+        for effect in a.stage("clock"):
+            nodes = effect.clock(nodes, a.own(effect, _per_instant(values, nodes, batch)), context)
+        values = _per_instant(values, nodes, batch)
+        request = Request(nodes.offset, nodes.offset, zero[0, :1])
+        for effect in a.stage("orbit"):
+            request = effect.orbit(request, a.own(effect, values), context)
+        state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
+        turned = a.attitude_values(values)
+        for effect in a.stage("spin"):
+            turned = effect.spin(turned, a.own(effect, values), context)
+        rotation = a.attitude.rotation(state, turned)
+        for effect in a.stage("attitude"):
+            rotation = effect.attitude(rotation, state, a.own(effect, values), context)
+        range_km = torch.linalg.vector_norm(state.observer, dim=-1)
+        to_sun = torch.einsum("...ij,...i->...j", rotation, unit(state.sun))
+        to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
+        poses: dict[tuple[bytes, bytes] | None, Tensor] = {}  # parts that stand alike have one
+        keys = []
+        for part in a.shape.parts:
+            axis, front = part.tracks_axis, part.front
+            key = None if axis is None else (axis.tobytes(), front.tobytes())
+            if axis is not None and key not in poses:
+                poses[key] = tracking_pose(like(axis, to_sun), like(front, to_sun), to_sun)
+            keys.append(key)
+        view = View(
+            nodes,
+            state,
+            rotation,
+            to_sun,
+            to_observer,
+            1e3 * range_km,
+            tuple(map(poses.get, keys)),
+            tuple(part.facets(values) for part in a.shape.parts),
+            lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
+            batch=batch,
+        )
+        if late and not transformed():
+            self._placed = view
+        return view
 
     def tables(self, detail: bool = False) -> Tables:
         """The tables of a model whose geometry is fixed, made on first use; with ``detail`` wings stay
@@ -467,23 +546,33 @@ class LightCurve(nn.Module):
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
         allow."""
         a = self.assembly
-        phase = torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2
-        phase_angle = 2 * torch.acos(phase[phase.shape[0] // 2].clamp(max=1 - 1e-15))
         scatter = tuple((effect, effect.scatter(view, a.context)) for effect in a.stage("scatter"))
-        groups: dict[tuple[str, str], list[Patch]] = {}
-        for patch in view.patches:
-            groups.setdefault((patch.component if detail else "", patch.material), []).append(patch)
-        kinds: dict[tuple[bool, str | None], list[Light]] = {}
-        for light in view.lights:
-            kinds.setdefault((light.primary, light.scale), []).append(light)
-        surfaces = []
-        for (component, material), patches in groups.items():
-            for (sunlit, scale), lights in kinds.items():
-                table = pair_table(replace(view, lights=tuple(lights)), patches, compact)
-                if table is not None:
-                    model = patches[0].model
-                    surfaces.append(Surface(component, material, model, table, phase_angle, sunlit, scale))
-        return Tables(tuple(surfaces), scatter, Sky(view.state, view.nodes, compact))
+        still = {} if compact or transformed() or not self._gridded else self._still_surfaces(detail)
+        found = [
+            still[key] if key in still else _surface(key, one, patches, compact)
+            for key, one, patches in _sorted_patches(view, detail)
+        ]
+        surfaces = tuple(surface for surface in found if surface is not None)
+        return Tables(
+            surfaces, scatter, Sky(_by_value(view, view.state), _by_value(view, view.nodes), compact)
+        )
+
+    def _still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
+        """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
+        of theta have in common."""
+        if detail not in self._still:
+            with torch.no_grad():
+                theta = self.parameter_set.start()
+                alone = self.view(self.parameter_set.values(theta))
+                both = self.view(self.parameter_set.values(theta.expand(2, -1)), 2)
+                moving = {key for key, one, patches in _sorted_patches(both, detail) if _moves(one, patches)}
+                made = {
+                    key: _surface(key, one, patches, compact=True)
+                    for key, one, patches in _sorted_patches(alone, detail)
+                    if key not in moving
+                }
+            self._still[detail] = {key: one and self._condensed(one) for key, one in made.items()}
+        return self._still[detail]
 
     # ------------------------------------------------------------------ materials and detector
 
@@ -552,6 +641,88 @@ class LightCurve(nn.Module):
         return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
 
 
+def _per_instant(values: Mapping[str, Tensor], nodes: Nodes, batch: int) -> Mapping[str, Tensor]:
+    """Values () or (B,) for every instant of a batch, (Q B,)."""
+    times = nodes.offset.shape[0] // batch
+    if times < 2 or batch == 1:
+        return values
+    return {name: value.repeat(times) if value.ndim else value for name, value in values.items()}
+
+
+def _sorted_patches(view: View, detail: bool) -> list[tuple[Key, View, list[Patch]]]:
+    """Patches of one material under lights of one kind, with a view of these alone; by component if in
+    ``detail``."""
+    groups: dict[tuple[str, str], list[Patch]] = {}
+    for patch in view.patches:
+        groups.setdefault((patch.component if detail else "", patch.material), []).append(patch)
+    kinds: dict[tuple[bool, str | None], list[Light]] = {}
+    for light in view.lights:
+        kinds.setdefault((light.primary, light.scale), []).append(light)
+    return [
+        ((*group, *kind), replace(view, lights=tuple(lights)), patches)
+        for group, patches in groups.items()
+        for kind, lights in kinds.items()
+    ]
+
+
+def _moves(view: View, patches: Sequence[Patch]) -> bool:
+    """Whether patches, or the light on them, differ between the two values of a batch."""
+    seen = [view.to_observer, view.range_m, *(light.direction[0] for light in view.lights)]
+    own = [one for patch in patches for one in (patch.pose, patch.visible, patch.seen) if one is not None]
+    return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
+
+
+def _surface(key: Key, view: View, patches: Sequence[Patch], compact: bool) -> Surface | None:
+    """Patches of one material with their table; None if they are never lit and seen."""
+    table = pair_table(view, patches, compact)
+    if table is None:
+        return None
+    component, material, sunlit, scale = key
+    phase = view.apart(torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2)
+    middle = phase[phase.shape[0] // 2]
+    phase_angle = 2 * torch.acos((middle[0] if len(middle) == 1 else middle).clamp(max=1 - 1e-15))
+    return Surface(component, material, patches[0].model, table, phase_angle, sunlit, scale)
+
+
+def _by_value(view: View, record: Record) -> Record:
+    """Places or instants (Q, ...) of a batch with an axis B before the others."""
+    if view.batch == 1:
+        return record
+    apart = {
+        field.name: view.apart(value).transpose(0, 1)
+        for field in fields(record)
+        if (value := getattr(record, field.name)) is not None
+    }
+    return replace(record, **apart)
+
+
+def _members(tables: Tables, member: Tensor, still: Iterable[Surface | None]) -> Tables:
+    """Tables of some geometries for rows of theta (B,), each of which has the one that ``member`` (B,) says."""
+    kept = {id(surface) for surface in still}
+    surfaces = (
+        surface
+        if id(surface) in kept
+        else replace(
+            surface,
+            table={k: v[member] if len(v) > 1 else v for k, v in surface.table.items()},
+            phase_angle=surface.phase_angle[member] if surface.phase_angle.ndim > 1 else surface.phase_angle,
+        )
+        for surface in tables.surfaces
+    )
+    state, nodes = (
+        replace(
+            record,
+            **{
+                field.name: value[member]
+                for field in fields(record)
+                if (value := getattr(record, field.name)) is not None and len(value) > 1
+            },
+        )
+        for record in (tables.sky.state, tables.sky.nodes)
+    )
+    return replace(tables, surfaces=tuple(surfaces), sky=replace(tables.sky, state=state, nodes=nodes))
+
+
 def _cubic(x: Tensor) -> Tensor:
     """Weights (4, ...) of values at 0, 1, 2 and 3 in the cubic through them at x (...)."""
     return torch.stack(
@@ -562,10 +733,6 @@ def _cubic(x: Tensor) -> Tensor:
             x * (x - 1) * (x - 2) / 6,
         ]
     )
-
-
-def _unit(vector: Tensor) -> Tensor:
-    return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
 
 
 def degrees_between(a: Tensor, b: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ Letters: L lights, Q instants, T rows, F facets, K pairs of one row.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -15,6 +15,8 @@ from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.effects.base import Light, Patch, View
+from torchlc.tracing import transformed
+from torchlc.vectors import dot
 
 PAIRS_PER_CHUNK = 200_000
 """Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the
@@ -32,16 +34,13 @@ def pair_table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[s
     is lit and seen.
 
     The weight of a pair is area x visible fraction x irradiance x share of the exposure / range^2 if lit
-    and seen and 0 elsewhere. With ``compact`` only the pairs that are lit and seen are worked out, in as
+    and seen and 0 elsewhere. Where the values of a batch differ tables have an axis B before the others. With ``compact`` only the pairs that are lit and seen are worked out, in as
     few slots as the busiest row needs, and equal pairs (wings that share a normal) are counted once. Models
     without a lobe are summed over facets a few rows at a time, so that a mesh needs little memory.
     """
     model = patches[0].model
     if not compact:
-        columns = tuple(
-            torch.cat(column) for column in zip(*(_columns(view, one) for one in patches), strict=True)
-        )
-        return _tabulated(model, columns)
+        return _tabulated(model, _gridded(view, patches))
     instants = view.to_observer.shape[0]
     lights = sum(light.irradiance.shape[0] for light in view.lights)
     facets = sum(len(patch.area) for patch in patches)
@@ -79,32 +78,121 @@ def _tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tens
     return table if model.additive or len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
 
 
-def _columns(view: View, patch: Patch) -> tuple[Tensor, ...]:
+@dataclass(frozen=True)
+class Sides:
+    """Planes that keep still to one another: ``normal``, ``u`` (..., G, 3), and the area times visible fraction
+    on the side of the normal and on the other (None: there is no other), (..., G) or (Q, T, G)."""
+
+    pose: Tensor | None
+    normal: Tensor
+    u: Tensor
+    front: Tensor
+    back: Tensor | None
+
+
+def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...]:
     """The fields of :class:`Incidence`, the least variance of the lobe if a source has an extent, and the
-    weight of a patch's facets, each (K, T)."""
-    found: list[tuple[Tensor, ...]] = []
-    observer = _into(patch.pose, view.to_observer)
-    for light in view.lights:
-        cos_i, cos_r, *bisector = _projections(patch, _into(patch.pose, light.direction), observer)
-        weight = _weight(view, patch, light, cos_i, cos_r, slice(None))
-        angles = projected(cos_i, cos_r, *bisector)
-        spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
-        values = (*vars(angles).values(), *spread, weight)
-        found.append(tuple(value.expand(weight.shape).reshape(-1, weight.shape[-1]) for value in values))
-    return tuple(torch.cat(column) for column in zip(*found, strict=True))
+    weight of all pairs, whether lit or not: (K, T), or (B, K, T) where the values of a batch differ."""
+    found = [
+        _of_sides(view, light, sides) for light in view.lights for sides in _sides(patches, light.primary)
+    ]
+    if len(found) == 1:
+        joint = found[0]
+    else:
+        batch = max(column.shape[1] for columns in found for column in columns)
+        sizes = [max(map(len, columns)) for columns in found]
+        joint = [
+            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
+            for column in zip(*found, strict=True)
+        ]
+    alone = all(column.shape[1] == 1 for column in joint)
+    return tuple(column[:, 0] if alone else column.movedim(0, 1) for column in joint)
 
 
-def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:
-    """What :func:`~torchlc.brdf.base.projected` asks for, of directions to light (L, Q, T, 3) and observer
-    (Q, T, 3) in the patch's frame: (L, Q, F, T) each, with an axis of 1 where it is the same along it."""
+def _sides(patches: Sequence[Patch], primary: bool) -> list[Sides]:
+    """The facets of some patches, those of one plane or of opposite ones together: never two such are lit and
+    seen at once, and but for the weight they are alike."""
+    groups: dict[int, list[Patch]] = {}
+    found: list[Sides] = []
+    for patch in patches:
+        if transformed() or patch.normal.ndim > 2:
+            found.append(Sides(patch.pose, patch.normal, patch.u, _cover(patch, primary), None))
+        else:
+            groups.setdefault(id(patch.pose), []).append(patch)
+    for alike in groups.values():
+        normal, ahead = _signed(torch.cat([patch.normal for patch in alike]))
+        u, _ = _signed(torch.cat([patch.u for patch in alike]))
+        planes, member = torch.unique(torch.cat([normal, u], 1).detach(), dim=0, return_inverse=True)
+        covers = [_cover(patch, primary) for patch in alike]
+        rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
+        cover = torch.cat([one.expand(*rows, -1) for one in covers], -1)
+        front, back = (
+            cover.new_zeros(*rows, len(planes)).index_add(-1, member[side], cover[..., side])
+            for side in (ahead, ~ahead)
+        )
+        found.append(Sides(alike[0].pose, planes[:, :3], planes[:, 3:], front, back))
+    return found
+
+
+def _signed(vectors: Tensor) -> tuple[Tensor, Tensor]:
+    """Vectors (F, 3) or their opposites, with the first component that is not 0 positive; which were so
+    (F,)."""
+    lead = vectors.gather(1, (vectors != 0).to(torch.uint8).argmax(1, keepdim=True))
+    return torch.where(lead > 0, vectors, -vectors) + 0.0, lead[:, 0] > 0
+
+
+def _cover(patch: Patch, primary: bool) -> Tensor:
+    visible = patch.visible if primary else patch.seen
+    return patch.area if visible is None else patch.area * visible
+
+
+def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
+    """The columns of :func:`_gridded` of some sides in one light, (K, B or 1, T) each."""
+    source = view.apart(_into(sides.pose, light.direction), 1).movedim(-1, 0).contiguous()
+    observer = view.apart(_into(sides.pose, view.to_observer))[None].movedim(-1, 0).contiguous()
     bisector = source + observer
-    v = torch.linalg.cross(patch.normal, patch.u)
-    pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
-    return *((one @ axis.mT).mT for one, axis in pairs), (bisector * bisector).sum(-1)[..., None, :]
+    v = torch.linalg.cross(sides.normal, sides.u)
+    cos_i, cos_r = _facing(sides.normal, source), _facing(sides.normal, observer)
+    angles = projected(
+        cos_i.abs(),
+        cos_r.abs(),
+        _facing(sides.u, bisector),
+        _facing(v, bisector),
+        bisector.square().sum(0)[None],
+    )
+    front = _by_plane(view, sides.front)
+    if sides.back is None:
+        cover = front * (torch.minimum(cos_i, cos_r) > 0)
+    elif torch.equal(sides.front, sides.back):
+        cover = front * (cos_i * cos_r > 0)
+    else:
+        turned = front * (cos_i > 0) + _by_plane(view, sides.back) * (cos_i < 0)
+        cover = turned * (cos_i * cos_r > 0)
+    gain = view.apart(light.irradiance, 1) * view.apart(view.nodes.weight) / view.apart(view.range_m) ** 2
+    spread = [] if light.spread is None else [0.25 * view.apart(light.spread, 1)]
+    columns = (*vars(angles).values(), *spread, gain * cover)
+    if source.shape[1] * source.shape[2] > 1:  # else what all planes share stays as it is
+        columns = torch.broadcast_tensors(*columns)
+    return tuple(column.flatten(0, 2) for column in columns)
+
+
+def _facing(normal: Tensor, direction: Tensor) -> Tensor:
+    """Scalar products (G, L, Q, B, T) of vectors (G, 3), or (B, G, 3), with directions (3, L, Q, B, T)."""
+    if normal.ndim > 2:
+        return dot(normal.movedim(-2, 0)[:, None, None, :, None], direction.movedim(0, -1))
+    return (normal @ direction.flatten(1)).unflatten(1, direction.shape[1:])
+
+
+def _by_plane(view: View, cover: Tensor) -> Tensor:
+    """What planes (G,), (B, G) or (Q, T, G) count, shaped to meet (G, L, Q, B, T)."""
+    cover = cover.movedim(-1, 0)
+    if cover.ndim == 3:
+        return view.apart(cover, 1)[:, None]
+    return cover[:, None, None, ..., None] if cover.ndim == 2 else cover[:, None, None, None, None]
 
 
 def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, ...]:
-    """The columns of :func:`_columns` for a few rows, without the pairs of no weight: (slots of the busiest
+    """The columns of :func:`_gridded` for a few rows, without the pairs of no weight: (slots of the busiest
     row, rows)."""
     found: list[tuple[Tensor, ...]] = []
     for patch in patches:
@@ -120,6 +208,15 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
             found.append((row, *vars(angles).values(), *spread, weight[line, instant, facet, row]))
     row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
     return slotted(row, columns, view.range_m[:, rows].shape[1], EMPTY)
+
+
+def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:
+    """What :func:`~torchlc.brdf.base.projected` asks for, of directions to light (L, Q, T, 3) and observer
+    (Q, T, 3) in the patch's frame: (L, Q, F, T) each, with an axis of 1 where it is the same along it."""
+    bisector = source + observer
+    v = torch.linalg.cross(patch.normal, patch.u)
+    pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
+    return *((one @ axis.mT).mT for one, axis in pairs), dot(bisector, bisector)[..., None, :]
 
 
 def slotted(row: Tensor, columns: Sequence[Tensor], rows: int, empty: Sequence[float]) -> tuple[Tensor, ...]:
@@ -157,7 +254,7 @@ def _weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor
     visible = patch.visible if light.primary else patch.seen
     if visible is not None:
         weight = weight * visible[:, rows].mT
-    return torch.where((cos_i > 0) & (cos_r > 0), weight, 0.0)
+    return weight * (torch.minimum(cos_i, cos_r) > 0)
 
 
 def _into(pose: Tensor | None, direction: Tensor) -> Tensor:

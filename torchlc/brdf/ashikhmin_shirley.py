@@ -21,6 +21,7 @@ from torchlc.brdf.base import (
     weighed,
 )
 from torchlc.parameters import Quantity
+from torchlc.tracing import transformed
 
 GRID_STEP = 0.08
 COLUMNS_AT_ONCE = 48
@@ -154,7 +155,7 @@ def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor
 
 def combined(table: Tensor, rows: Tensor, weight: Tensor) -> Tensor:
     """Sum over J of rows (..., J) of a table (R, C) times weight (..., J): (..., C)."""
-    if torch._C._functorch.peek_interpreter_stack():  # pyright: ignore[reportAttributeAccessIssue]
+    if transformed():
         return (weight[..., None, :] @ table[rows])[..., 0, :]
     flat, share = rows.reshape(-1, rows.shape[-1]), weight.reshape(-1, rows.shape[-1])
     return embedding_bag(flat, table, per_sample_weights=share, mode="sum").reshape(*rows.shape[:-1], -1)

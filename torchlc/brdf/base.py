@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from torchlc.errors import InputError
 from torchlc.parameters import Quantity
+from torchlc.vectors import dot
 
 MODELS: dict[str, type[Brdf]] = {}
 """Every reflection model by the name a scene uses; a class enters by being defined."""
@@ -62,52 +63,38 @@ def incidence(normal: Tensor, u: Tensor, to_sun: Tensor, to_observer: Tensor) ->
     bisector = to_sun + to_observer
     v = torch.linalg.cross(*torch.broadcast_tensors(normal, u))
     return projected(
-        (normal * to_sun).sum(-1),
-        (normal * to_observer).sum(-1),
-        (u * bisector).sum(-1),
-        (v * bisector).sum(-1),
-        (bisector * bisector).sum(-1),
+        dot(normal, to_sun),
+        dot(normal, to_observer),
+        dot(u, bisector),
+        dot(v, bisector),
+        dot(bisector, bisector),
     )
 
 
 def projected(cos_i: Tensor, cos_r: Tensor, along_u: Tensor, along_v: Tensor, square: Tensor) -> Incidence:
     """Angles from the cosines and from s + o: its components along u and v, and the square of its length.
 
-    log(n.h) comes from sin^2 = (h.u)^2 + (h.v)^2 near the glint, where the cosine has lost its digits, and
-    from n.h elsewhere.
+    log(n.h) = -1/2 log(1 + tan^2) of the glint angle, which keeps its digits near the glint, where the
+    cosine has lost them; behind the facet it is near log(TINY_COS).
     """
-    length = torch.sqrt(square.clamp(min=4 * TINY_COS**2))
-    cos_n = (cos_i + cos_r) / length
-    square_u, square_v = (along_u / length) ** 2, (along_v / length) ** 2
-    front = cos_n > 0
-    per_square = _log_cos_per_sin2(
-        torch.where(front, cos_n, 0.5), torch.where(front, square_u + square_v, 0.75)
-    )
-    behind = 0.5 * math.log(TINY_COS)
+    ahead = (cos_i + cos_r).clamp(min=TINY_COS)
+    tan_u, tan_v = (along_u / ahead) ** 2, (along_v / ahead) ** 2
+    tan2 = (tan_u + tan_v).clamp(min=TINY_COS**2)
+    per_square = -0.5 * torch.log1p(tan2) / tan2
     return Incidence(
         cos_i=cos_i,
         cos_r=cos_r,
-        cos_half=0.5 * length,
-        log_u=torch.where(front, square_u * per_square, behind),
-        log_v=torch.where(front, square_v * per_square, behind),
+        cos_half=0.5 * torch.sqrt(square.clamp(min=4 * TINY_COS**2)),
+        log_u=tan_u * per_square,
+        log_v=tan_v * per_square,
     )
-
-
-def _log_cos_per_sin2(cosine: Tensor, sin2: Tensor) -> Tensor:
-    """log(cos) / sin^2 for cos > 0, smooth through its limit -1/2 at sin = 0."""
-    near, oblique = sin2 < 1e-3, sin2 > 0.5
-    x = torch.where(near, sin2, 0.0)
-    series = -0.5 * (1 + x * (1 / 2 + x * (1 / 3 + x * (1 / 4 + x * (1 / 5 + x / 6)))))
-    x = torch.where(near | oblique, 0.25, sin2)
-    middle = 0.5 * torch.log1p(-x) / x
-    log_cos = torch.log(torch.where(oblique, cosine, 0.5).clamp(min=TINY_COS))
-    far = log_cos / torch.where(oblique, sin2, 0.75)
-    return torch.where(near, series, torch.where(oblique, far, middle))
 
 
 def schlick_weight(cos_half: Tensor) -> Tensor:
     """(1 - h.s)^5 of Schlick's Fresnel factor F = r + (1 - r) (1 - h.s)^5, eq. 5."""
-    return (1 - cos_half).clamp(min=0) ** 5
+    below = (1 - cos_half).clamp(min=0)
+    square = below * below
+    return square * square * below
 
 
 def lambert(angles: Incidence) -> Tensor:
@@ -122,8 +109,15 @@ def coupled_diffuse(angles: Incidence) -> Tensor:
     exceed 1 together.
     """
     cos_i, cos_r = angles.cos_i.clamp(min=0), angles.cos_r.clamp(min=0)
-    shape_i, shape_r = (-torch.expm1(5 * torch.log1p(-0.5 * cosine)) for cosine in (cos_i, cos_r))
-    return 28 / (23 * math.pi) * cos_i * cos_r * shape_i * shape_r
+    return 28 / (23 * math.pi) * cos_i * cos_r * _less_fifth(cos_i) * _less_fifth(cos_r)
+
+
+def _less_fifth(cosine: Tensor) -> Tensor:
+    """1 - (1 - c/2)^5 for c in [0, 1], with all its digits."""
+    total = 0.3125 - cosine / 32
+    for coefficient in (1.25, 2.5, 2.5):
+        total = torch.addcmul(cosine.new_tensor(coefficient), cosine, total, value=-1)
+    return cosine * total
 
 
 def lobe(exponent: Tensor) -> Tensor:

@@ -47,6 +47,7 @@ class Appendage(Effect):
         )
         plate = Patch(
             component=self.name, material=self.name, model=AshikhminShirley, faces=["front", "back"],
-            normal=torch.stack([up, -up]), u=torch.stack([east, east]), area=p["area"].expand(2),
+            normal=torch.stack([up, -up], -2), u=torch.stack([east, east], -2),
+            area=p["area"].expand(*p["area"].shape[:-1], 2),
         )  # fmt: skip
         return (*patches, plate)

@@ -91,7 +91,8 @@ class Light:
 class Patch:
     """Facets of one component that share a material.
 
-    ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest; ``pose`` (Q, T, 3, 3) turns them into
+    ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest, with an axis B before if they differ
+    within a batch; ``pose`` (Q, T, 3, 3) turns them into
     the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
     seen, ``seen`` (Q, T, F) that is seen (None: 1).
     """
@@ -112,7 +113,11 @@ class Patch:
 
 @dataclass(frozen=True)
 class View:
-    """The geometry of all rows and instants: directions are unit vectors in the body frame."""
+    """The geometry of all rows and instants: directions are unit vectors in the body frame.
+
+    For a ``batch`` of values of the parameters the axis Q holds the instants of all, those of the first instant
+    first, or 1 where nothing differs.
+    """
 
     nodes: Nodes
     state: State
@@ -124,6 +129,13 @@ class View:
     facets: tuple[Facets, ...]
     lights: tuple[Light, ...] = ()
     patches: tuple[Patch, ...] = ()
+    batch: int = 1
+
+    def apart(self, tensor: Tensor, axis: int = 0) -> Tensor:
+        """``tensor`` with its axis Q as two: instants, and the values of the batch or 1."""
+        size = tensor.shape[axis]
+        batch = 1 if size == 1 else self.batch
+        return tensor.unflatten(axis, (size // batch, batch))
 
 
 @dataclass(frozen=True)
@@ -173,11 +185,6 @@ class Noise:
     width: Tensor | None = None
 
 
-def traced() -> bool:
-    """True where gradients or transforms follow the computation, so that it may not branch on the data."""
-    return torch.is_grad_enabled() or bool(torch._C._functorch.peek_interpreter_stack())  # pyright: ignore
-
-
 class Memory:
     """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY
     bytes."""
@@ -185,23 +192,29 @@ class Memory:
     def __init__(self) -> None:
         self._kept: dict[bytes, Sequence[Tensor]] = {}
 
-    def recall(self, inputs: Sequence[Tensor], compute: Callable[[], Sequence[Tensor]]) -> Sequence[Tensor]:
-        """``compute()``, or what it gave for the same inputs; never kept where gradients or transforms need
-        it traced."""
-        if traced():
-            return compute()
-        digest = hashlib.blake2b(digest_size=16)
-        for tensor in inputs:
-            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-        key = digest.digest()
-        if key not in self._kept:
-            self._kept[key] = compute()
-            while len(self._kept) > 1 and self._size() > LARGEST_MEMORY:
-                self._kept.pop(next(iter(self._kept)))
-        return self._kept[key]
+    def recall(
+        self, inputs: Sequence[Sequence[Tensor]], compute: Callable[[list[int]], Sequence[Tensor]]
+    ) -> list[Tensor]:
+        """What ``compute`` gives for some of the N items of ``inputs``, by their numbers, as tensors (items,
+        ...): for all of them, (N, ...), but asked only for items that are new."""
+        keys = [_digest(item) for item in inputs]
+        new = {key: k for k, key in enumerate(keys) if key not in self._kept}
+        found = compute(list(new.values())) if new else ()
+        self._kept |= {key: [one[place].clone() for one in found] for place, key in enumerate(new)}
+        whole = [torch.stack(column) for column in zip(*(self._kept[key] for key in keys), strict=True)]
+        while len(self._kept) > 1 and self._size() > LARGEST_MEMORY:
+            self._kept.pop(next(iter(self._kept)))
+        return whole
 
     def _size(self) -> int:
         return sum(one.numel() * one.element_size() for kept in self._kept.values() for one in kept)
+
+
+def _digest(tensors: Sequence[Tensor]) -> bytes:
+    digest = hashlib.blake2b(digest_size=16)
+    for tensor in tensors:
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.digest()
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from torchlc.bounce import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.brdf.base import Brdf, Incidence
-from torchlc.effects.base import Effect, Scatter, Surface, traced
+from torchlc.effects.base import Effect, Scatter, Surface
 from torchlc.parameters import Quantity
 from torchlc.table import joined, slotted
+from torchlc.tracing import traced
 
 ROWS_AT_ONCE = 200
 

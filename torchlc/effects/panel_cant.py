@@ -32,12 +32,11 @@ class PanelCant(Effect):
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])
-        turned = []
+        turned: dict[int, torch.Tensor] = {}  # parts that stand alike have one pose, and keep one
         for pose, part in zip(poses, context.parts, strict=True):
-            if pose is not None and part.tracks_axis is not None:
+            if pose is not None and part.tracks_axis is not None and id(pose) not in turned:
                 axis, front = like(part.tracks_axis, pose), pose @ like(part.front, pose)
                 hinge = torch.linalg.cross(front, axis.expand(front.shape))
                 hinge = hinge / torch.linalg.vector_norm(hinge, dim=-1, keepdim=True)
-                pose = rotation_about(hinge, angle) @ pose
-            turned.append(pose)
-        return tuple(turned)
+                turned[id(pose)] = rotation_about(hinge, angle) @ pose
+        return tuple(pose if pose is None else turned.get(id(pose), pose) for pose in poses)

@@ -31,9 +31,9 @@ class PanelOffset(Effect):
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])
-        return tuple(
-            pose
-            if pose is None or part.tracks_axis is None
-            else rotation_about(like(part.tracks_axis, angle).expand(*angle.shape, 3), angle) @ pose
-            for pose, part in zip(poses, context.parts, strict=True)
-        )
+        turned: dict[int, torch.Tensor] = {}  # parts that stand alike have one pose, and keep one
+        for pose, part in zip(poses, context.parts, strict=True):
+            if pose is not None and part.tracks_axis is not None and id(pose) not in turned:
+                axis = like(part.tracks_axis, angle).expand(*angle.shape, 3)
+                turned[id(pose)] = rotation_about(axis, angle) @ pose
+        return tuple(pose if pose is None else turned.get(id(pose), pose) for pose in poses)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
+
 from torchlc.effects.base import Effect
+from torchlc.tracing import traced
 from torchlc.visibility import visible_fractions
 
 
@@ -21,26 +24,16 @@ class SelfShadowing(Effect):
     known = True
 
     def surface(self, patches, view, p, context):
-        rows = view.to_sun.shape[:-1]
-
-        def flat(tensor):
-            return None if tensor is None else tensor.expand(*rows, 3, 3).reshape(-1, 3, 3)
-
-        to_sun, to_observer = view.to_sun.reshape(-1, 3), view.to_observer.expand(*rows, 3).reshape(-1, 3)
-        poses = [flat(pose) for pose in view.poses]
-        corners = [facets.vertices for facets in view.facets]
+        poses = [pose for pose in view.poses if pose is not None]
+        rows = torch.broadcast_shapes(
+            view.to_sun.shape[:-1], view.to_observer.shape[:-1], *(pose.shape[:-2] for pose in poses)
+        )
+        to_sun, to_observer = view.to_sun.expand(*rows, 3), view.to_observer.expand(*rows, 3)
+        turns = [None if pose is None else pose.expand(*rows, 3, 3) for pose in view.poses]
 
         def fractions(source):
-            found = context.memory.recall(
-                [source, to_observer, *(pose for pose in poses if pose is not None), *corners],
-                lambda: visible_fractions(context.shape, list(view.facets), poses, source, to_observer),
-            )
-            return [
-                None
-                if patch.part is None
-                else found[patch.part][:, patch.select].reshape(*rows, len(patch.area))
-                for patch in patches
-            ]
+            found = _visible(context, view.facets, turns, source, to_observer)
+            return [None if patch.part is None else found[patch.part][..., patch.select] for patch in patches]
 
         visible = fractions(to_sun)
         seen = visible if all(light.primary for light in view.lights) else fractions(to_observer)
@@ -48,3 +41,27 @@ class SelfShadowing(Effect):
             replace(patch, visible=one, seen=other)
             for patch, one, other in zip(patches, visible, seen, strict=True)
         )
+
+
+def _visible(context, facets, poses, to_sun, to_observer):
+    """Fractions (Q, T, F) of each part; what was worked out for an instant before is remembered."""
+    corners = [own.vertices for own in facets]
+
+    def of(instants):
+        turns = [None if pose is None else pose[instants].flatten(0, 1) for pose in poses]
+        found = visible_fractions(
+            context.shape,
+            list(facets),
+            turns,
+            to_sun[instants].flatten(0, 1),
+            to_observer[instants].flatten(0, 1),
+        )
+        return [one.unflatten(0, (-1, to_sun.shape[1])) for one in found]
+
+    if traced():
+        return of(slice(None))
+    alone = [
+        [to_sun[k], to_observer[k], *(pose[k] for pose in poses if pose is not None), *corners]
+        for k in range(len(to_sun))
+    ]
+    return context.memory.recall(alone, of)

@@ -135,11 +135,15 @@ class Piecewise(Motion):
     def forward(self, offset: Tensor) -> tuple[Tensor, Tensor]:
         place = self.start + offset / self.step_s
         whole = torch.floor(place.detach()).clamp(self.first, self.last)
-        fraction = (place - whole)[..., None]
-        c = self.coefficients[self.cell + whole.long()]
-        position, velocity = c[..., -1], torch.zeros_like(c[..., -1])
-        for k in range(c.shape[-1] - 2, -1, -1):
-            velocity = velocity * fraction + position
-            position = position * fraction + c[..., k]
-        turn = self.rotation
-        return (turn @ position[..., None])[..., 0], (turn @ (velocity / self.step_s)[..., None])[..., 0]
+        fraction = place - whole
+        index = self.cell + whole.long()
+        position = self.coefficients[..., -1].mT[:, index]
+        velocity = torch.zeros_like(position)
+        for k in range(self.coefficients.shape[-1] - 2, -1, -1):  # components first: long stretches of memory
+            velocity = torch.addcmul(position, velocity, fraction)
+            position = torch.addcmul(self.coefficients[..., k].mT[:, index], position, fraction)
+        turn = self.rotation.movedim((-2, -1), (0, 1)).unflatten(-1, (*(1,) * (index.ndim - 1), -1))
+        position, velocity = (
+            (turn * one).sum(1).movedim(0, -1).contiguous() for one in (position, velocity / self.step_s)
+        )
+        return position, velocity

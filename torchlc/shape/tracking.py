@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchlc.tracing import transformed
+from torchlc.vectors import dot, unit
+
 ALONG_AXIS = 1e-6  # sine of the angle to the axis below which the Sun does not say how the part should turn
 
 
@@ -19,17 +22,22 @@ def tracking_pose(axis: Tensor, front: Tensor, to_sun: Tensor) -> Tensor:
     rest.
     """
     across = to_sun - (to_sun @ axis)[..., None] * axis
-    defined = across.detach().square().sum(dim=-1) > ALONG_AXIS**2 * to_sun.detach().square().sum(dim=-1)
-    row = torch.arange(defined.shape[-1], device=to_sun.device).expand(defined.shape)
+    defined = dot(across, across).detach() > ALONG_AXIS**2 * dot(to_sun, to_sun).detach()
+    rest = front - (front @ axis) * axis
+    rest = rest / rest.norm()
+    chosen = across if not transformed() and bool(defined.all()) else _carried(across, defined, rest)
+    turned = unit(chosen)
+    third = torch.linalg.cross(axis, rest, dim=-1)
+    now = torch.stack([turned, torch.linalg.cross(axis.expand(turned.shape), turned, dim=-1)], dim=-1)
+    return now @ torch.stack([rest, third]) + axis[:, None] * axis
+
+
+def _carried(across: Tensor, defined: Tensor, rest: Tensor) -> Tensor:
+    """``across`` (..., T, 3) with rows that are not ``defined`` (..., T) taken from the last one that is."""
+    row = torch.arange(defined.shape[-1], device=across.device).expand(defined.shape)
     last = torch.where(defined, row, -1).cummax(dim=-1).values
     first = torch.where(defined, row, row.shape[-1]).amin(dim=-1, keepdim=True)
     source = torch.where(last < 0, first, last)
     none = source >= row.shape[-1]
     chosen = across.gather(-2, source.clamp(max=row.shape[-1] - 1)[..., None].expand(across.shape))
-    rest = front - (front @ axis) * axis
-    rest = rest / rest.norm()
-    chosen = torch.where(none[..., None], rest, chosen)
-    turned = chosen / chosen.norm(dim=-1, keepdim=True)
-    third = torch.linalg.cross(axis, rest, dim=-1)
-    now = torch.stack([turned, torch.linalg.cross(axis.expand(turned.shape), turned, dim=-1)], dim=-1)
-    return now @ torch.stack([rest, third]) + axis[:, None] * axis
+    return torch.where(none[..., None], rest, chosen)

@@ -1,0 +1,17 @@
+"""Vectors (..., 3) of many rows."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Scalar products (...) of vectors (..., 3) that broadcast, component by component: a reduction over an
+    axis of three takes several times as long, and would write all products first."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def unit(vector: Tensor) -> Tensor:
+    """Directions (..., 3) of vectors (..., 3)."""
+    return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)

@@ -23,7 +23,7 @@ from torchlc.diagnose.refit import (
     linearised,
     refit,
 )
-from torchlc.diagnose.starts import screened
+from torchlc.diagnose.starts import objective, screened
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.fit import polish
@@ -31,6 +31,8 @@ from torchlc.fit import polish
 GRID = 24
 GRID_PER_DIMENSION = 24
 MOST_SCANNED = 400
+MOST_RESCANS = 3
+PARTS = 24
 STARTS = 12
 SLOW_STARTS = 3
 LEADERS = 2
@@ -201,18 +203,21 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
 def scanned(bench: Workbench, entry: str, psi: Tensor) -> Tensor:
     """Values psi (G, k) to probe; of an effect that begins at some row, in which no descent finds the row, all
     rows (MOST_SCANNED of them) at its typical size in their place."""
-    quantities = registry()[Entry.parse(entry).name].quantities
-    name = registry()[Entry.parse(entry).name].scanned
-    if not name:
+    column = scanned_column(entry)
+    if column is None:
         return psi
     stamps = torch.unique(bench.base.context.seconds).to(psi) / 3600
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     if len(middle) > MOST_SCANNED:
         middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED).long()]
-    columns = [
-        middle if one.name == name else torch.full_like(middle, one.typical or 0.0) for one in quantities
-    ]
-    return torch.stack(columns, -1)
+    quantities = registry()[Entry.parse(entry).name].quantities
+    return torch.stack(
+        [
+            middle if index == column else torch.full_like(middle, one.typical or 0.0)
+            for index, one in enumerate(quantities)
+        ],
+        -1,
+    )
 
 
 def divided_step(entry: str) -> float:
@@ -246,7 +251,7 @@ def extended(
     places = 1 if not columns else SLOW_PLACES if slow else PLACES
     psi = effect_starts(likelihood, entry, places, generator)
     ranked = found.psi[torch.argsort(found.scores, descending=True)]
-    likely = ranked[: -(-places // 2)]
+    likely = apart(bench, entry, ranked)[: -(-places // 2)]
     if columns:
         psi[: len(likely)] = likely
     if seeds:
@@ -260,7 +265,50 @@ def extended(
     group = torch.arange(places).repeat_interleave(len(pool))
     theta[:, columns] = psi[group]
     fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group))
-    return judged(fitted, scorer)
+    return judged(rescanned(bench, entry, fitted), scorer)
+
+
+def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
+    """A refit whose effect has to be tried at every row, tried again at every row from what was found, until that
+    helps no more."""
+    column = scanned_column(entry)
+    if column is None or fitted.likelihood.fitted_errors:
+        return fitted
+    place = effect_columns(fitted.model.parameter_set, entry)[column]
+    for _ in range(MOST_RESCANS):
+        rows = scanned(bench, entry, fitted.theta[None])[:, column]
+        theta = fitted.theta.repeat(len(rows), 1)
+        theta[:, place] = rows
+        with torch.no_grad():
+            cost = objective(fitted.likelihood, theta)
+        best = theta[torch.argsort(cost)[:1]]
+        if float(cost.min()) > fitted.objective - 1.0:
+            break
+        again = refit(fitted.likelihood, fitted.hypothesis, best)
+        if again.objective > fitted.objective - 1.0:
+            break
+        fitted = again
+    return fitted
+
+
+def apart(bench: Workbench, entry: str, ranked: Tensor) -> Tensor:
+    """Probed values (G, k), best first; of an effect that was tried at every row, those that stand apart."""
+    column = scanned_column(entry)
+    if column is None or not len(ranked):
+        return ranked
+    least = float(bench.base.context.seconds.max() - bench.base.context.seconds.min()) / 3600 / PARTS
+    chosen: list[int] = []
+    for index, hour in enumerate(ranked[:, column].tolist()):
+        if all(abs(hour - float(ranked[other, column])) > least for other in chosen):
+            chosen.append(index)
+    return ranked[chosen]
+
+
+def scanned_column(entry: str) -> int | None:
+    """Which of an effect's own parameters has to be tried at every row, if one has."""
+    cls = registry()[Entry.parse(entry).name]
+    names = [quantity.name for quantity in cls.quantities]
+    return names.index(cls.scanned) if cls.scanned else None
 
 
 def other_materials(at: Refit, count: int, generator: torch.Generator) -> Tensor:
@@ -422,7 +470,9 @@ def search(
     good = leader_first([found for found in sound if better(found, null, excess)])
     best = good[0] if good else null
     beam = good[:BEAM] or promising(sound, null, excess)
-    while beam and len(beam[0].hypothesis.added) < MOST_EFFECTS and not is_clean(best):
+    for _ in range(MOST_EFFECTS - 1):
+        if not beam or is_clean(best):
+            break
         grown: list[Found] = []
         for place, stem in enumerate(beam):
             again = {}
@@ -450,9 +500,26 @@ def search(
         if not accepted:
             break
         accepted = leader_first(accepted)
-        best = accepted[0]
-        beam = accepted[:BEAM]
+        best, tried = trimmed(bench, scorer, accepted[0])
+        others += tried
+        beam = [best, *accepted[1:BEAM]]
     return best, first, others
+
+
+def trimmed(bench: Workbench, scorer: Scorer, found: Found) -> tuple[Found, list[Found]]:
+    """A set without the members that it does not need once their like is refitted from its own values, and all
+    refits made: the smaller sets that it grew from may have stayed in minima that it left."""
+    tried: list[Found] = []
+    for entry in found.hypothesis.added:
+        if len(found.hypothesis.added) == 1:
+            break
+        fewer = Hypothesis(tuple(one for one in found.hypothesis.added if one != entry))
+        theta = bench.start(fewer, found.refit.theta[None], found.refit.names)
+        without = judged(refit(bench.likelihood(fewer), fewer, theta), scorer)
+        tried.append(without)
+        if nameable(without) and not better(found, without, None, gain=0.0):
+            found = without
+    return found, tried
 
 
 def explored(found: Found, scorer: Scorer, seed: int) -> Found:

@@ -141,10 +141,11 @@ def simulated_curve(
     model = LightCurve(scene, quoted)
     theta = model.parameter_set.start()
     with torch.no_grad():
-        brightness = model.brightness(theta, shares=True)
+        batch = model.brightness(theta[None], shares=True)  # of one; pairs of a batch are worked off in pieces
+        assert batch.shares is not None  # asked for
+        brightness = replace(batch, flux=batch.flux[0], shares=batch.shares[0])
         mag = model.magnitude(brightness, theta).numpy()
-    assert brightness.shares is not None  # asked for
-    flux, shares = brightness.flux.numpy(), brightness.shares.numpy()
+    flux, shares = brightness.flux.numpy(), batch.shares[0].numpy()
     columns: dict[str, np.ndarray | None] = {"mag": mag, "flux": flux}
     if noise is not None:
         delta = _errors(model, theta, noise, seed)

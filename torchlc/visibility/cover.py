@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 INFLATION = 1e-9  # of the facet's size; see covered_area
+VALUES_AT_ONCE = 3_000_000  # (facet, edge, edge) triples, which bounds the memory
 
 
 @torch.no_grad()
@@ -46,7 +47,9 @@ def covered_area(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> Te
     b = torch.cat([end.flatten(1, 2), corner_end], dim=1)
     here, there = a.detach(), b.detach()
     along = there - here
-    once, first = _stretches(facet.detach(), start.detach(), end.detach(), valid)
+    step = max(1, VALUES_AT_ONCE // a.shape[1] ** 2)
+    cuts = zip(*(tensor.detach().split(step) for tensor in (facet, start, end, valid)), strict=True)
+    once, first = (torch.cat(piece) for piece in zip(*(_stretches(*cut) for cut in cuts), strict=True))
     moved = _cross(a - here, along) * (once - first) + _cross(b - there, along) * first
     return (0.5 * _cross(here, along) * once + moved).sum(dim=1)
 

@@ -20,7 +20,7 @@ from torchlc.visibility.rowwise import picked
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
-PAIRS_AT_ONCE = 200_000  # (row, facet) pairs, which bounds the memory
+VALUES_AT_ONCE = 3_000_000  # (row, facet, corner of a hull) triples, which bounds the memory
 TENSORS_PER_PART = 5
 
 
@@ -83,12 +83,13 @@ class Planes:
 
 def polygon_fractions(parts: Sequence[Part], *tensors: Tensor) -> tuple[Tensor, ...]:
     """Fractions (N, F) of each part; tensors: to_sun, to_observer (N, 3), then five a part as in `Posed`."""
-    rows, step = len(tensors[0]), max(1, PAIRS_AT_ONCE // max(len(part.faces) for part in parts))
+    corners = max(tensor.shape[1] for tensor in tensors[1 + TENSORS_PER_PART :: TENSORS_PER_PART])
+    step = max(1, VALUES_AT_ONCE // (corners * max(len(part.faces) for part in parts)))
     pieces = [
         _rows_fractions(
             parts, *(tensor[start : start + step] if len(tensor) > 1 else tensor for tensor in tensors)
         )
-        for start in range(0, rows, step)
+        for start in range(0, len(tensors[0]), step)
     ]
     return tuple(torch.cat(piece) for piece in zip(*pieces, strict=True))
 

@@ -582,7 +582,8 @@ class LightCurve(nn.Module):
         sunlight: Tensor | None = None
         for effect in a.stage("shade"):
             factor = effect.shade(tables.sky, a.own(effect, values), a.context)
-            sunlight = factor if sunlight is None else sunlight * factor
+            if factor.ndim:
+                sunlight = factor if sunlight is None else sunlight * factor
         by_component: dict[str, Tensor] = {}
 
         def add(component: str, light: Tensor, sunlit: bool) -> None:

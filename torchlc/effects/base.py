@@ -385,7 +385,7 @@ class Effect:
         return lights
 
     def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
-        """Factor (..., T) on sunlight."""
+        """Factor (..., T) on sunlight; () if all of it is there."""
         return torch.ones(())
 
     def surface(

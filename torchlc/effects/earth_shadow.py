@@ -8,6 +8,7 @@ from torch import Tensor
 from torchlc.effects.base import Effect, Sky
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
+from torchlc.tracing import traced
 
 EARTH_RADIUS_KM = 6378.137
 FLATTENING = 1 / 298.257223563
@@ -112,7 +113,7 @@ class EarthShadow(Effect):
             self._near = (sky, _near_shadow(position, sun))
         near = self._near[1]
         if not len(near):
-            return torch.ones_like(p["h0"])
+            return torch.ones_like(p["h0"]) if traced() else torch.ones(())
         factor = p["h0"].new_ones(*p["h0"].shape[:-1], position.shape[-2])
         seen = sunlit_fraction(position[:, near], sun[:, near], p["h0"][..., None, :])
         factor[..., near] = (weight.expand(position.shape[:-1])[:, near] * seen).sum(-2)

@@ -207,6 +207,7 @@ def test_an_interrupted_diagnosis_leaves_nothing_and_says_how_to_begin_again(
     arguments = ["diagnose", *case, "-o", str(tmp_path / "out"), "--quiet"]
     worker = process(*arguments)
     until((tmp_path / "out" / LOCK_NAME).exists, worker)
+    time.sleep(0.5)
     worker.send_signal(signal.SIGINT)
     said, error = worker.communicate(timeout=180)
     assert worker.returncode == 130 and not said

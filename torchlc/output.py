@@ -41,18 +41,18 @@ class OutputDirectory:
         self._make()
         try:
             self._lock()
+            for left in self.path.glob(f"*{PARTIAL}"):
+                left.unlink(missing_ok=True)
         except BaseException:
+            self._unlock()
             self._unmake()
             raise
-        for left in self.path.glob(f"*{PARTIAL}"):
-            left.unlink(missing_ok=True)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        (self.path / LOCK_NAME).unlink(missing_ok=True)
-        os.close(self._descriptor)
+        self._unlock()
         if kind is not None:
             self._unmake()
 
@@ -97,14 +97,10 @@ class OutputDirectory:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if _same_file(descriptor, lock):
+                    self._descriptor = descriptor
                     started = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
                     os.ftruncate(descriptor, 0)
-                    try:
-                        os.write(descriptor, json.dumps({"pid": os.getpid(), "started": started}).encode())
-                    except OSError:
-                        lock.unlink()
-                        raise
-                    self._descriptor = descriptor
+                    os.write(descriptor, json.dumps({"pid": os.getpid(), "started": started}).encode())
                     return
                 os.close(descriptor)  # its owner finished between our open and our lock
             except BlockingIOError:
@@ -112,8 +108,15 @@ class OutputDirectory:
                 os.close(descriptor)
                 raise BusyError(f"{self.path} is in use by another run{_named(holder)}") from None
             except OSError as error:
-                os.close(descriptor)
+                if self._descriptor < 0:
+                    os.close(descriptor)
                 raise _unusable(self.path, error) from None
+
+    def _unlock(self) -> None:
+        if self._descriptor >= 0:
+            (self.path / LOCK_NAME).unlink(missing_ok=True)
+            os.close(self._descriptor)
+            self._descriptor = -1
 
 
 def without_nan(value: Any) -> Any:

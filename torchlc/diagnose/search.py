@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import torch
 from torch import Tensor
@@ -469,7 +470,7 @@ def search(
     sound = [found for found in first if nameable(found)]
     good = leader_first([found for found in sound if better(found, null, excess)])
     best = good[0] if good else null
-    beam = good[:BEAM] or promising(sound, null, excess)
+    beam = stems(good, promising(sound, null, excess))
     for _ in range(MOST_EFFECTS - 1):
         if not beam or is_clean(best):
             break
@@ -478,7 +479,7 @@ def search(
             again = {}
             for number, entry in enumerate(entries):
                 made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
-                if compatible(stem, entry) and not made:
+                if compatible(stem, entry) and not made and payable(bench, stem, entry):
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
             strongest = max((one.score for one in again.values()), default=0.0)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
@@ -547,8 +548,24 @@ def compatible(stem: Found, entry: str) -> bool:
     return registry()[new.name].stage == "material" or new.name not in stem.hypothesis.names
 
 
+def stems(good: Sequence[Found], promising: Sequence[Found]) -> list[Found]:
+    """Refits to extend: of the good and the promising in turn, each once."""
+    turns = [one for pair in zip_longest(good, promising) for one in pair if one is not None]
+    chosen = {one.hypothesis.plain: one for one in turns}
+    return list(chosen.values())[: BEAM + 1 if good and promising else BEAM]
+
+
+def payable(bench: Workbench, stem: Found, entry: str) -> bool:
+    """Whether a set's refits can be paid: light between parts, up to 2 % of the whole, is not worked out anew for
+    every step of an effect that moves them, unless the scene itself asks for it."""
+    model = bench.likelihood(stem.hypothesis.with_effect(entry)).model
+    asked = any(effect.stage == "scatter" for effect in bench.base.effects)
+    return asked or not (model.geometry_free and any(effect.stage == "scatter" for effect in model.effects))
+
+
 def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list[Found]:
-    """Refits to extend where none is good enough alone: at the quoted errors each must gain over the baseline.
+    """Refits to extend whether or not they are good enough alone: those that gain most over the baseline at the
+    quoted errors.
 
     Of two missing effects either alone may leave so much that noise describes the rest as well as all. That is
     so of a gross mismatch; a faint one that no effect explains is left at that.

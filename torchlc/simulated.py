@@ -141,11 +141,13 @@ def simulated_curve(
     model = LightCurve(scene, quoted)
     theta = model.parameter_set.start()
     with torch.no_grad():
-        batch = model.brightness(theta[None], shares=True)  # of one; pairs of a batch are worked off in pieces
+        # a batch of one, whose pairs are worked off in pieces; no axis for it where nothing free sheds light
+        batch = model.brightness(theta[None], shares=True)
         assert batch.shares is not None  # asked for
-        brightness = replace(batch, flux=batch.flux[0], shares=batch.shares[0])
+        shape = (-1, len(recording))
+        brightness = replace(batch, flux=batch.flux.reshape(-1), shares=batch.shares.reshape(shape))
         mag = model.magnitude(brightness, theta).numpy()
-    flux, shares = brightness.flux.numpy(), batch.shares[0].numpy()
+    flux, shares = brightness.flux.numpy(), batch.shares.reshape(shape).numpy()
     columns: dict[str, np.ndarray | None] = {"mag": mag, "flux": flux}
     if noise is not None:
         delta = _errors(model, theta, noise, seed)

@@ -66,3 +66,18 @@ def test_without_a_compiler_the_plain_call_serves(likelihood, monkeypatch):
         call = compiled(likelihood, theta)
     with torch.no_grad():
         torch.testing.assert_close(call(theta), likelihood.log_prob(theta), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    "effects", [["panel_offset", "self_shadowing"], ["time_offset", "panel_cant"], ["appendage"]]
+)
+def test_geometries_of_a_batch_are_those_of_each(effects):
+    """On one grid of planes, with what they share shared, as facet by facet under a transform."""
+    scene, recording = torchlc.load(DEMO / "scene.toml", DEMO / "recording.ecsv")
+    model = torchlc.LightCurve(scene, recording, effects=effects)
+    theta = model.parameter_set.sample_prior(7, torch.Generator().manual_seed(2))
+    theta[3:5, model.assembly.geometry_columns] = theta[0, model.assembly.geometry_columns]
+    with torch.no_grad():
+        together = model.brightness(theta).flux
+        facets = torch.vmap(lambda one: model.brightness(one).flux)(theta)
+    torch.testing.assert_close(together, facets, rtol=1e-11, atol=1e-11 * float(facets.max()))

@@ -145,3 +145,21 @@ def test_the_cut_normal_distribution_is_scipys(a, b):
     np.testing.assert_allclose(
         cut.log_density(torch.as_tensor(x)).numpy(), reference.logpdf(x), rtol=1e-9, atol=1e-9
     )
+
+
+def test_a_regression_of_the_last_move_is_the_same_again():
+    """Some walkers where the move found them, some where it left them, with other reflectances, some elsewhere."""
+    likelihood = problem("mag", 0.1)
+    parameters = likelihood.model.parameter_set
+    generator = torch.Generator().manual_seed(7)
+    old, new, third, other = (
+        parameters.to_straight(parameters.sample_prior(30, generator)) for _ in range(4)
+    )
+    redraw = Redraw(likelihood, parameters.start())
+    with torch.no_grad():
+        redraw.regressions(old, new)
+        old[10:20], old[20:] = new[10:20], other[20:]
+        old[:, redraw.linear] *= 0.5
+        known = redraw.regressions(old, third)
+        for one, fresh in zip(known, redraw.regression(torch.cat([old, third])), strict=True):
+            torch.testing.assert_close(one, fresh, rtol=1e-9, atol=1e-12)

@@ -54,6 +54,8 @@ class Diagnosis:
     untried: Sequence[str] = ()
     others: Sequence[Found] = ()
     """Every refit of more effects than one that was made on the way."""
+    doubt: str = ""
+    """Why what describes the recording best is not named, where that is so."""
     law: str = ""
     """Another law of reflection under which the recording is described better than under the scene's own."""
     nights: Sequence[Option] = ()
@@ -231,6 +233,8 @@ class Diagnosis:
             kind = self.final.score.noise.kind
             if kind != "white":
                 note += f"; described by {kind}"
+        if self.doubt:
+            note += f"; {self.doubt}"
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}

@@ -20,6 +20,7 @@ from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
+    EVIDENCE_GAIN,
     GROSS,
     Found,
     Probe,
@@ -31,6 +32,7 @@ from torchlc.diagnose.search import (
     probe,
     search,
 )
+from torchlc.diagnose.sizes import resized
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
@@ -48,6 +50,7 @@ CONSISTENT = 2.0
 LAW_EVIDENCE = 10.0
 """Another law of reflection is tried where a gross mismatch is left, and taken where its best model gains this
 over that of the scene's own law."""
+SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain it as well as an appendage"
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 
@@ -181,6 +184,11 @@ def _under_one_law(
         final = explored(final, scorer, seed)
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
     verdict, named = _verdict(start, final, scorer, found_coordinates, seed)
+    doubt = ""
+    if verdict == "missing_physics" and "appendage" in named:
+        sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
+        if sized is not None and sized.log_evidence > final.log_evidence - EVIDENCE_GAIN:
+            verdict, named, doubt = "unexplained", [], SIZES_AS_WELL
     groups = (
         families(final, [start, *first, *others], named)
         if verdict == "missing_physics"
@@ -201,6 +209,7 @@ def _under_one_law(
         families=tuple(tuple(one) for one in groups),
         first=tuple(first),
         others=tuple(others),
+        doubt=doubt,
         where=where,
         final_gate=after,
         seconds=time.monotonic() - own.began,

@@ -29,6 +29,8 @@ def missing(header: Header, name: str, expected: str) -> InputError:
     hint = did_you_mean(name, header.names)
     if hint is None and len(header.names) == 1:
         hint = "The header holds one name only: is the delimiter a comma?"
+    elif hint is None and name == "time":
+        hint = "Columns are named time, mag and mag_err, or time, flux and flux_err"
     found = f"no column {name} among {', '.join(header.names)}"[:200]
     return InputError(header.source, "header", found, expected, hint)
 

@@ -69,7 +69,13 @@ def test_without_a_compiler_the_plain_call_serves(likelihood, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "effects", [["panel_offset", "self_shadowing"], ["time_offset", "panel_cant"], ["appendage"]]
+    "effects",
+    [
+        ["panel_offset", "self_shadowing"],
+        ["time_offset", "panel_cant"],
+        ["appendage"],
+        ["appendage", "exposure_smearing"],
+    ],
 )
 def test_geometries_of_a_batch_are_those_of_each(effects):
     """On one grid of planes, with what they share shared, as facet by facet under a transform."""

@@ -439,10 +439,10 @@ class LightCurve(nn.Module):
         a = self.assembly
         context = a.context
         view = self._places(values, batch)
-        values = _per_instant(values, view.nodes, batch)
+        each = _per_instant(values, view.nodes, batch)
         poses = view.poses
         for effect in a.stage("pointing"):
-            poses = effect.pointing(poses, a.own(effect, values), context)
+            poses = effect.pointing(poses, a.own(effect, each), context)
         view = replace(view, poses=poses)
         patches = tuple(
             Patch(
@@ -462,7 +462,7 @@ class LightCurve(nn.Module):
         )
         lights = view.lights
         for effect in a.stage("light"):
-            lights = effect.light(lights, view, a.own(effect, values), context)
+            lights = effect.light(lights, view, a.own(effect, each), context)
         view = replace(view, lights=lights)
         for effect in a.stage("surface"):
             patches = effect.surface(patches, view, a.own(effect, values), context)

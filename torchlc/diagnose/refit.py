@@ -140,6 +140,11 @@ def is_slow(model: LightCurve) -> bool:
     )
 
 
+def is_heavy(model: LightCurve) -> bool:
+    """True if a single value of the parameters fills the buffers of a batched call, as the Earth's tiles do."""
+    return not model.geometry_free and model.batch_size() == 1
+
+
 def refit(
     likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
 ) -> Refit:

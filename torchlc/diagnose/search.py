@@ -19,6 +19,7 @@ from torchlc.diagnose.refit import (
     Workbench,
     effect_columns,
     effect_starts,
+    is_heavy,
     is_slow,
     leading,
     linearised,
@@ -44,6 +45,7 @@ PLACES = 12
 SLOW_PLACES = 4
 """Values of an effect's own parameters, half of them the best of its probe, that are tried with ..."""
 MATERIALS = 24
+HEAVY_MATERIALS = 4
 """... so many draws of the materials from their priors."""
 WIDE = 192
 """Draws of the materials among which further minima of the final refit are looked for."""
@@ -246,7 +248,8 @@ def extended(
     likelihood = bench.likelihood(hypothesis)
     parameters = likelihood.model.parameter_set
     generator = torch.Generator().manual_seed(seed)
-    slow = is_slow(likelihood.model)
+    heavy = is_heavy(likelihood.model)
+    slow = heavy or is_slow(likelihood.model)
     starts = SLOW_STARTS if slow else starts
     columns = effect_columns(parameters, entry)
     places = 1 if not columns else SLOW_PLACES if slow else PLACES
@@ -259,7 +262,10 @@ def extended(
         pool = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in seeds])
     else:
         pool = torch.cat(
-            [torch.stack([one.theta for one in at]), other_materials(at[0], MATERIALS, generator)]
+            [
+                torch.stack([one.theta for one in at]),
+                other_materials(at[0], HEAVY_MATERIALS if heavy else MATERIALS, generator),
+            ]
         )
         pool = bench.start(hypothesis, pool, at[0].names)
     theta = pool.repeat(places, 1)

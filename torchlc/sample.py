@@ -195,6 +195,7 @@ def sample(
     sampler = emcee.EnsembleSampler(
         count, dimensions, density, moves=moves(fit), vectorize=True, backend=backend
     )
+    sampler.log_prob_fn = density  # emcee's wrapper prints a traceback of its own at Ctrl-C
     state = None
     if resume and chain_file is not None:
         state = _resumed(chain_file, backend, names, count, seed, density)

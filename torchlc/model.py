@@ -293,7 +293,7 @@ class LightCurve(nn.Module):
                 self._recent[key] = self.make_tables(self.view(values), values, detail, compact=True)
                 if len(self._recent) > RECENT_TABLES:
                     self._recent.pop(next(iter(self._recent)))
-            piece = self.shine(self._recent[key], self.parameter_set.values(flat[rows]), shares)
+            piece = self._chunked(flat[rows], self._recent[key], shares)
             flux[rows] = piece.flux
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares

@@ -195,7 +195,8 @@ def sample(
     sampler = emcee.EnsembleSampler(
         count, dimensions, density, moves=moves(fit), vectorize=True, backend=backend
     )
-    sampler.log_prob_fn = density  # emcee's wrapper prints a traceback of its own at Ctrl-C
+    # in place of emcee's wrapper, which prints a traceback of its own at Ctrl-C
+    sampler.log_prob_fn = density  # pyright: ignore[reportAttributeAccessIssue]
     state = None
     if resume and chain_file is not None:
         state = _resumed(chain_file, backend, names, count, seed, density)

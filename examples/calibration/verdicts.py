@@ -130,7 +130,7 @@ def judged(row: dict[str, Any]) -> str:
             return "missed"
         if truth["verdict"] == "adequate":
             return "false alarm"
-        return row["verdict"]
+        return "wrong name" if row["verdict"] == "missing_physics" else row["verdict"]
     if row["verdict"] != "missing_physics" or named == set(truth["effects"]):
         return "right"
     if named in sets:

@@ -13,7 +13,7 @@ from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import Quantity
 
 EARTH_RADIUS_KM = 6371.0
-LEAST, MOST = 12, 24
+LEAST, MOST = 12, 20
 """Tiles along each side of the Earth's disc."""
 SMOOTH = 0.6
 """Least width of a lobe, as a standard deviation in widths of a tile."""
@@ -93,7 +93,7 @@ class Earthshine(Effect):
     """The sunlit part of the Earth in sight of the object, as Lambert tiles, each a light of its own.
 
     0.06 to 0.5 % of sunlight at GEO, up to 25 % in low orbit. Of 144 tiles, or as many as the sharpest lobe asks
-    for, at most 576: within 1 % for n up to 500 in low orbit and 30,000 at GEO. A sharper mirror that faces down
+    for, at most 400: within 1 % for n up to 300 in low orbit and 20,000 at GEO. A sharper mirror that faces down
     shows the Earth's image no sharper than half a tile. Neglected: clouds, seas and their glint (a factor 2 in albedo),
     the flattening (0.3 %), twilight, what other parts hide of the Earth, moonlight (1e-5 of sunlight).
     """

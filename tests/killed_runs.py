@@ -1,13 +1,15 @@
 """A command killed with ``kill -9`` at random moments and gone on with, again and again, beside the same command
 left alone:  python -m tests.killed_runs FOLDER KILLS COMMAND...
 
-Runs are forked from this process, which has imported everything, so that the moments fall into their work. What
-a kill leaves behind is looked at; a run that ends must end in the answer of the one left alone, and the next
-begins anew. Prints how many runs were killed, how many ended, and how many whole files the killed ones left.
+Runs are forked from this process, which has imported everything, so that the moments fall into their work: into any
+of it, and every fourth time into the little that follows the writing of a file. What a kill leaves behind is looked
+at; a run that ends must end in the answer of the one left alone, and the next begins anew. Prints how many runs were
+killed, how many ended, and how many whole files the killed ones left.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -30,6 +32,7 @@ from torchlc.cli import run
 RESULTS = ("fit.json", "diagnosis.json")
 LATER = 1.1
 """The range of moments grows so with each kill until a run ends: other work on the machine may slow it down."""
+SOON_S = 0.1
 GONE_S = 60.0
 """What workers of a killed campaign may take to notice."""
 
@@ -48,15 +51,21 @@ def main(folder: Path, kills: int, command: list[str]) -> None:
     killed = ended = left = 0
     out = folder / "0"
     while killed < kills:
+        before = written(out)
         child = start(again(command, out))
-        time.sleep(random.uniform(0, latest))
+        if killed % 4 == 3:
+            while written(out) == before and running(child):
+                time.sleep(0.001)
+            time.sleep(random.uniform(0, SOON_S))
+        else:
+            time.sleep(random.uniform(0, latest))
         os.kill(child, signal.SIGKILL)
         code = wait(child)
         check_files(out)
         if code == -signal.SIGKILL:
             killed += 1
             latest *= LATER
-            left += sum(path.is_file() for path in out.rglob("[!.]*"))
+            left += len(written(out))
         else:
             assert code == 0, code
             ended += 1
@@ -91,6 +100,22 @@ def wait(child: int) -> int:
         assert time.monotonic() < end, "a process of a killed run lives on"
         time.sleep(0.01)
     return code
+
+
+def running(child: int) -> bool:
+    """Whether it has not ended, nor been waited for."""
+    return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+
+
+def written(folder: Path) -> dict[Path, int]:
+    """Whole files, and when each was written."""
+    found = {}
+    for place, _, names in os.walk(folder):
+        for name in names:
+            if not name.startswith("."):
+                with contextlib.suppress(FileNotFoundError):  # replaced while we look
+                    found[Path(place, name)] = Path(place, name).stat().st_mtime_ns
+    return found
 
 
 def alive(session: int) -> bool:

@@ -252,7 +252,7 @@ class LightCurve(nn.Module):
             if not torch.is_grad_enabled():
                 distinct, member = self._geometries(rows)
             made = self.parameter_set.values(distinct)
-            tables = self.make_tables(self.view(made, len(distinct)), made, detail, compact=False)
+            tables = self.make_tables(self.view(made, len(distinct)), detail, compact=False)
             if member is not None and len(distinct) > 1:
                 tables = _members(tables, member, self._still_surfaces(detail).values())
             pieces.append(self.shine(tables, self.parameter_set.values(rows), shares))
@@ -276,21 +276,21 @@ class LightCurve(nn.Module):
         """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
         almost none do and a few fit into one vectorised call. Recent tables are kept: an optimiser comes back
         to the point it stepped from."""
-        moving = flat[:, self.assembly.geometry_columns]
-        distinct, member = torch.unique(moving, dim=0, return_inverse=True)
-        slow = any(effect.name == "self_shadowing" or effect.stage == "scatter" for effect in self.effects)
+        distinct, member = self._geometries(flat)
         many = self.assembly.pairs > VALUES_AT_ONCE
-        if len(distinct) > 0.6 * len(flat) and not slow and not many:
+        if len(distinct) > 0.6 * len(flat) and not self.parts_meet and not many:
             return None
+        if member is None:
+            member = torch.arange(len(flat), device=flat.device)
         detail = shares or self.assembly.needs_shares
         flux = flat.new_empty(len(flat), self.assembly.T)
         kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
-        for index, geometry in enumerate(distinct):
+        for index, one in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
-            key = (detail, geometry.numpy().tobytes())
+            key = (detail, one[self.assembly.geometry_columns].numpy().tobytes())
             if key not in self._recent:
-                values = self.parameter_set.values(flat[rows[0]])
-                self._recent[key] = self.make_tables(self.view(values), values, detail, compact=True)
+                values = self.parameter_set.values(one)
+                self._recent[key] = self.make_tables(self.view(values), detail, compact=True)
                 if len(self._recent) > RECENT_TABLES:
                     self._recent.pop(next(iter(self._recent)))
             piece = self._chunked(flat[rows], self._recent[key], shares)
@@ -315,6 +315,11 @@ class LightCurve(nn.Module):
         ]
         needed = max([self.assembly.T, *sizes, *(scatter.values for _, scatter in tables.scatter)])
         return max(1, VALUES_AT_ONCE // needed)
+
+    @property
+    def parts_meet(self) -> bool:
+        """True if parts shadow or light each other, which every new geometry has to have worked out anew."""
+        return any(effect.name == "self_shadowing" or effect.stage == "scatter" for effect in self.effects)
 
     @property
     def unaffordable(self) -> bool:
@@ -366,7 +371,7 @@ class LightCurve(nn.Module):
                 made = []
                 for k in range(-(NODES // 2), NODES // 2 + 1):
                     moved = {**values, **{name: torch.full_like(values[name], k * step) for name in clocks}}
-                    made.append(self.make_tables(self.view(moved), moved, detail, compact=True))
+                    made.append(self.make_tables(self.view(moved), detail, compact=True))
                 self._nodes[detail] = made, step
         return self._nodes[detail]
 
@@ -405,15 +410,13 @@ class LightCurve(nn.Module):
                 values = self.parameter_set.values(self.parameter_set.start())
                 name = effect.full_name(effect.quantities[0].name)
                 values[name] = torch.full_like(values[name], value)
-                made = self.make_tables(self.view(values), values, detail, compact=True)
+                made = self.make_tables(self.view(values), detail, compact=True)
                 self._steps[detail, step] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
         return self._steps[detail, step]
 
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
         values = self.parameter_set.values(theta)
-        tables = self.make_tables(
-            self.view(values), values, shares or self.assembly.needs_shares, compact=False
-        )
+        tables = self.make_tables(self.view(values), shares or self.assembly.needs_shares, compact=False)
         return self.shine(tables, values, shares)
 
     def _chunked(self, theta: Tensor, tables: Tables, shares: bool) -> Brightness:
@@ -525,7 +528,7 @@ class LightCurve(nn.Module):
         if detail not in self._tables:
             with torch.no_grad():
                 values = self.parameter_set.values(self.parameter_set.start())
-                made = self.make_tables(self.view(values), values, detail, compact=True)
+                made = self.make_tables(self.view(values), detail, compact=True)
                 self._tables[detail] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
         return self._tables[detail]
 
@@ -542,7 +545,7 @@ class LightCurve(nn.Module):
             return surface
         return replace(surface, table=surface.model.condense(table))  # pyright: ignore[reportAttributeAccessIssue]
 
-    def make_tables(self, view: View, values: Mapping[str, Tensor], detail: bool, *, compact: bool) -> Tables:
+    def make_tables(self, view: View, detail: bool, *, compact: bool) -> Tables:
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
         allow."""
         a = self.assembly

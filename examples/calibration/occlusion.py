@@ -24,7 +24,7 @@ sys.path[:0] = [str(EXAMPLES / "reference"), str(EXAMPLES / "paper")]
 from body import Scene  # noqa: E402
 from bruteforce import photometry, simulate  # noqa: E402
 from observe import errors, noise, stamps, usable, write_recording  # noqa: E402
-from setting import TABLE_3, free_materials, object_1  # noqa: E402
+from setting import GAP_OBJECT_1, TABLE_3, free_materials, object_1  # noqa: E402
 
 import torchlc  # noqa: E402
 from torchlc.terminal import quiet_libraries  # noqa: E402
@@ -33,7 +33,7 @@ SEED, ROWS, FLOOR = 20201017, 300, 0.02
 CONCEALED: dict[str, tuple[float, dict[str, Any]]] = {
     "occlusion, wings at the wall": (0.0, {"self_shadowing": {}}),
     "a second lobe of the panels": (
-        1.59,
+        GAP_OBJECT_1,
         {"second_material": {"material": "panel", "weight": 0.2, "n": 2000.0, "r_spec": 0.2, "r_diff": 0.01}},
     ),
 }

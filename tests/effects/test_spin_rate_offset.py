@@ -36,7 +36,7 @@ def test_spin_pole_turns_with_the_summed_rate(faster):
     else:
         model = LightCurve(slow, recording, effects=[])
         values = model.values() | {"attitude.period": model.theta().new_tensor(1 / (0.25 + faster))}
-        tables = model.make_tables(model.view(values), values, False, compact=True)
+        tables = model.make_tables(model.view(values), False, compact=True)
         expected = model.magnitude(model.shine(tables, values)).detach().numpy()
         np.testing.assert_allclose(found, expected, atol=1e-9)
 

@@ -135,9 +135,7 @@ class Workbench:
 
 def is_slow(model: LightCurve) -> bool:
     """True if every new geometry costs a computation of what parts take from, or give to, each other."""
-    return model.geometry_free and any(
-        effect.name == "self_shadowing" or effect.stage == "scatter" for effect in model.effects
-    )
+    return model.geometry_free and model.parts_meet
 
 
 def is_heavy(model: LightCurve) -> bool:

@@ -14,9 +14,10 @@ from torch import Tensor
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.gate import Gate
 from torchlc.diagnose.plan import Option
+from torchlc.diagnose.probes import Probe
 from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.rivals import told
-from torchlc.diagnose.search import Found, Probe
+from torchlc.diagnose.search import Found
 from torchlc.diagnose.where import Where, as_json
 from torchlc.effects.base import Entry
 from torchlc.scene import Scene
@@ -160,9 +161,7 @@ class Diagnosis:
             (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
             rows.append(
                 {
-                    "effect": Entry.parse(entry).name,
-                    "target": Entry.parse(entry).target,
-                    "per": Entry.parse(entry).per,
+                    **_names(entry),
                     "score": self.probes[plain].score,
                     "p": self.gate.marginal.get(f"signature {plain}"),
                     "delta_log_evidence": found.score.by_kind["white"][0] - white,
@@ -175,9 +174,7 @@ class Diagnosis:
             if kind != "white":
                 rows.append(
                     {
-                        "effect": kind,
-                        "target": None,
-                        "per": None,
+                        **_names(kind),
                         "score": None,
                         "p": None,
                         "delta_log_evidence": value - white,
@@ -191,9 +188,7 @@ class Diagnosis:
         untried = [entry for entry in self.probes if entry not in tried]
         rows += [
             {
-                "effect": Entry.parse(entry).name,
-                "target": Entry.parse(entry).target,
-                "per": Entry.parse(entry).per,
+                **_names(entry),
                 "score": self.probes[entry].score,
                 "p": self.gate.marginal.get(f"signature {entry}"),
                 "delta_log_evidence": None,
@@ -238,6 +233,11 @@ class Diagnosis:
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}
+
+
+def _names(entry: str) -> dict[str, str | None]:
+    parsed = Entry.parse(entry)
+    return {"effect": parsed.name, "target": parsed.target, "per": parsed.per}
 
 
 def materials(refit: Refit) -> dict[str, dict[str, float]]:

@@ -17,19 +17,18 @@ from torchlc.diagnose.families import families
 from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.laws import under_other_laws
 from torchlc.diagnose.plan import Option, next_nights, sentence
+from torchlc.diagnose.probes import Probe, probe
 from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
     EVIDENCE_GAIN,
     GROSS,
     Found,
-    Probe,
     affordable,
     candidate_entries,
     explored,
     judged,
     nameable,
-    probe,
     search,
 )
 from torchlc.diagnose.sizes import resized

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnose.evidence import Score, Scorer
-from torchlc.diagnose.gate import residual_projection
+from torchlc.diagnose.probes import Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.diagnose.refit import (
     Hypothesis,
     Refit,
@@ -30,11 +30,8 @@ from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.fit import polish
 
-GRID = 24
-GRID_PER_DIMENSION = 24
-MOST_SCANNED = 400
 MOST_RESCANS = 3
-PARTS = 24
+"""Times that an effect that was tried at every row is tried there again from its refit."""
 STARTS = 12
 SLOW_STARTS = 3
 LEADERS = 2
@@ -60,29 +57,13 @@ BEAM = 3
 MOST_EFFECTS = 3
 LEAST_SCORE = 9.0
 SPREADS = 4.0
+"""Of the values of a divided offset, that must find room on either side of none."""
 PREVIEW_STEPS = 6
 MOST_GROWN = 10
 MOST_GROWN_BESIDE = 4
 WEAK_SHARE = 0.05
 """In later rounds at most MOST_GROWN effects are refitted on the best set, MOST_GROWN_BESIDE on the others of
 the beam, those whose score is at least LEAST_SCORE and WEAK_SHARE of the strongest."""
-
-
-@dataclass(frozen=True)
-class Probe:
-    """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures
-    (G, T) off everything the refit can absorb, and the score (g'r)^2 / g'g of each (G,)."""
-
-    entry: str
-    psi: Tensor
-    signatures: Tensor
-    scores: Tensor
-    together: float = 0.0
-    """What the parts of a divided offset score together, less the one that each would in pure noise."""
-
-    @property
-    def score(self) -> float:
-        return float(self.scores.max()) if len(self.scores) else self.together
 
 
 @dataclass(frozen=True)
@@ -160,75 +141,6 @@ def divisions(bench: Workbench) -> list[str]:
     return found
 
 
-def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
-    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters; of a divided offset
-    only what its parts score together."""
-    hypothesis = at.hypothesis.with_effect(entry)
-    likelihood = bench.likelihood(hypothesis)
-    parameters = likelihood.model.parameter_set
-    columns = effect_columns(parameters, entry)
-    per = Entry.parse(entry).per
-    count = 1 if not columns else GRID if len(columns) <= 2 else GRID_PER_DIMENSION * len(columns)
-    if is_slow(likelihood.model):
-        count = min(count, 16)
-    theta = bench.start(hypothesis, at.theta[None], at.names)
-    if per is not None:
-        psi = theta.new_zeros(0, len(columns))
-        theta[:, columns] += divided_step(entry)
-    else:
-        generator = torch.Generator().manual_seed(seed)
-        psi = scanned(bench, entry, effect_starts(likelihood, entry, count, generator))
-        theta = theta.repeat(len(psi), 1)
-        theta[:, columns] = psi
-    with torch.no_grad():
-        change = (at.delta - likelihood.residuals(theta).delta) / at.sigma
-    likelihood.model.forget()
-    change = torch.nan_to_num(change)
-    if per is not None:
-        context = bench.base.context
-        part = context.curve if per == "curve" else context.night
-        change = torch.where(part == torch.unique(part)[:, None], change, 0.0)
-    basis, peaked = residual_projection(at)
-    padded = torch.cat([change, change.new_zeros(len(change), len(peaked))], 1)
-    projected = padded - (padded @ basis) @ basis.T
-    norm = torch.linalg.vector_norm(projected, dim=1)
-    raw = torch.linalg.vector_norm(change, dim=1)
-    usable = (norm > 1e-3) & (norm > 1e-7 * raw)
-    unit = projected[usable] / norm[usable, None]
-    u = torch.cat([at.delta / at.sigma, at.model.parameter_set.prior_residuals(at.theta)])
-    u[len(at.delta) :] = -u[len(at.delta) :]
-    scores = (unit @ u) ** 2
-    if per is not None:
-        return Probe(entry, psi, unit[:0, : len(at.delta)], scores[:0], max(float((scores - 1.0).sum()), 0.0))
-    return Probe(entry, psi[usable], unit[:, : len(at.delta)], scores)
-
-
-def scanned(bench: Workbench, entry: str, psi: Tensor) -> Tensor:
-    """Values psi (G, k) to probe; of an effect that begins at some row, in which no descent finds the row, all
-    rows (MOST_SCANNED of them) at its typical size in their place."""
-    column = scanned_column(entry)
-    if column is None:
-        return psi
-    stamps = torch.unique(bench.base.context.seconds).to(psi) / 3600
-    middle = 0.5 * (stamps[1:] + stamps[:-1])
-    if len(middle) > MOST_SCANNED:
-        middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED).long()]
-    quantities = registry()[Entry.parse(entry).name].quantities
-    return torch.stack(
-        [
-            middle if index == column else torch.full_like(middle, one.typical or 0.0)
-            for index, one in enumerate(quantities)
-        ],
-        -1,
-    )
-
-
-def divided_step(entry: str) -> float:
-    """The offset by which every part of a divided effect is moved to see what it does."""
-    (quantity,) = registry()[Entry.parse(entry).name].quantities
-    return quantity.typical - quantity.off  # pyright: ignore[reportOperatorIssue]
-
-
 def extended(
     bench: Workbench,
     scorer: Scorer,
@@ -283,9 +195,9 @@ def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
         return fitted
     place = effect_columns(fitted.model.parameter_set, entry)[column]
     for _ in range(MOST_RESCANS):
-        rows = scanned(bench, entry, fitted.theta[None])[:, column]
-        theta = fitted.theta.repeat(len(rows), 1)
-        theta[:, place] = rows
+        hours = scanned_hours(bench)
+        theta = fitted.theta.repeat(len(hours), 1)
+        theta[:, place] = hours
         with torch.no_grad():
             cost = objective(fitted.likelihood, theta)
         best = theta[torch.argsort(cost)[:1]]
@@ -296,26 +208,6 @@ def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
             break
         fitted = again
     return fitted
-
-
-def apart(bench: Workbench, entry: str, ranked: Tensor) -> Tensor:
-    """Probed values (G, k), best first; of an effect that was tried at every row, those that stand apart."""
-    column = scanned_column(entry)
-    if column is None or not len(ranked):
-        return ranked
-    least = float(bench.base.context.seconds.max() - bench.base.context.seconds.min()) / 3600 / PARTS
-    chosen: list[int] = []
-    for index, hour in enumerate(ranked[:, column].tolist()):
-        if all(abs(hour - float(ranked[other, column])) > least for other in chosen):
-            chosen.append(index)
-    return ranked[chosen]
-
-
-def scanned_column(entry: str) -> int | None:
-    """Which of an effect's own parameters has to be tried at every row, if one has."""
-    cls = registry()[Entry.parse(entry).name]
-    names = [quantity.name for quantity in cls.quantities]
-    return names.index(cls.scanned) if cls.scanned else None
 
 
 def other_materials(at: Refit, count: int, generator: torch.Generator) -> Tensor:

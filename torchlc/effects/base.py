@@ -295,6 +295,18 @@ class Entry:
         return self.plain + (f"~{self.width:.3g}" if self.width is not None else "")
 
 
+def turned_poses(
+    poses: Sequence[Tensor | None], parts: Sequence[Part], turn: Callable[[Tensor, Part], Tensor]
+) -> tuple[Tensor | None, ...]:
+    """Poses of parts, with those of the parts that track the Sun turned; parts that stand alike have one pose, and
+    keep one."""
+    found: dict[int, Tensor] = {}
+    for pose, part in zip(poses, parts, strict=True):
+        if pose is not None and part.tracks_axis is not None and id(pose) not in found:
+            found[id(pose)] = turn(pose, part)
+    return tuple(pose if pose is None else found.get(id(pose), pose) for pose in poses)
+
+
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
     and override the method of their stage; ``per`` gives each material or component its own set of

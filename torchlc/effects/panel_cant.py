@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Effect, turned_poses
 from torchlc.parameters import Quantity
 from torchlc.rotations import rotation_about
 from torchlc.shape.part import like
+from torchlc.vectors import unit
 
 
 class PanelCant(Effect):
@@ -32,11 +33,10 @@ class PanelCant(Effect):
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])
-        turned: dict[int, torch.Tensor] = {}  # parts that stand alike have one pose, and keep one
-        for pose, part in zip(poses, context.parts, strict=True):
-            if pose is not None and part.tracks_axis is not None and id(pose) not in turned:
-                axis, front = like(part.tracks_axis, pose), pose @ like(part.front, pose)
-                hinge = torch.linalg.cross(front, axis.expand(front.shape))
-                hinge = hinge / torch.linalg.vector_norm(hinge, dim=-1, keepdim=True)
-                turned[id(pose)] = rotation_about(hinge, angle) @ pose
-        return tuple(pose if pose is None else turned.get(id(pose), pose) for pose in poses)
+
+        def tilted(pose, part):
+            axis, front = like(part.tracks_axis, pose), pose @ like(part.front, pose)
+            hinge = unit(torch.linalg.cross(front, axis.expand(front.shape)))
+            return rotation_about(hinge, angle) @ pose
+
+        return turned_poses(poses, context.parts, tilted)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Effect, turned_poses
 from torchlc.parameters import Quantity
 from torchlc.rotations import rotation_about
 from torchlc.shape.part import like
@@ -31,9 +31,9 @@ class PanelOffset(Effect):
 
     def pointing(self, poses, p, context):
         angle = torch.deg2rad(p["deg"])
-        turned: dict[int, torch.Tensor] = {}  # parts that stand alike have one pose, and keep one
-        for pose, part in zip(poses, context.parts, strict=True):
-            if pose is not None and part.tracks_axis is not None and id(pose) not in turned:
-                axis = like(part.tracks_axis, angle).expand(*angle.shape, 3)
-                turned[id(pose)] = rotation_about(axis, angle) @ pose
-        return tuple(pose if pose is None else turned.get(id(pose), pose) for pose in poses)
+
+        def turned(pose, part):
+            axis = like(part.tracks_axis, angle).expand(*angle.shape, 3)
+            return rotation_about(axis, angle) @ pose
+
+        return turned_poses(poses, context.parts, turned)

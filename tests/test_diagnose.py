@@ -17,9 +17,11 @@ from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.refit import Hypothesis, Workbench, linearised
 from torchlc.diagnose.run import diagnose
+from torchlc.diagnose.search import candidate_entries
 from torchlc.effects.base import Entry
 from torchlc.fit import find_modes
 from torchlc.likelihood import matern32
+from torchlc.model import LightCurve
 from torchlc.recording import load_recording
 from torchlc.scene import load_scene
 
@@ -106,6 +108,26 @@ def demo_refit():
     likelihood = bench.likelihood(Hypothesis())
     modes, _, _ = find_modes(likelihood, starts=8, adam_steps=40)
     return linearised(likelihood, Hypothesis(), modes[0].theta)
+
+
+def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> None:
+    scene = load_scene(DEMO / "scene.toml")
+    recording = load_recording(DEMO / "recording.ecsv", scene)
+    bench = Workbench(assemble(scene, recording))
+    base = bench.likelihood(Hypothesis()).model
+    base(base.parameter_set.start())  # its tables are there to be shared
+    own = [effect.entry for effect in bench.base.effects]
+    generator = torch.Generator().manual_seed(3)
+    for entry in candidate_entries(bench, None):
+        model = bench.likelihood(Hypothesis((entry,))).model
+        alone = LightCurve(scene, recording, assembly=assemble(scene, recording, [*own, entry]))
+        theta = model.parameter_set.sample_prior(3, generator)
+        with torch.no_grad():
+            light = model(theta)
+            torch.testing.assert_close(light, alone(theta), msg=entry)
+            if entry == "interreflection":
+                bare = base(theta[:, [model.names.index(name) for name in base.names]])
+                assert float((light - bare).abs().max()) > 1e-6, "it does something here"
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,9 @@ class LightCurve(nn.Module):
     def tables_key(self) -> tuple[str, ...]:
         """What the tables of a fixed geometry depend on; models of one assembly with equal keys may share
         them."""
-        shaping = [e for e in self.effects if e.stage in GEOMETRY_STAGES or e.name == "lobe_tail"]
+        shaping = [
+            e for e in self.effects if e.stage in {*GEOMETRY_STAGES, "scatter"} or e.name == "lobe_tail"
+        ]
         return (str(self.geometry_free), *(f"{e.name}[{e.target}]" for e in shaping))
 
     @property

@@ -307,7 +307,12 @@ class LightCurve(nn.Module):
 
     def batch_size(self, tables: Tables | None = None) -> int:
         """Values of theta that are worked out at once where the geometry is fixed: VALUES_AT_ONCE over the
-        numbers that one of them needs, its rows or the pairs of its largest surface."""
+        numbers that one of them needs."""
+        return max(1, VALUES_AT_ONCE // self.values_a_call(tables))
+
+    def values_a_call(self, tables: Tables | None = None) -> int:
+        """Numbers that light at one value of theta needs where the geometry is fixed: its rows or the pairs of
+        its largest surface."""
         tables = tables if tables is not None else self.tables(self.assembly.needs_shares)
         sizes = [
             table.numel()
@@ -315,8 +320,7 @@ class LightCurve(nn.Module):
             for name, table in surface.table.items()
             if name != "lobes"
         ]
-        needed = max([self.assembly.T, *sizes, *(scatter.values for _, scatter in tables.scatter)])
-        return max(1, VALUES_AT_ONCE // needed)
+        return max([self.assembly.T, *sizes, *(scatter.values for _, scatter in tables.scatter)])
 
     @property
     def parts_meet(self) -> bool:

@@ -19,6 +19,8 @@ from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.parameters import ParameterSet, Prior
 
+LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
+"""Sizes of an effect that are tried, in units of its typical one."""
 MODE_APART = 0.01
 MODE_DEPTH = 20.0
 """Minima of one hypothesis count as distinct beyond, and compete within, these differences of the objective."""
@@ -249,8 +251,8 @@ def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
 
 def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: torch.Generator) -> Tensor:
     """Values (count, k) for the parameters of one effect entry to start from: both signs and sizes 0.3 to 3
-    of the typical, directions and other wide quantities from their priors; offsets of single curves start at
-    none. k = 0 for an effect without parameters."""
+    of the typical, then draws from the prior, as for directions and other wide quantities; offsets of single
+    curves start at none. k = 0 for an effect without parameters."""
     entry = Entry.parse(effect)
     quantities = {q.name: q for q in registry()[entry.name].quantities}
     parameters = likelihood.model.parameter_set
@@ -264,10 +266,9 @@ def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: to
             draw = torch.full_like(draw, free.start)
         elif quantity.off is not None and quantity.typical is not None and math.isfinite(quantity.off):
             size = abs(quantity.typical - quantity.off)
-            factors = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
-            ladder = quantity.off + size * factors[torch.arange(count) % len(factors)]
+            ladder = (quantity.off + size * LADDER)[:count]
             inside = (ladder > free.prior.low) & (ladder < free.prior.high)
-            draw = torch.where(inside, ladder, draw)
+            draw[: len(ladder)] = torch.where(inside, ladder, draw[: len(ladder)])
         columns.append(draw)
     return torch.stack(columns, -1) if columns else torch.zeros(count, 0, dtype=torch.float64)
 

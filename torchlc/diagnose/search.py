@@ -42,8 +42,10 @@ PLACES = 12
 SLOW_PLACES = 4
 """Values of an effect's own parameters, half of them the best of its probe, that are tried with ..."""
 MATERIALS = 24
+"""... so many draws of the materials from their priors, ..."""
 HEAVY_MATERIALS = 4
-"""... so many draws of the materials from their priors."""
+TRIAL_VALUES = 3e7
+"""... or, down to HEAVY_MATERIALS, as many as let all trials together need so many numbers."""
 WIDE = 192
 """Draws of the materials among which further minima of the final refit are looked for."""
 EVIDENCE_GAIN = 3.5
@@ -170,20 +172,24 @@ def extended(
     likely = apart(bench, entry, ranked)[: -(-places // 2)]
     if columns:
         psi[: len(likely)] = likely
+    materials = MATERIALS
+    if heavy:
+        paid = int(TRIAL_VALUES / (places * likelihood.model.values_a_call()))
+        materials = min(max(paid, HEAVY_MATERIALS), MATERIALS)
     if seeds:
         pool = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in seeds])
     else:
         pool = torch.cat(
             [
                 torch.stack([one.theta for one in at]),
-                other_materials(at[0], HEAVY_MATERIALS if heavy else MATERIALS, generator),
+                other_materials(at[0], materials, generator),
             ]
         )
         pool = bench.start(hypothesis, pool, at[0].names)
     theta = pool.repeat(places, 1)
     group = torch.arange(places).repeat_interleave(len(pool))
     theta[:, columns] = psi[group]
-    fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group))
+    fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group, generator))
     return judged(rescanned(bench, entry, fitted), scorer)
 
 
@@ -429,7 +435,7 @@ def explored(found: Found, scorer: Scorer, seed: int) -> Found:
         return found
     generator = torch.Generator().manual_seed(seed)
     draws = other_materials(at, WIDE, generator)
-    starts = screened(likelihood, draws, STARTS, torch.arange(len(draws)))
+    starts = screened(likelihood, draws, STARTS, torch.arange(len(draws)), generator)
     with torch.no_grad():
         reached = polish(likelihood, torch.cat([at.theta[None], starts]), None, held=settled(at))
     order = torch.argsort(reached.cost)

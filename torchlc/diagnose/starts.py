@@ -14,22 +14,34 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from torchlc.diagnose.refit import is_slow
 from torchlc.likelihood import MAG_PER_LN, Likelihood
 from torchlc.reflectances import REWEIGHTED, about, linear_columns, linear_light
 
 SWEEPS = 25
+PARENTS = 3
+"""Times the number of starts that are asked for: the best trials, of which further ones are made."""
+STRIDE = 0.5
+MOST_CROSSED = 4e6
+"""Facet-row pairs whose angles are worked out for descendants with geometries of their own."""
 
 
-def screened(likelihood: Likelihood, trials: Tensor, count: int, group: Tensor) -> Tensor:
-    """The best ``count`` of natural trials (N, P), by the objective that they reach with reflectances found
-    anew, as natural values (count, P); at most a third of them from one ``group`` (N,).
+def screened(
+    likelihood: Likelihood, trials: Tensor, count: int, group: Tensor, generator: torch.Generator
+) -> Tensor:
+    """The best ``count`` of natural trials (N, P) and of as many descendants of the best of them, by the objective
+    that they reach with reflectances found anew, as natural values (count, P); at most a third of them from one
+    ``group`` (N,).
 
     A trial is judged both as it is given and with its reflectances from the regression.
     """
     with torch.no_grad():
-        trials = torch.cat([trials, regressed(likelihood, trials)])
-        cost = objective(likelihood, trials)
-    group = group.repeat(2)
+        made = len(trials)
+        trials, cost, group = _judged(likelihood, trials, group)
+        best = torch.argsort(cost)[: PARENTS * count]
+        children, own = crossed(likelihood, trials[best], group[best], made, generator)
+        children, further, own = _judged(likelihood, children, own)
+    trials, cost, group = torch.cat([trials, children]), torch.cat([cost, further]), torch.cat([group, own])
     room = {int(one): max(1, -(-count // 3)) for one in torch.unique(group)}
     chosen: list[int] = []
     for index in torch.argsort(cost).tolist():
@@ -37,6 +49,35 @@ def screened(likelihood: Likelihood, trials: Tensor, count: int, group: Tensor) 
             room[int(group[index])] -= 1
             chosen.append(index)
     return trials[chosen]
+
+
+def _judged(likelihood: Likelihood, trials: Tensor, group: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    if linear_columns(likelihood.model):
+        trials, group = torch.cat([trials, regressed(likelihood, trials)]), group.repeat(2)
+    return trials, objective(likelihood, trials), group
+
+
+def crossed(
+    likelihood: Likelihood, parents: Tensor, group: Tensor, count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Natural values (count, P), each parameter of which is one of two parents' (M, P), some of them moved by STRIDE
+    of what two others differ by (as in Storn & Price 1997, J. Global Optim. 11, 341), and the first parent's
+    group (count,); where a geometry is dear, it is the first parent's, which has been worked out."""
+    parameters, assembly = likelihood.model.parameter_set, likelihood.model.assembly
+    dear = is_slow(likelihood.model) or count * assembly.pairs > MOST_CROSSED
+    still = assembly.geometry_columns if dear else []
+    low, high = parameters.flat_bounds()
+    y = parameters.to_flat(parents)
+    first, second, third, fourth = torch.randint(len(y), (4, count), generator=generator)
+    mixed = torch.where(_coin(y, count, generator), y[first], y[second])
+    moved = mixed + STRIDE * (y[third] - y[fourth])
+    child = torch.where(_coin(y, count, generator), mixed, moved).clamp(low, high)
+    child[:, still] = y[first][:, still]
+    return parameters.from_flat(child), group[first]
+
+
+def _coin(like: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    return (torch.rand(count, like.shape[-1], generator=generator) < 0.5).to(like.device)
 
 
 def objective(likelihood: Likelihood, theta: Tensor) -> Tensor:
@@ -53,13 +94,10 @@ def objective(likelihood: Likelihood, theta: Tensor) -> Tensor:
 
 
 def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:
-    """Natural values (N, P) with their reflectances replaced by the regression's, within their bounds; theta
-    itself where nothing is linear."""
+    """Natural values (N, P) with their reflectances replaced by the regression's, within their bounds."""
     model = likelihood.model
     parameters = model.parameter_set
     linear = linear_columns(model)
-    if not linear:
-        return theta.clone()
     first = {second: one for one, second in parameters.pairs}
     limits = [(parameters.free[i].prior.low, parameters.free[i].prior.high) for i in linear]
     rest = {linear.index(i): linear.index(first[i]) for i in linear if first.get(i) in linear}

@@ -1,5 +1,8 @@
 """Mutated scenes and recordings through the command line: exit 0 or 2 only, in bounded time and memory.
 
+A fit or a diagnosis may take what its scene costs: still at work after ``LONGEST_S`` of CPU it is interrupted as
+by Ctrl-C, and has to end with 130.
+
 python -m tests.fuzz                                  # 10,000 in process and 200 whole processes
 python -m tests.fuzz --examples 500 --processes 10
 """
@@ -11,6 +14,8 @@ import contextlib
 import copy
 import io
 import os
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -46,6 +51,10 @@ from torchlc.scene.tle import Elements
 from torchlc.scene.writer import toml_key, toml_value
 
 LONGEST_S = 30.0
+LONGEST_END_S = 30.0
+"""From the interrupt to the end, of CPU."""
+LONGEST_WAIT_S = 1800.0
+"""On the clock: a command that waits for ever."""
 MOST_BYTES = 2 << 30
 QUATERNIONS = "time,q0,q1,q2,q3\n2020-10-17T14:00:00,1,0,0,0\n2020-10-17T16:00:00,0.7,0.7,0.1,0\n"
 LINES = tomllib.loads(TLE)["tle"]
@@ -208,6 +217,8 @@ WHOLE = [
      "--effects", "panel_offset,zero_point_drift"),
 ]  # fmt: skip
 
+LONG = ("fit", "diagnose")
+
 
 def cases(commands: list[tuple[str, ...]]) -> st.SearchStrategy[Case]:
     """Scenes and recordings with up to a few changes each, and a command for them."""
@@ -349,21 +360,38 @@ def in_process(case: Case) -> str | None:
 def whole_process(case: Case) -> str | None:
     """Run the case as a command of its own; what is wrong with its end, its time and its memory."""
     with tempfile.TemporaryDirectory(prefix="torchlc-fuzz") as name:
-        folder, began = Path(name), time.monotonic()
+        folder = Path(name)
         with (folder / "stdout").open("wb") as output, (folder / "stderr").open("wb") as error:
             command = [sys.executable, "-m", "torchlc", *case.write(folder)]
             worker = subprocess.Popen(command, stdout=output, stderr=error)
-        _, status, usage = os.wait4(worker.pid, 0)
-        worker.returncode = os.waitstatus_to_exitcode(status)
+        usage, interrupted = _ended(worker, case.command[0] in LONG)
         seconds = usage.ru_utime + usage.ru_stime
         said = problem(
-            worker.returncode,
+            0 if interrupted and worker.returncode == 130 else worker.returncode,
             (folder / "stderr").read_text(errors="replace"),
             (folder / "stdout").read_text(errors="replace"),
-            min(seconds, time.monotonic() - began),
+            0.0 if interrupted else seconds,
             folder,
         )
     return said or _too_much(usage.ru_maxrss * 1024)
+
+
+def _ended(worker: subprocess.Popen[bytes], long: bool) -> tuple[resource.struct_rusage, bool]:
+    """What a process has used at its end, and whether that was by our Ctrl-C; what takes too long is killed."""
+    began, interrupted = time.monotonic(), False
+    while True:
+        ended, status, usage = os.wait4(worker.pid, os.WNOHANG)
+        if ended:
+            worker.returncode = os.waitstatus_to_exitcode(status)
+            return usage, interrupted
+        ticks = Path(f"/proc/{worker.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+        used = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+        if long and not interrupted and used > LONGEST_S:
+            interrupted = True
+            os.kill(worker.pid, signal.SIGINT)
+        elif used > LONGEST_S + LONGEST_END_S or time.monotonic() - began > LONGEST_WAIT_S:
+            os.kill(worker.pid, signal.SIGKILL)
+        time.sleep(0.05)
 
 
 def _too_much(peak: int) -> str | None:
@@ -396,6 +424,8 @@ def campaign(
                 folder.mkdir(parents=True, exist_ok=True)
                 print(f"{folder}: {said}: torchlc {' '.join(case.write(folder))}", flush=True)
             failures[kind] += 1
+        if done % 20 == 0:
+            print(f"{runner.__name__}: {done} of {count}", file=sys.stderr, flush=True)
 
     each()
     print(f"{runner.__name__}: {done} cases, {failures.total()} failures", flush=True)
@@ -411,6 +441,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="where failing files go")
     chosen = parser.parse_args()
     failures = 0
+    # a job in a shell's background ignores it, and so would what it starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # processes first: the peak of a child counts that of the process it was forked from
     if chosen.processes:
         failures += campaign(whole_process, WHOLE, chosen.processes, chosen.keep / "whole")

@@ -149,16 +149,17 @@ def refit(
     likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
 ) -> Refit:
     """The minimum with the largest posterior mass from natural starts (S, P): all get ``first`` steps, the best
-    quarter (at least 3; 1 if slow) are brought to the end. Where errors are fitted, the deepest."""
+    quarter (at least 3; 1 if slow or heavy) are brought to the end. Where errors are fitted, the deepest."""
     parameters = likelihood.model.parameter_set
-    if is_slow(likelihood.model):
+    dear = is_slow(likelihood.model) or is_heavy(likelihood.model)
+    if dear:
         first, iterations = 6, 20
     if not parameters.names:
         return linearised(likelihood, hypothesis, parameters.start())
     level_at = starts[0] if likelihood.fitted_errors else None
     with torch.no_grad():
         found = polish(likelihood, starts, None, iterations=first, level_at=level_at)
-        best = torch.argsort(found.cost)[: 1 if is_slow(likelihood.model) else max(3, len(starts) // 4)]
+        best = torch.argsort(found.cost)[: 1 if dear else max(3, len(starts) // 4)]
         theta = parameters.from_flat(found.y[best])
         for _ in range(3 if likelihood.fitted_errors else 1):
             if likelihood.fitted_errors:

@@ -29,6 +29,7 @@ from torchlc.diagnose.starts import objective, screened
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.fit import polish
+from torchlc.likelihood import Likelihood
 
 MOST_RESCANS = 3
 """Times that an effect that was tried at every row is tried there again from its refit."""
@@ -44,7 +45,7 @@ SLOW_PLACES = 4
 MATERIALS = 24
 """... so many draws of the materials from their priors, ..."""
 HEAVY_MATERIALS = 4
-TRIAL_VALUES = 3e7
+TRIAL_VALUES = 1e7
 """... or, down to HEAVY_MATERIALS, as many as let all trials together need so many numbers."""
 WIDE = 192
 """Draws of the materials among which further minima of the final refit are looked for."""
@@ -172,10 +173,7 @@ def extended(
     likely = apart(bench, entry, ranked)[: -(-places // 2)]
     if columns:
         psi[: len(likely)] = likely
-    materials = MATERIALS
-    if heavy:
-        paid = int(TRIAL_VALUES / (places * likelihood.model.values_a_call()))
-        materials = min(max(paid, HEAVY_MATERIALS), MATERIALS)
+    materials = max(paid(likelihood, places * MATERIALS) // places, HEAVY_MATERIALS)
     if seeds:
         pool = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in seeds])
     else:
@@ -214,6 +212,13 @@ def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
             break
         fitted = again
     return fitted
+
+
+def paid(likelihood: Likelihood, most: int) -> int:
+    """``most`` trials, or as many as TRIAL_VALUES allow where each fills the buffers."""
+    if not is_heavy(likelihood.model):
+        return most
+    return max(1, min(most, int(TRIAL_VALUES / likelihood.model.values_a_call())))
 
 
 def other_materials(at: Refit, count: int, generator: torch.Generator) -> Tensor:
@@ -434,8 +439,9 @@ def explored(found: Found, scorer: Scorer, seed: int) -> Found:
     if likelihood.fitted_errors or found.score.noise.kind == "outliers" or not at.names:
         return found
     generator = torch.Generator().manual_seed(seed)
-    draws = other_materials(at, WIDE, generator)
-    starts = screened(likelihood, draws, STARTS, torch.arange(len(draws)), generator)
+    draws = other_materials(at, paid(likelihood, WIDE), generator)
+    count = SLOW_STARTS if is_heavy(likelihood.model) else STARTS
+    starts = screened(likelihood, draws, count, torch.arange(len(draws)), generator)
     with torch.no_grad():
         reached = polish(likelihood, torch.cat([at.theta[None], starts]), None, held=settled(at))
     order = torch.argsort(reached.cost)

@@ -109,6 +109,7 @@ def test_what_can_be_mended_is_told_in_the_result(case: Case, tmp_path: Path):
     content = torchlc.fit(*case.write(tmp_path), steps=20).to_json()
     if case.outcome == "dropped":
         assert content["dropped"] == {case.message: 1}
+        assert f"rows left out: 1 {case.message}" in content["warnings"]
     else:
         assert any(case.message in warning for warning in content["warnings"])
 
@@ -134,6 +135,26 @@ def test_simulate_on_a_grid_and_at_rows(
         Table.read(case[1], format="ascii.ecsv")["time"],
     )
     assert run(["simulate", *case, *grid, "-o", out]) == 2
+
+
+def test_simulate_at_rows_says_how_far_from_the_recording_it_is(
+    case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """The same recording, one magnitude fainter and without one of its rows."""
+    table = Table.read(case[1], format="ascii.ecsv")
+    table["mag"] += 1.0
+    peak = int(np.argmin(table["mag"]))
+    table["mag"][(peak + 5) % len(table)] = np.nan
+    table.write(tmp_path / "obs.ecsv", format="ascii.ecsv")
+    arguments = ["simulate", case[0], str(tmp_path / "obs.ecsv"), "-o", str(tmp_path / "out")]
+    assert run([*arguments, "--json"]) == 0
+    recorded = json.loads(capsys.readouterr().out)["recorded"]
+    assert recorded["brightest"]["time"] == table["time"][peak]
+    assert recorded["brightest"]["mag"] == pytest.approx(table["mag"][peak])
+    assert recorded["fainter_mag"] == pytest.approx(1.0, abs=0.02), "errors of 0.02 mag"
+    assert run(arguments) == 0
+    said = capsys.readouterr()
+    assert "mag fainter" in said.out and "rows left out: 1 non-finite" in said.err
 
 
 def test_fit_says_what_it_found(case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -88,6 +88,19 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
     assert result.provenance["inputs"]["recording"]["sha256"] in shown
 
 
+def test_the_first_paragraph_says_that_a_model_does_not_fit(tmp_path: Path):
+    """Errors quoted ten times too small: what was added to them is not mistaken for a good fit."""
+    from torchlc.report import words
+
+    scene, recording = write_case(tmp_path, noise=0.2)
+    text = recording.read_text()
+    recording.write_text(re.sub(r" 0\.2 ", " 0.02 ", text))
+    result = torchlc.fit(scene, recording, steps=20)
+    said = words(result)[0]
+    assert said.startswith("The model does not fit: it is off by 0.") and "quotes errors of 0.02 mag" in said
+    assert "follows" not in said and "torchlc diagnose" in said
+
+
 @browser
 def test_it_renders_and_the_slider_moves_the_object(page: Path):
     with Page(page) as tab:

@@ -26,7 +26,7 @@ from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
 from torchlc.output import OutputDirectory, resources
-from torchlc.recording import Recording, load_recording
+from torchlc.recording import Recording, counted, load_recording
 from torchlc.results import FitResult
 from torchlc.sample import sample
 from torchlc.scene import Scene, load_scene
@@ -273,8 +273,7 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
         recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)
     kept = recording.keep(above_horizon(make_track(scene, recording)), "below the horizon")
     if len(kept) < MIN_ROWS:
-        lost = ", ".join(f"{count} {reason}" for reason, count in kept.dropped.items())
-        found = f"{len(kept)} usable row" + (f" ({lost})" if lost else "")
+        found = f"{len(kept)} usable row" + (f" ({counted(kept.dropped)})" if kept.dropped else "")
         raise InputError(kept.source, None, found, f"at least {MIN_ROWS}")
     return kept
 

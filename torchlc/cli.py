@@ -180,9 +180,10 @@ def diagnose(
     if json:
         show_json(without_nan(result.to_json()))
     elif not quiet:
-        from torchlc.diagnosis_report import lines
+        from torchlc.diagnosis_report import lines, warnings
 
         print("\n".join(map(printable, lines(result))))
+        warn(warnings(result))
         print(f"written: {out / 'report.html'}, diagnosis.json and figures")
 
 

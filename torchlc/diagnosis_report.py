@@ -21,6 +21,7 @@ from torchlc.effects.base import Entry
 from torchlc.insight import bare_view
 from torchlc.listing import first_sentence
 from torchlc.output import OutputDirectory
+from torchlc.recording import left_out
 from torchlc.report import environment, markup, origin, png
 from torchlc.results import stated
 from torchlc.viewer import viewer_data
@@ -66,12 +67,18 @@ def render_diagnosis(diagnosis: Diagnosis, made: Mapping[str, Any]) -> str:
             title=f"{model.scene.name}: diagnosis",
             name=model.scene.name,
             kicker=origin(model.recording),
-            warnings=list(model.assembly.warnings),
+            warnings=warnings(diagnosis),
             diagnosis=context(diagnosis),
             viewer=viewer_data(model, view, prediction),
             made={"inputs": {}, "versions": {}, "command": None, "seed": diagnosis.seed} | dict(made),
         )
     )
+
+
+def warnings(diagnosis: Diagnosis) -> list[str]:
+    """What a reader should know of scene and recording, each once."""
+    model, _ = _final(diagnosis)
+    return list(dict.fromkeys([*left_out(model.recording), *model.assembly.warnings]))
 
 
 def context(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
 from torchlc.output import OutputDirectory
 from torchlc.parameters import Free
-from torchlc.recording import Recording
+from torchlc.recording import Recording, counted
 from torchlc.results import FitResult, decimals, rounded, stated
 from torchlc.simulated import iso_times
 from torchlc.viewer import viewer_data
@@ -209,20 +209,23 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
 
 
 def _quality(result: FitResult) -> str:
-    recording = result.recording
-    size = (
-        f"{result.rms_mag:.3f} mag"
-        if recording.kind == "mag"
-        else f"{100 * result.rms_relative:.2g} % of the flux"
-    )
+    recording, trust = result.recording, _trust(result)
+    magnitudes = recording.kind == "mag"
+    size = f"{result.rms_mag:.3f} mag" if magnitudes else f"{100 * result.rms_relative:.2g} % of the flux"
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
-    elif "jitter" in {effect.name for effect in result.model.effects}:
-        judged = "the quoted errors had to be widened to allow that"
-    else:
+    elif "jitter" not in {effect.name for effect in result.model.effects}:
         judged = f"chi-square is {result.fit.chi2:.0f} for {result.fit.dof} degrees of freedom"
         judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
-    trust = _trust(result)
+    elif "jitter" in (result.model.scene.model.effects or ()):
+        judged = "the scene's jitter is part of the errors"
+    else:
+        quoted = recording.error if magnitudes else 100 * recording.error / np.abs(recording.observed)
+        return (
+            f"The model does not fit: it is off by {size} (root mean square of {len(recording)} rows), where the "
+            f"recording quotes errors of {np.median(quoted):.2g} {'mag' if magnitudes else '%'}. To go on, they were "
+            f"widened by a jitter; torchlc diagnose looks for what the model lacks. {trust}"
+        )
     return f"The model follows {len(recording)} rows to {size} (root mean square); {judged}. {trust}"
 
 
@@ -232,7 +235,8 @@ def _trust(result: FitResult) -> str:
         return "Nothing was free, so nothing was sampled."
     if result.converged:
         return "Search and chain converged."
-    worst = float(np.nanmax(result.posterior.rhat()))
+    rhat = result.posterior.rhat()
+    worst = float(np.nanmax(rhat)) if np.isfinite(rhat).any() else math.inf  # unknown of the shortest chains
     if result.fit.converged and worst < GOOD_RHAT:
         return f"The search converged; the chain is shorter than it should be, but its parts agree (R-hat up to {worst:.2f})."
     return f"The result is not final: {result.reason}."
@@ -304,7 +308,6 @@ def _alts(result: FitResult) -> dict[str, str]:
 
 def _facts(result: FitResult) -> list[tuple[str, str]]:
     scene, recording = result.model.scene, result.recording
-    dropped = ", ".join(f"{count} {reason}" for reason, count in recording.dropped.items())
     orbit = (
         "TLE (SGP4)"
         if scene.orbit.tle or scene.orbit.tle_file
@@ -318,7 +321,7 @@ def _facts(result: FitResult) -> list[tuple[str, str]]:
         ("orbit", orbit),
         ("attitude", scene.attitude.mode),
         ("facets", str(sum(len(part.faces) for part in result.model.assembly.shape.parts))),
-        *([("rows dropped", dropped)] if dropped else []),
+        *([("rows dropped", counted(recording.dropped))] if recording.dropped else []),
         ("time taken", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in result.seconds.items())),
     ]
 

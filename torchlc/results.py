@@ -23,7 +23,7 @@ from torchlc.likelihood import MAG_PER_LN, Likelihood
 from torchlc.materials import match
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
-from torchlc.recording import Recording
+from torchlc.recording import Recording, left_out
 from torchlc.sample import Posterior
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ class FitResult:
     @cached_property
     def all_warnings(self) -> list[str]:
         """Everything a reader should know, each once."""
-        return list(dict.fromkeys([*self.warnings, *self.insight.warnings]))
+        return list(dict.fromkeys([*left_out(self.recording), *self.warnings, *self.insight.warnings]))
 
     def to_json(self) -> dict[str, Any]:
         """The content of fit.json; numbers that do not exist are None."""

@@ -25,6 +25,10 @@ PRESETS = {
     "mesh": "mesh",
 }
 """Shape by the name people say, and its template."""
+TUMBLING = """
+# While the attitude is free, shadows and the Sun's disc are worked out anew for every try, which costs some hundred times
+# more: add self_shadowing and finite_sun once it is known.
+effects = ["sun_distance", "light_time", "earth_shadow"]"""
 
 
 def elements_for(path: Path, date: str | float | None) -> Elements:
@@ -87,6 +91,7 @@ def new_scene(
         "EDIT": "" if station is not None else "   # EDIT: where it is observed from",
         "MESH": toml_value(mesh or ""),
         "SHAPE": shape.rstrip(),
+        "EFFECTS": TUMBLING if key == "rocket-body" else "",
     }
     for key, value in values.items():
         if key != "MESH":

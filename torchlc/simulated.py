@@ -21,7 +21,7 @@ from torchlc.insight import bare_view
 from torchlc.likelihood import MAG_PER_LN, matern32
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
-from torchlc.recording import Recording
+from torchlc.recording import Recording, left_out
 from torchlc.recording.exchange import carried, told
 from torchlc.scene import Scene
 
@@ -91,12 +91,13 @@ class SimulatedCurve:
         return figures.simulated(self, axes)
 
     def to_json(self) -> dict[str, Any]:
-        """A summary: rows, range of magnitude, the brightest row, mean shares."""
+        """A summary: rows, range of magnitude, the brightest row, mean shares; the same of recorded magnitudes."""
         mag = self.mag
         seen = np.isfinite(mag)
         any_light = bool(seen.any())
         peak = int(np.argmin(np.where(seen, mag, math.inf)))
         brightest = {"time": iso_times(self.recording)[peak], "mag": mag[peak]}
+        recorded = self._recorded()
         return without_nan(
             {
                 "name": self.name,
@@ -108,21 +109,42 @@ class SimulatedCurve:
                     name: {"mean_share": np.nanmean(one) if any_light else None}
                     for name, one in self.shares.items()
                 },
+                **({} if recorded is None or not any_light else {"recorded": recorded}),
                 "warnings": list(self.warnings),
             }
         )
 
+    def _recorded(self) -> dict[str, Any] | None:
+        """Range of the magnitudes at whose rows it was simulated, and by how much they are fainter at the median;
+        None without any."""
+        seen = self.recording.observed
+        if self.recording.kind != "mag" or not np.isfinite(seen).all():
+            return None
+        peak, lit = int(np.argmin(seen)), np.isfinite(self.mag)
+        return {
+            "brightest": {"time": iso_times(self.recording)[peak], "mag": seen[peak]},
+            "faintest_mag": seen.max(),
+            "fainter_mag": np.median((seen - self.mag)[lit]) if lit.any() else None,
+        }
+
     def headline(self) -> str:
-        """The curve in one line."""
+        """The curve in one line, beside the magnitudes at whose rows it was simulated."""
         said = self.to_json()
         if said["brightest"] is None:
             return f"{self.name}: {said['rows']} rows, no light in any"
-        scale = self.recording.time.scale.upper()
+        told = f"{self.name}: {said['rows']} rows, {self._range(said)}"
+        if "recorded" in said:
+            fainter = said["recorded"]["fainter_mag"]
+            told += (
+                f"; recorded {self._range(said['recorded'])}, at the median {abs(fainter):.2f} mag "
+                f"{'fainter' if fainter > 0 else 'brighter'}"
+            )
+        return told
+
+    def _range(self, said: Mapping[str, Any]) -> str:
         when, brightest = said["brightest"]["time"][:19], said["brightest"]["mag"]
-        return (
-            f"{self.name}: {said['rows']} rows, {brightest:.2f} mag at {when} {scale} down to "
-            f"{said['faintest_mag']:.2f} mag"
-        )
+        scale = self.recording.time.scale.upper()
+        return f"{brightest:.2f} mag at {when} {scale} down to {said['faintest_mag']:.2f} mag"
 
     def __repr__(self) -> str:
         return "\n".join([f"SimulatedCurve: {self.headline()}", *(f"  ! {text}" for text in self.warnings)])
@@ -165,7 +187,7 @@ def simulated_curve(
         recording=recording if noise is None else quoted,
         columns=columns | _geometry(model, theta),
         shares=dict(zip(brightness.components, shares, strict=True)),
-        warnings=model.assembly.warnings,
+        warnings=[*left_out(recording), *model.assembly.warnings],
         seed=seed,
     )
 

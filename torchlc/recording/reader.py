@@ -13,7 +13,7 @@ from astropy.time import Time
 from torchlc.errors import InputError
 from torchlc.recording import declared, groups
 from torchlc.recording.layouts import LAYOUTS
-from torchlc.recording.recording import Recording, no_usable_row, seconds_since
+from torchlc.recording.recording import Recording, counted, no_usable_row, seconds_since
 from torchlc.recording.table import (
     Header,
     LabelReader,
@@ -267,4 +267,4 @@ class _Reader:
 
 
 def _because(dropped: Mapping[str, int]) -> str:
-    return f" ({', '.join(f'{count} {reason}' for reason, count in dropped.items())})" if dropped else ""
+    return f" ({counted(dropped)})" if dropped else ""

@@ -150,7 +150,18 @@ def seconds_since(time: Time, origin: Time) -> np.ndarray:
         return np.asarray((time - origin).to_value(u.s))
 
 
+def counted(dropped: Mapping[str, int]) -> str:
+    """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
+    return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+
+
+def left_out(recording: Recording) -> list[str]:
+    """The warning that rows were dropped, with why; empty if none were."""
+    return [f"rows left out: {counted(recording.dropped)}"] if recording.dropped else []
+
+
 def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
     """The error of a recording of which nothing is left; says why the rows went."""
-    counts = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
-    return InputError(source, None, f"no usable row ({counts})", "at least one row with finite values")
+    return InputError(
+        source, None, f"no usable row ({counted(dropped)})", "at least one row with finite values"
+    )

@@ -6,6 +6,8 @@ Letters: B batch, P parameters, K reflectances, T rows.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -25,7 +27,7 @@ def linear_columns(model: LightCurve) -> list[int]:
 
 def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:
     """Flux (B, T) at straight coordinates x (B, P) with the ``linear`` ones at zero, and what each of them adds
-    for a whole one (B, T, K)."""
+    for a whole one (B, T, K), bounces between parts left out: these are products."""
     parameters = model.parameter_set
     units = x[:1].repeat(len(linear) + 1, 1)
     units[:, linear] = 0.0
@@ -39,12 +41,18 @@ def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tenso
         whole = dict(zip(parameters.names, parameters.from_straight(units)[0].unbind(-1), strict=True))
         names = [parameters.names[column] for column in linear]
         tables = model.tables(model.assembly.needs_shares)
-        pieces = []
-        for rows in x.split(max(1, model.batch_size(tables) // len(units))):
+        direct = replace(tables, scatter=())
+        pieces, dark = [], []
+        for rows in x.split(max(1, model.batch_size(direct) // len(units))):
             values = parameters.values(parameters.from_straight(rows)[0][:, None])
-            light = model.shine(tables, {**values, **{name: whole[name] for name in names}}).flux
+            light = model.shine(direct, {**values, **{name: whole[name] for name in names}}).flux
             pieces.append(light.expand(len(rows), len(units), -1))
+            if tables.scatter:
+                none = {name: whole[name][:1] for name in names}
+                dark.append(model.shine(tables, {**values, **none}).flux[:, 0])
         flux = torch.cat(pieces)
+        if dark:
+            return torch.cat(dark), (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
     return flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -369,6 +369,7 @@ def search(
     if most_refits is not None:
         previews = {entry: preview(bench, baseline[0], entry, probes[entry], seed) for entry in entries}
         entries = sorted(entries, key=lambda entry: previews[entry])[:most_refits]
+    entries = [entry for entry in entries if worth_a_refit(bench, probes, entry)]
     first: list[Found] = []
     for number, entry in enumerate(entries):
         first.append(extended(bench, scorer, baseline, entry, probes[entry], seed + number))
@@ -390,11 +391,9 @@ def search(
                 made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
                 if compatible(stem, entry) and not made and payable(bench, stem, entry):
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
-            strongest = max((one.score for one in again.values()), default=0.0)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
-                weak = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE) or again[
-                    entry
-                ].score < max(LEAST_SCORE, WEAK_SHARE * strongest)
+                late = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE)
+                weak = late or again[entry].score < least_score(again)
                 if weak and not (again[entry].psi.shape[-1] == 0 and again[entry].score > 1.0):
                     continue
                 grown.append(
@@ -414,6 +413,17 @@ def search(
         others += tried
         beam = [best, *accepted[1:BEAM]]
     return best, first, others
+
+
+def least_score(probes: Mapping[str, Probe]) -> float:
+    """What an effect that is not refitted for its own sake has to score beside others."""
+    return max(LEAST_SCORE, WEAK_SHARE * max((one.score for one in probes.values()), default=0.0))
+
+
+def worth_a_refit(bench: Workbench, probes: Mapping[str, Probe], entry: str) -> bool:
+    """Every effect is, alone; one whose light takes long to work out, if its probe shows anything."""
+    heavy = is_heavy(bench.likelihood(Hypothesis((entry,))).model)
+    return not heavy or probes[entry].score >= least_score(probes)
 
 
 def trimmed(bench: Workbench, scorer: Scorer, found: Found) -> tuple[Found, list[Found]]:

@@ -83,6 +83,28 @@ def test_two_reflectances_have_the_posterior_of_a_grid():
         assert len(draws) > 300 and test.pvalue > 1e-3
 
 
+def test_a_short_chain_from_a_bound_has_the_posterior_of_a_grid():
+    """Beside a body that is too bright the best reflectance of the panel is 0, where the search leaves it a
+    billionth of its range: walkers begin apart there."""
+    panel = {"n": 154.244, "r_spec": setting.FREE["r_spec"], "r_diff": setting.FREE["r_diff"]}
+    brighter = {**BODY, "r_diff": BODY["r_diff"] + 0.3}
+    scene = setting.object_1({"body": brighter, "panel": panel})
+    likelihood = Likelihood(torchlc.LightCurve(scene, night(scene, noise=0.1)))
+    found = fit_map(likelihood)
+    parameters, best = likelihood.model.parameter_set, found.modes[0]
+    assert best.at_bound.tolist() == [False, True]
+    theta = parameters.to_natural(parameters.to_unconstrained(best.theta))
+    assert 0 < float(theta[1]) < 1.1e-9
+    drawn = sample(replace(found, modes=[replace(best, theta=theta)]), steps=300, seed=0).flat[:, 1]
+    spec = torch.linspace(0.02, 0.04, 201, dtype=torch.float64)
+    diff = torch.linspace(0, 0.004, 801, dtype=torch.float64)
+    with torch.no_grad():
+        log = likelihood.log_prob(torch.cartesian_prod(spec, diff)).reshape(201, 801)
+    marginal = torch.exp(log - log.max()).sum(0)
+    assert float(marginal[-1] / marginal.max()) < 1e-3, "all within the grid"
+    assert float(drawn.mean()) == pytest.approx(float(marginal @ diff / marginal.sum()), rel=0.2)
+
+
 def test_data_that_say_nothing_give_the_prior_back():
     """Errors of 1000 mag: n is log-uniform, and the reflectances are uniform on their triangle."""
     scene = setting.object_1({"body": BODY, "panel": setting.FREE})

@@ -106,7 +106,7 @@ def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
 
 def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
     """Starting points x (W, P) from the Laplace covariances of the modes, each mode with a share by its
-    Laplace evidence."""
+    Laplace evidence; what a bound holds, within 0.03 of its range from there."""
     likelihood = fit.likelihood
     parameters = likelihood.model.parameter_set
     generator = torch.Generator().manual_seed(seed)
@@ -133,8 +133,8 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
             y = y0 + shrink * noise @ spread.T
             inward = torch.rand(len(y), len(parameters), generator=generator, dtype=y0.dtype)
             span = torch.where(torch.isfinite(high - low), high - low, 1.0)
-            step = torch.where(mode.at_bound, 0.03 * inward * span, 1e-6 * span * (inward - 0.5))
-            y = torch.where(y0 <= low + 1e-9, y + step, torch.where(y0 >= high - 1e-9, y - step, y))
+            step = torch.where(y0 - low <= high - y0, 0.03, -0.03) * inward * span
+            y = torch.where(mode.at_bound, y + step, y)
             inside = y[((y > low) & (y < high)).all(-1)]
             theta = parameters.from_flat(inside)
             with torch.no_grad():

@@ -369,6 +369,16 @@ def test_natural_values_of_the_scene_are_the_start():
     assert values["body.r_diff"] == pytest.approx(0.3, rel=1e-9)
 
 
+def test_theta_of_another_length_and_unknown_effects_say_what_was_expected():
+    model = demo()
+    for wrong in (torch.ones(3), torch.ones(2, 8), torch.tensor(1.0)):
+        for call in (model, model.set_theta):
+            with pytest.raises(ValueError, match="its last axis has to hold the 7 free parameters body.n, "):
+                call(wrong)
+    with pytest.raises(torchlc.InputError, match="Did you mean 'panel_offset'"):
+        demo(effects=["panel_offsett"])
+
+
 def test_state_dict_brings_a_curve_back():
     model, other = demo(), demo()
     model.set_theta(model.theta() * 0.9)

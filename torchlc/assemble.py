@@ -24,6 +24,7 @@ from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.shape import Facets, Shape
+from torchlc.spelling import did_you_mean
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
@@ -293,7 +294,11 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         name, target = parsed.name, parsed.target
         if name not in known:
             raise InputError(
-                scene.source, "model.effects", f"{entry!r} is no effect", f"one of {', '.join(known)}"
+                scene.source,
+                "model.effects",
+                f"{entry!r} is no effect",
+                f"one of {', '.join(known)}",
+                did_you_mean(name, known),
             )
         cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]

@@ -240,8 +240,18 @@ class ParameterSet:
     def values(self, theta: Tensor) -> dict[str, Tensor]:
         """Every number by its full name: free ones (...) from theta (..., P), fixed ones as scalars."""
         found = {name: value.to(theta) for name, value in self._fixed.items()}
-        found.update(zip(self.names, theta.unbind(-1), strict=True))
+        found.update(zip(self.names, self._columns(theta), strict=True))
         return found
+
+    def _columns(self, theta: Tensor) -> tuple[Tensor, ...]:
+        """The free parameters (...) of theta (..., P); ValueError if P is another."""
+        columns = theta.unbind(-1) if theta.ndim else ()
+        if len(columns) != len(self.free):
+            raise ValueError(
+                f"theta of shape {tuple(theta.shape)}: its last axis has to hold the {len(self.free)} free "
+                f"parameters {', '.join(self.names)}"
+            )
+        return columns
 
     def to_natural(self, z: Tensor) -> Tensor:
         """Natural values theta (..., P) of unconstrained coordinates z (..., P)."""
@@ -259,7 +269,7 @@ class ParameterSet:
     def to_unconstrained(self, theta: Tensor) -> Tensor:
         """Inverse of :meth:`to_natural`; values on a bound are taken a billionth of the range inside."""
         columns: list[Tensor] = []
-        natural = theta.unbind(-1)
+        natural = self._columns(theta)
         for index, (entry, column) in enumerate(zip(self.free, natural, strict=True)):
             value = column
             if index in self._second:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import html
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -331,15 +332,20 @@ class FitResult:
             name.replace("/", "|"): self.posterior.theta[..., i].numpy()
             for i, name in enumerate(self.posterior.names)
         }
-        return arviz.from_dict(
-            posterior=posterior,
-            sample_stats={"lp": self.posterior.log_prob.numpy()},
-            observed_data={self.recording.kind: self.recording.observed},
-            constant_data={"seconds": self.recording.seconds},
-            coords={"row": np.arange(len(self.recording))},
-            dims={self.recording.kind: ["row"], "seconds": ["row"]},
-            attrs={"torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")), "seed": self.seed},
-        )
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "More chains", UserWarning)  # walkers, of a short chain
+            return arviz.from_dict(
+                posterior=posterior,
+                sample_stats={"lp": self.posterior.log_prob.numpy()},
+                observed_data={self.recording.kind: self.recording.observed},
+                constant_data={"seconds": self.recording.seconds},
+                coords={"row": np.arange(len(self.recording))},
+                dims={self.recording.kind: ["row"], "seconds": ["row"]},
+                attrs={
+                    "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
+                    "seed": self.seed,
+                },
+            )
 
     # ------------------------------------------------------------------ pictures
 

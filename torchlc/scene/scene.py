@@ -54,6 +54,9 @@ class Scene(Table):
         ]
         return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
 
+    def __str__(self) -> str:
+        return repr(self)
+
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
 

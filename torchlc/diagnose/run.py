@@ -41,6 +41,8 @@ from torchlc.recording import Recording
 from torchlc.scene import Scene
 
 ADEQUATE_P = 0.01
+STRUCTURE_P = 1e-3
+"""The global p below which what a noise model, or several effects together, leave behind is structure."""
 NOISE_EVIDENCE = 5.0
 NOISE_HELDOUT = 3.0
 LEFT_AFTER = 0.5
@@ -182,7 +184,7 @@ def _under_one_law(
     if final is not start:
         final = explored(final, scorer, seed)
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
-    verdict, named = _verdict(start, final, scorer, found_coordinates, seed)
+    verdict, named = _verdict(start, final, scorer, found_coordinates, seed, after.global_p)
     doubt = ""
     if verdict == "missing_physics" and "appendage" in named:
         sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
@@ -259,8 +261,10 @@ def _gate(
 
 
 def _verdict(
-    start: Found, final: Found, scorer: Scorer, found: dict[str, torch.Tensor], seed: int
+    start: Found, final: Found, scorer: Scorer, found: dict[str, torch.Tensor], seed: int, p_after: float
 ) -> tuple[str, list[str]]:
+    """The verdict and the names. Several effects together bend a model to much that is none of them: they are
+    named where they leave no structure behind, a single one where it takes the larger part away."""
     likelihood = start.refit.likelihood
     if final.hypothesis.added and nameable(final):
         own = sorted(map(Entry.parse, final.hypothesis.added), key=lambda entry: entry.per is not None)
@@ -270,7 +274,8 @@ def _verdict(
         before = start.refit.chi2 - likelihood.degrees_of_freedom
         left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
         scatter = math.sqrt(2 * final.refit.likelihood.degrees_of_freedom)
-        if left <= max(LEFT_AFTER * before, CONSISTENT * scatter):
+        whole = len(final.hypothesis.added) == 1 or p_after >= STRUCTURE_P
+        if whole and left <= max(LEFT_AFTER * before, CONSISTENT * scatter):
             return "missing_physics", named
         return "unexplained", []
     white, heldout_white = start.score.by_kind["white"]
@@ -283,7 +288,7 @@ def _verdict(
         best = max(kinds, key=lambda kind: kinds[kind][0])
         if kinds[best][0] > NOISE_EVIDENCE and kinds[best][1] > NOISE_HELDOUT:
             whitened = _gate(start.refit, scorer, found, {}, seed, noise=start.score.noise)
-            if whitened.global_p >= 1e-3:
+            if whitened.global_p >= STRUCTURE_P:
                 return "noise_model", [best]
     return "unexplained", []
 

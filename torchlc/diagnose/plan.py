@@ -122,7 +122,7 @@ def sentence(options: Sequence[Option], first: str, second: str, fixed_orbit: bo
             "repeat the object at another phase angle and compare their predictions."
         )
     if not options:
-        return f"{tied}, and no night within half a year puts the object above the horizon."
+        return f"{tied}, and for no night within half a year could both be computed above the horizon."
     best = options[0]
     if best.margin < ENOUGH:
         return (

@@ -185,6 +185,8 @@ def _under_one_law(
         final = explored(final, scorer, seed)
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
     verdict, named = _verdict(start, final, scorer, found_coordinates, seed, after.global_p)
+    if verdict == "noise_model" and final is not start:
+        final, after = start, _gate(start.refit, scorer, found_coordinates, {}, seed)
     doubt = ""
     if verdict == "missing_physics" and "appendage" in named:
         sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
@@ -264,9 +266,11 @@ def _verdict(
     start: Found, final: Found, scorer: Scorer, found: dict[str, torch.Tensor], seed: int, p_after: float
 ) -> tuple[str, list[str]]:
     """The verdict and the names. Several effects together bend a model to much that is none of them: they are
-    named where they leave no structure behind, a single one where it takes the larger part away."""
+    named where they leave no structure behind, a single one where it takes the larger part away. Where it does not,
+    the errors may be at fault, but not red noise, which takes up whatever physics has begun to explain."""
     likelihood = start.refit.likelihood
-    if final.hypothesis.added and nameable(final):
+    begun = bool(final.hypothesis.added) and nameable(final)
+    if begun:
         own = sorted(map(Entry.parse, final.hypothesis.added), key=lambda entry: entry.per is not None)
         named = list(dict.fromkeys(entry.name for entry in own))
         if likelihood.fitted_errors:
@@ -277,14 +281,13 @@ def _verdict(
         whole = len(final.hypothesis.added) == 1 or p_after >= STRUCTURE_P
         if whole and left <= max(LEFT_AFTER * before, CONSISTENT * scatter):
             return "missing_physics", named
-        return "unexplained", []
     white, heldout_white = start.score.by_kind["white"]
     kinds = {
         kind: (value - white, heldout - heldout_white)
         for kind, (value, heldout) in start.score.by_kind.items()
         if kind != "white"
     }
-    if kinds:
+    if kinds and not (begun and start.score.noise.kind == "red_noise"):
         best = max(kinds, key=lambda kind: kinds[kind][0])
         if kinds[best][0] > NOISE_EVIDENCE and kinds[best][1] > NOISE_HELDOUT:
             whitened = _gate(start.refit, scorer, found, {}, seed, noise=start.score.noise)

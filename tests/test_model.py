@@ -373,7 +373,9 @@ def test_theta_of_another_length_and_unknown_effects_say_what_was_expected():
     model = demo()
     for wrong in (torch.ones(3), torch.ones(2, 8)):
         for call in (model, model.set_theta):
-            with pytest.raises(ValueError, match=r"its last axis has to hold the 7 free parameters body\.n, "):
+            with pytest.raises(
+                ValueError, match=r"its last axis has to hold the 7 free parameters body\.n, "
+            ):
                 call(wrong)
     with pytest.raises(torchlc.InputError, match="Did you mean 'panel_offset'"):
         demo(effects=["panel_offsett"])

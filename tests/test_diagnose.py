@@ -15,9 +15,10 @@ import torch
 from torchlc.assemble import assemble
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
+from torchlc.diagnose.plan import next_nights
 from torchlc.diagnose.refit import Hypothesis, Workbench, linearised
 from torchlc.diagnose.run import diagnose
-from torchlc.diagnose.search import candidate_entries
+from torchlc.diagnose.search import Found, candidate_entries
 from torchlc.effects.base import Entry
 from torchlc.fit import find_modes
 from torchlc.likelihood import matern32
@@ -128,6 +129,31 @@ def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> No
             if entry == "interreflection":
                 bare = base(theta[:, [model.names.index(name) for name in base.names]])
                 assert float((light - bare).abs().max()) > 1e-6, "it does something here"
+
+
+def test_nights_are_planned_with_the_exposures_of_the_recording(demo_refit) -> None:
+    """The demo's model smears over exposures, and has no night to offer for exposures of none."""
+    base = demo_refit.model.assembly
+    bench, rival = Workbench(base), Hypothesis(("background",))
+    theta = bench.start(rival, demo_refit.theta[None], demo_refit.names)[0]
+    theta[bench.likelihood(rival).model.names.index("background.fraction")] = 0.1
+    context = base.context
+    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, context.curve), False)
+    refits = demo_refit, linearised(bench.likelihood(rival), rival, theta)
+    nights = next_nights(*(Found(one, scorer.score(one)) for one in refits))
+    assert "exposure_smearing" in [effect.name for effect in base.effects]
+    assert nights and nights[0].margin > nights[-1].margin > 0
+
+
+def test_fewer_rows_than_parameters_get_a_verdict() -> None:
+    scene = load_scene(DEMO / "scene.toml")
+    recording = load_recording(DEMO / "recording.ecsv", scene)
+    few = recording.keep(np.arange(len(recording)) % 80 == 0, "for a test")
+    few = replace(few, observed=few.observed + [-10.0, 10.0, -10.0])  # no material is so bright
+    found = diagnose(scene, few, quick=True)
+    assert found.final.refit.likelihood.degrees_of_freedom < 0
+    content = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert content["verdict"] == "unexplained"
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,12 @@ def next_nights(first: Found, second: Found) -> list[Option]:
     hours = float(recording.seconds[-1] - recording.seconds[0]) / 3600
     hours = min(max(hours, 0.5), 10.0)
     error = float(torch.median(first.refit.sigma / first.refit.scale))
+    exposure = None if recording.exptime is None else float(np.median(recording.exptime))
     options = []
     for station in scene.stations:
         for days in NIGHTS:
             start = recording.time[0] + TimeDelta(days, format="jd")
-            grid = _grid(scene, start, hours, station.id, error)
+            grid = _grid(scene, start, hours, station.id, error, exposure)
             if grid is None:
                 continue
             margin = _margin(first.refit, second.refit, scene, grid)
@@ -63,8 +64,11 @@ def next_nights(first: Found, second: Found) -> list[Option]:
     return sorted(options, key=lambda one: -one.margin)
 
 
-def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -> Recording | None:
-    """Rows of one night above the horizon with errors like the recording's; None if there are too few."""
+def _grid(
+    scene: Scene, start: Time, hours: float, station: str, error: float, exposure: float | None
+) -> Recording | None:
+    """Rows of one night above the horizon, errors and exposures (s) like the recording's; None if there are too
+    few."""
     try:
         grid = observation_grid(scene, str(start.isot), hours, hours * 3600 / ROWS, station)
         grid = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
@@ -73,9 +77,8 @@ def _grid(scene: Scene, start: Time, hours: float, station: str, error: float) -
     if len(grid.seconds) < 10:
         return None
     rows = len(grid.seconds)
-    return replace(
-        grid, observed=np.zeros(rows), error=np.full(rows, error), exptime=np.zeros(rows), kind="mag"
-    )
+    exptime = None if exposure is None else np.full(rows, exposure)
+    return replace(grid, observed=np.zeros(rows), error=np.full(rows, error), exptime=exptime, kind="mag")
 
 
 def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float | None:

@@ -3,7 +3,6 @@ change."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -100,8 +99,9 @@ def _left_over(found: Diagnosis) -> bool:
     """Whether the verdict leaves so much that the law of reflection itself is in doubt."""
     if found.verdict == "adequate" or found.final.refit.likelihood.fitted_errors:
         return False
-    dof = found.final.refit.likelihood.degrees_of_freedom
-    return found.verdict == "unexplained" or found.final.refit.chi2 > dof + GROSS * math.sqrt(2 * dof)
+    likelihood = found.final.refit.likelihood
+    gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
+    return found.verdict == "unexplained" or found.final.refit.chi2 > gross
 
 
 class Start:
@@ -183,6 +183,7 @@ def _under_one_law(
     )
     if final is not start:
         final = explored(final, scorer, seed)
+    first = _deepest(first, [*others, final])
     after = _gate(final.refit, scorer, found_coordinates, {}, seed)
     verdict, named = _verdict(start, final, scorer, found_coordinates, seed, after.global_p)
     if verdict == "noise_model" and final is not start:
@@ -218,6 +219,16 @@ def _under_one_law(
         seconds=time.monotonic() - own.began,
         **common,
     )
+
+
+def _deepest(first: Sequence[Found], later: Sequence[Found]) -> list[Found]:
+    """The first round, best first, with what later refits of the same hypotheses have found better."""
+    best = {found.hypothesis.plain: found for found in first}
+    for found in later:
+        own = best.get(found.hypothesis.plain)
+        if own is not None and found.log_evidence > own.log_evidence:
+            best[found.hypothesis.plain] = found
+    return sorted(best.values(), key=lambda found: -found.log_evidence)
 
 
 def _next(
@@ -277,9 +288,8 @@ def _verdict(
             return "missing_physics", named
         before = start.refit.chi2 - likelihood.degrees_of_freedom
         left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-        scatter = math.sqrt(2 * final.refit.likelihood.degrees_of_freedom)
         whole = len(final.hypothesis.added) == 1 or p_after >= STRUCTURE_P
-        if whole and left <= max(LEFT_AFTER * before, CONSISTENT * scatter):
+        if whole and left <= max(LEFT_AFTER * before, CONSISTENT * final.refit.likelihood.chi2_sd):
             return "missing_physics", named
     white, heldout_white = start.score.by_kind["white"]
     kinds = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -490,8 +489,7 @@ def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list
     Of two missing effects either alone may leave so much that noise describes the rest as well as all. That is
     so of a gross mismatch; a faint one that no effect explains is left at that.
     """
-    dof = null.refit.likelihood.degrees_of_freedom
-    if excess is None or excess < GROSS * math.sqrt(2 * dof):
+    if excess is None or excess < GROSS * null.refit.likelihood.chi2_sd:
         return []
     white = null.score.by_kind["white"][0]
     gains = {id(found): found.score.by_kind["white"][0] - white for found in sound}

@@ -128,7 +128,7 @@ def held_out_r2(value: Tensor, coordinate: Tensor) -> float:
     for one in range(FOLDS):
         train, test = fold != one, fold == one
         a = basis[train]
-        system = a.T @ a + 1e-3 * len(a) / bins * torch.eye(bins + 1, dtype=value.dtype)
+        system = a.T @ a + 1e-3 * max(len(a), 1) / bins * torch.eye(bins + 1, dtype=value.dtype)
         weight = torch.linalg.solve(system, a.T @ value[train])
         missed += float(((value[test] - basis[test] @ weight) ** 2).sum())
     return 1 - missed / float((value**2).sum().clamp(min=1e-300))

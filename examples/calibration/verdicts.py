@@ -1,6 +1,9 @@
 """Are verdicts right? Diagnoses every case that make_injections.py wrote and compares it with its answer.
 
-    python examples/calibration/make_injections.py CASES --seed 1
+    python examples/calibration/make_injections.py CASES/1 --seed 1
+    for seed in $(seq 2 15); do
+        python examples/calibration/make_injections.py CASES/$seed --seed $seed --only control_
+    done
     python examples/calibration/verdicts.py CASES RESULTS.jsonl [--only TEXT] [--part K/N] [--quick] [--summary]
     python examples/calibration/verdicts.py CASES RESULTS.jsonl --summary --publish docs/calibration
 
@@ -158,7 +161,7 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
 
 def group(row: dict[str, Any]) -> str:
     """The kind of case, by its name."""
-    head, _, rest = row["case"].rpartition("clean-")[2].partition("-")
+    head, _, rest = row["case"].rpartition("/")[2].partition("-")
     size = rest.partition("-")[0]
     if head.startswith("control"):
         return "nothing missing"
@@ -286,12 +289,12 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     rows = read(options.results)
-    answers = [one for one in sorted(options.cases.glob("*/answer.json")) if options.only in one.parent.name]
+    answers = [one for one in sorted(options.cases.rglob("answer.json")) if options.only in one.parent.name]
     first, step = map(int, options.part.split("/"))
     for answer in [] if options.summary else answers[first::step]:
-        name = answer.parent.name
+        name = answer.parent.relative_to(options.cases).as_posix()
         if name not in rows:
-            rows[name] = run(answer.parent, options.quick)
+            rows[name] = {**run(answer.parent, options.quick), "case": name}
             with options.results.open("a") as file:
                 file.write(json.dumps(rows[name]) + "\n")
             row = rows[name]

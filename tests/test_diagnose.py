@@ -149,7 +149,7 @@ def test_fewer_rows_than_parameters_get_a_verdict() -> None:
     scene = load_scene(DEMO / "scene.toml")
     recording = load_recording(DEMO / "recording.ecsv", scene)
     few = recording.keep(np.arange(len(recording)) % 80 == 0, "for a test")
-    few = replace(few, observed=few.observed + [-10.0, 10.0, -10.0])  # no material is so bright
+    few = replace(few, observed=few.observed + np.array([-10.0, 10.0, -10.0]))  # no material is so bright
     found = diagnose(scene, few, quick=True)
     assert found.final.refit.likelihood.degrees_of_freedom < 0
     content = json.loads(json.dumps(found.to_json(), allow_nan=False))

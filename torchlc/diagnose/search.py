@@ -349,6 +349,14 @@ def better(
     return not (excess is not None and old.refit.chi2 - new.refit.chi2 < EXCESS_SHARE * excess)
 
 
+def foresees(found: Found, null: Found) -> bool:
+    """Whether unseen parts of curves are left with EXCESS_SHARE less of variance, as is asked where errors are
+    fitted: their scale makes up for whatever a model misses, in the density of unseen rows as well."""
+    if not null.refit.likelihood.fitted_errors:
+        return True
+    return found.score.unseen**2 <= (1 - EXCESS_SHARE) * null.score.unseen**2
+
+
 def search(
     bench: Workbench,
     scorer: Scorer,
@@ -377,7 +385,7 @@ def search(
     first = second_look(bench, scorer, baseline, first, probes, null, seed)
     others: list[Found] = []
     sound = [found for found in first if nameable(found)]
-    good = leader_first([found for found in sound if better(found, null, excess)])
+    good = leader_first([found for found in sound if better(found, null, excess) and foresees(found, null)])
     best = good[0] if good else null
     beam = stems(good, promising(sound, null, excess))
     for _ in range(MOST_EFFECTS - 1):

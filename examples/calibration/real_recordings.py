@@ -20,6 +20,7 @@ import torch
 
 import torchlc
 from torchlc.diagnose.refit import Refit
+from torchlc.diagnose.result import effect_parameters
 from torchlc.diagnose.run import diagnose
 from torchlc.terminal import quiet_libraries
 
@@ -62,6 +63,11 @@ def told(scene_file: Path, recording_file: Path) -> dict[str, Any]:
         "curves": len(recording.curve_ids),
         **{key: content[key] for key in keys},
         "law": found.law,
+        "parameters": {
+            entry: effect_parameters(found.final.refit, entry)
+            for entry in found.final.hypothesis.added
+            if "@" not in entry  # offsets of single curves are too many to tell
+        },
         "before": scatter(found.baseline.refit),
         "after": scatter(found.final.refit),
         "candidates": [

@@ -149,9 +149,7 @@ def check_end(folder: Path, expected: dict[str, Any]) -> None:
 
 def check_files(folder: Path) -> None:
     """Every file that does not begin with a dot is whole."""
-    for path in folder.rglob("[!.]*"):
-        if path.is_dir():
-            continue
+    for path in written(folder):
         match path.suffix:
             case ".json":
                 json.loads(path.read_text())

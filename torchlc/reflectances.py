@@ -51,7 +51,7 @@ def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tenso
                 none = {name: whole[name][:1] for name in names}
                 dark.append(model.shine(tables, {**values, **none}).flux[:, 0])
         flux = torch.cat(pieces)
-        if dark:
+        if tables.scatter:
             return torch.cat(dark), (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
     return flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
 

@@ -145,13 +145,18 @@ def is_heavy(model: LightCurve) -> bool:
     return not model.geometry_free and model.batch_size() == 1
 
 
+def is_dear(model: LightCurve) -> bool:
+    """True if refits have to do with few starts and steps."""
+    return is_slow(model) or is_heavy(model)
+
+
 def refit(
     likelihood: Likelihood, hypothesis: Hypothesis, starts: Tensor, *, iterations: int = 40, first: int = 10
 ) -> Refit:
     """The minimum with the largest posterior mass from natural starts (S, P): all get ``first`` steps, the best
-    quarter (at least 3; 1 if slow or heavy) are brought to the end. Where errors are fitted, the deepest."""
+    quarter (at least 3; 1 if dear) are brought to the end. Where errors are fitted, the deepest."""
     parameters = likelihood.model.parameter_set
-    dear = is_slow(likelihood.model) or is_heavy(likelihood.model)
+    dear = is_dear(likelihood.model)
     if dear:
         first, iterations = 6, 20
     if not parameters.names:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from torchlc.diagnose.search import EVIDENCE_GAIN, EXCESS_SHARE, Found, nameable
+from torchlc.diagnose.search import EVIDENCE_GAIN, EXCESS_SHARE, Found, foreseen, nameable
 
 MOST_TOLD = 12
 
@@ -39,9 +39,11 @@ def why_not(found: Found, final: Found, null: Found) -> str:
         return "a parameter stands at its bound, or its parts scatter over all that is possible"
     if behind > 0:
         return f"log evidence {behind:.1f} lower"
-    lowered = (final.score.unseen**2 - found.score.unseen**2) / null.score.unseen**2
-    if lowered < EXCESS_SHARE:
-        return f"takes {max(100 * lowered, 0):.0f} % only of the variance that the scene's own model leaves unseen"
+    taken = foreseen(found, final, null)
+    if taken < EXCESS_SHARE:
+        return (
+            f"takes {max(100 * taken, 0):.0f} % only of the variance that the scene's own model leaves unseen"
+        )
     if found.score.heldout_total <= final.score.heldout_total:
         return "predicts unseen rows no better"
     if -behind < EVIDENCE_GAIN:

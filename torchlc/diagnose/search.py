@@ -18,6 +18,7 @@ from torchlc.diagnose.refit import (
     Workbench,
     effect_columns,
     effect_starts,
+    is_dear,
     is_heavy,
     is_slow,
     leading,
@@ -162,11 +163,10 @@ def extended(
     likelihood = bench.likelihood(hypothesis)
     parameters = likelihood.model.parameter_set
     generator = torch.Generator().manual_seed(seed)
-    heavy = is_heavy(likelihood.model)
-    slow = heavy or is_slow(likelihood.model)
-    starts = SLOW_STARTS if slow else starts
+    dear = is_dear(likelihood.model)
+    starts = SLOW_STARTS if dear else starts
     columns = effect_columns(parameters, entry)
-    places = 1 if not columns else SLOW_PLACES if slow else PLACES
+    places = 1 if not columns else SLOW_PLACES if dear else PLACES
     psi = effect_starts(likelihood, entry, places, generator)
     ranked = found.psi[torch.argsort(found.scores, descending=True)]
     likely = apart(bench, entry, ranked)[: -(-places // 2)]
@@ -349,12 +349,15 @@ def better(
     return not (excess is not None and old.refit.chi2 - new.refit.chi2 < EXCESS_SHARE * excess)
 
 
-def foresees(found: Found, null: Found) -> bool:
-    """Whether unseen parts of curves are left with EXCESS_SHARE less of variance, as is asked where errors are
-    fitted: their scale makes up for whatever a model misses, in the density of unseen rows as well."""
-    if not null.refit.likelihood.fitted_errors:
-        return True
-    return found.score.unseen**2 <= (1 - EXCESS_SHARE) * null.score.unseen**2
+def foreseen(new: Found, old: Found, null: Found) -> float:
+    """How much of the variance that the baseline leaves in unseen parts of curves ``new`` takes from what ``old``
+    leaves; nan where errors are quoted.
+
+    EXCESS_SHARE of it is asked of what is named where errors are fitted: their scale makes up for whatever a
+    model misses, in the density of unseen rows as well, and with many rows evidence grows for whatever bends a
+    wrong model a little.
+    """
+    return (old.score.unseen**2 - new.score.unseen**2) / max(null.score.unseen**2, 1e-300)
 
 
 def search(
@@ -376,7 +379,12 @@ def search(
     if most_refits is not None:
         previews = {entry: preview(bench, baseline[0], entry, probes[entry], seed) for entry in entries}
         entries = sorted(entries, key=lambda entry: previews[entry])[:most_refits]
-    entries = [entry for entry in entries if worth_a_refit(bench, probes, entry)]
+    least = least_score(probes)  # of effects whose light takes long to work out; every other one is refitted
+    entries = [
+        entry
+        for entry in entries
+        if probes[entry].score >= least or not is_heavy(bench.likelihood(Hypothesis((entry,))).model)
+    ]
     first: list[Found] = []
     for number, entry in enumerate(entries):
         first.append(extended(bench, scorer, baseline, entry, probes[entry], seed + number))
@@ -385,7 +393,13 @@ def search(
     first = second_look(bench, scorer, baseline, first, probes, null, seed)
     others: list[Found] = []
     sound = [found for found in first if nameable(found)]
-    good = leader_first([found for found in sound if better(found, null, excess) and foresees(found, null)])
+    good = leader_first(
+        [
+            found
+            for found in sound
+            if better(found, null, excess) and not foreseen(found, null, null) < EXCESS_SHARE
+        ]
+    )
     best = good[0] if good else null
     beam = stems(good, promising(sound, null, excess))
     for _ in range(MOST_EFFECTS - 1):
@@ -398,9 +412,10 @@ def search(
                 made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
                 if compatible(stem, entry) and not made and payable(bench, stem, entry):
                     again[entry] = probe(bench, stem.refit, entry, seed + number)
+            least = least_score(again)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
                 late = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE)
-                weak = late or again[entry].score < least_score(again)
+                weak = late or again[entry].score < least
                 if weak and not (again[entry].psi.shape[-1] == 0 and again[entry].score > 1.0):
                     continue
                 grown.append(
@@ -425,12 +440,6 @@ def search(
 def least_score(probes: Mapping[str, Probe]) -> float:
     """What an effect that is not refitted for its own sake has to score beside others."""
     return max(LEAST_SCORE, WEAK_SHARE * max((one.score for one in probes.values()), default=0.0))
-
-
-def worth_a_refit(bench: Workbench, probes: Mapping[str, Probe], entry: str) -> bool:
-    """Every effect is, alone; one whose light takes long to work out, if its probe shows anything."""
-    heavy = is_heavy(bench.likelihood(Hypothesis((entry,))).model)
-    return not heavy or probes[entry].score >= least_score(probes)
 
 
 def trimmed(bench: Workbench, scorer: Scorer, found: Found) -> tuple[Found, list[Found]]:
@@ -519,21 +528,18 @@ def leader_first(ranked: Sequence[Found]) -> list[Found]:
 
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
-    the others: where errors are fitted and no excess of chi-square is known, by EXCESS_SHARE of the variance that
-    the baseline leaves in unseen parts of curves, for with many rows evidence grows for whatever bends a wrong
-    model a little."""
+    the others, where errors are fitted by enough."""
     if not better(found, best, excess, gain=0.0):
         return False
     if not best.hypothesis.added and not better(found, best, excess, 2 * HELDOUT_GAIN, 2 * EVIDENCE_GAIN):
         return False
     members = frozenset(found.hypothesis.plain)
-    least = EXCESS_SHARE * known[frozenset()].score.unseen ** 2
     for entry in members:
         without = known.get(members - {entry})
         if without is not None and (
             found.score.heldout_total <= without.score.heldout_total
             or found.log_evidence - without.log_evidence < EVIDENCE_GAIN
-            or without.score.unseen**2 - found.score.unseen**2 < least
+            or foreseen(found, without, known[frozenset()]) < EXCESS_SHARE
         ):
             return False
     return True

@@ -218,7 +218,7 @@ RECIPES: dict[str, Recipe] = {
     "zero_point_step": ("box", step, 0.02, (1e-4, 0.5)),
     "extinction_residual": ("leo", either_way("extinction_residual", "mag_per_airmass"), 0.05, (1e-4, 0.125)),
     "background": ("wing", either_way("background", "fraction"), 0.03, (1e-4, 0.25)),
-    "saturation": ("box", one_way("saturation", "q"), 0.05, (1e-3, 0.4)),
+    "saturation": ("box", one_way("saturation", "q"), 0.05, (1e-3, 0.125)),
     "color_term": ("wing", either_way("color_term", "mag", component="body"), 0.05, (1e-3, 0.5)),
     "back_transmission": (
         "wing",

@@ -13,6 +13,9 @@ from bruteforce import Curve, photometry, scene_effects, simulate
 from circumstances import QUICK, Setup
 from observe import errors
 
+GONE_DARK = 1e6
+"""The gain of an effect that leaves a row without light, and so without a magnitude."""
+
 
 class Baseline:
     """What the handed-out scene can do: curves of its free materials, refits under their priors, tangents."""
@@ -140,9 +143,12 @@ def gain(setup: Setup, concealed: Mapping[str, Any], linear: bool = False) -> fl
 
     Known physics is left out on both sides (it hardly changes a gain, and costs most of the time), and priors
     are centred on the truth. ``linear``: by projection on the tangents at the truth, quick, never too small.
+    GONE_DARK where the effect leaves a row no light, and so no magnitude.
     """
     bare = with_effects(setup, [])
     target = truth_of(bare, concealed, **QUICK)[1]
+    if not np.isfinite(target).all():
+        return GONE_DARK
     baseline = Baseline(centred(bare), errors(target, setup.floor))
     if linear:
         change = (target - baseline.curve(baseline.truth)) / baseline.sigma

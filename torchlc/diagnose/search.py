@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from torchlc.diagnose.refit import (
 )
 from torchlc.diagnose.starts import objective, screened
 from torchlc.effects import registry
-from torchlc.effects.base import Entry
+from torchlc.effects.base import Entry, Quantity
 from torchlc.fit import polish
 from torchlc.likelihood import Likelihood
 
@@ -326,11 +327,18 @@ def nameable(found: Found) -> bool:
         for column in effect_columns(parameters, entry):
             short = parameters.names[column].partition(".")[2].partition("[")[0]
             quantity = quantities[short]
-            if quantity.off is not None and bool(found.refit.held[column]):
+            value = float(found.refit.theta[column])
+            if quantity.off is not None and bool(found.refit.held[column]) and not weakest(quantity, value):
                 return False
-            if short == "weight" and float(found.refit.theta[column]) > 0.6:
+            if short == "weight" and value > 0.6:
                 return False
     return True
+
+
+def weakest(quantity: Quantity, value: float) -> bool:
+    """Whether a bound is the one towards a value of no effect that lies at infinity: as little of it as there can
+    be, rather than more than there may be."""
+    return quantity.off == math.inf and value > 0.5 * (quantity.low + quantity.high)
 
 
 def better(

@@ -22,8 +22,8 @@ class Saturation(Effect):
     order = 1
     quantities = (
         Quantity(
-            "q", "", -0.05, 0.1, "share of the light lost at the brightest row",
-            off=0.0, typical=0.03, prior="normal", mean=0.0, sigma=0.03,
+            "q", "", -0.1, 0.5, "share of the light lost at the brightest row",
+            off=0.0, typical=0.03, prior="normal", mean=0.0, sigma=0.05,
         ),
         Quantity("limit", "", 0.05, 1.5, "largest flux recorded over F_max", off=1.1, typical=0.9),
     )  # fmt: skip

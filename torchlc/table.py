@@ -200,14 +200,23 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
         observer = _into(pose, view.to_observer[:, rows])
         for light in view.lights:
             cos_i, cos_r, *bisector = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
-            weight = _weight(view, patch, light, cos_i, cos_r, rows)
-            row, line, instant, facet = weight.permute(3, 0, 1, 2).nonzero(as_tuple=True)
-            pair = (line, instant, facet, row)
-            angles = projected(*(one.expand(weight.shape)[pair] for one in (cos_i, cos_r, *bisector)))
-            spread = [] if light.spread is None else [0.25 * light.spread[:, :, rows][line, instant, row]]
-            found.append((row, *vars(angles).values(), *spread, weight[line, instant, facet, row]))
+            weight = _by_row(_weight(view, patch, light, cos_i, cos_r, rows))
+            lit = weight.flatten().nonzero()[:, 0]
+            angles = projected(
+                *(_by_row(one.expand(cos_i.shape)).flatten()[lit] for one in (cos_i, cos_r, *bisector))
+            )
+            spread = []
+            if light.spread is not None:
+                of_row = light.spread[:, :, rows, None].mT.expand(cos_i.shape)
+                spread = [0.25 * _by_row(of_row).flatten()[lit]]
+            found.append((lit // weight[0].numel(), *vars(angles).values(), *spread, weight.flatten()[lit]))
     row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
     return slotted(row, columns, view.range_m[:, rows].shape[1], EMPTY)
+
+
+def _by_row(pairs: Tensor) -> Tensor:
+    """Pairs (L, Q, F, T) with those of a row side by side, (T, L, Q, F)."""
+    return pairs.movedim(-1, 0)
 
 
 def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:
@@ -222,14 +231,17 @@ def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor
 def slotted(row: Tensor, columns: Sequence[Tensor], rows: int, empty: Sequence[float]) -> tuple[Tensor, ...]:
     """Values (N,) of pairs that belong to a row (N,) each, side by side: (slots of the busiest row,
     rows)."""
-    row, order = torch.sort(row, stable=True)
+    if bool((torch.diff(row) < 0).any()):
+        row, order = torch.sort(row, stable=True)
+        columns = [column[order] for column in columns]
     count = torch.bincount(row, minlength=rows)
     slot = torch.arange(len(row), device=row.device) - (count.cumsum(0) - count)[row]
-    shape = (int(count.max()), rows)
+    slots = int(count.max())
+    place = slot * rows + row
     return tuple(
-        torch.full(shape, blank, dtype=column.dtype, device=column.device).index_put(
-            (slot, row), column[order]
-        )
+        torch.full((slots * rows,), blank, dtype=column.dtype, device=column.device)
+        .scatter(0, place, column)
+        .view(slots, rows)
         for column, blank in zip(columns, empty, strict=False)
     )
 
@@ -276,5 +288,5 @@ def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
             same = ((angles[:, first] - angles[:, second]).abs().amax(0) < 1e-13) & (weight[first] > 0)
             weight[first] += torch.where(same, weight[second], 0.0)
             weight[second] = torch.where(same, 0.0, weight[second])
-    slot, row = weight.nonzero(as_tuple=True)
+    row, slot = weight.mT.nonzero(as_tuple=True)
     return slotted(row, [column[slot, row] for column in (*columns[:-1], weight)], weight.shape[1], EMPTY)

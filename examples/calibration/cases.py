@@ -242,7 +242,7 @@ ELSEWHERE = (  # the same effects on other objects, medium or large
 )  # fmt: skip
 PAIRS = (
     ("wing", "self_shadowing", "zero_point_step"), ("geo", "panel_offset", "background"),
-    ("box", "spin_rate_offset", "appendage"), ("leo", "time_offset", "extinction_residual"),
+    ("box", "spin_rate_offset", "appendage"), ("leo", "time_offset", "background"),
     ("fast", "exposure_smearing", "saturation"),
 )  # fmt: skip
 

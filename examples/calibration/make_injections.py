@@ -8,10 +8,10 @@ truth: near 3, 6 and 20. An effect without a size is sized by what makes it matt
 exposure, a polish.
 
 In answer.json, ``family`` lists the sets of effects that are right answers: the truth, and each single rival
-that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at the refit of
-the baseline, so that rivals of large effects are only roughly judged). ``intervals``: rows where the truth
-and the best refit without the effect differ by more than 2 sigma; ``effect_intervals``: the effect itself, at
-the true materials.
+(of two effects also either alone) that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by
+linear projection at the refit of the baseline, so that rivals of large effects are only roughly judged).
+``intervals``: rows where the truth and the best refit without the effect differ by more than 2 sigma;
+``effect_intervals``: the effect itself, at the true materials.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def rivals(
     left: dict[str, float] = {}
     taken = set(baseline.effects)
     for effect, doses in probes(baseline.setup, taken):
-        if effect in taken or effect in truth:
+        if effect in taken or truth == {effect}:
             continue
         columns = []
         for dose in doses:

@@ -138,7 +138,7 @@ def judged(row: dict[str, Any]) -> str:
         return "right"
     if named in sets:
         return "in family"
-    if any(set(truth["effects"]) <= named | set(family) for family in row["families"]):
+    if any(one <= named | set(family) for one in sets for family in row["families"]):
         return "in family"
     if any(one < named for one in sets):
         return "extra name"

@@ -44,6 +44,8 @@ STRUCTURE_P = 1e-3
 """The global p below which what a noise model, or several effects together, leave behind is structure."""
 NOISE_EVIDENCE = 5.0
 NOISE_HELDOUT = 3.0
+MOST_NOISE = 0.2
+"""Jitter or red noise, mag: four times the scale of their priors."""
 LEFT_AFTER = 0.5
 CONSISTENT = 2.0
 """Standard deviations of chi-square within which what is left counts as nothing."""
@@ -78,12 +80,14 @@ def diagnose(
     if quick or not _left_over(found):
         return found
     others = {law: Start(other, recording, seed) for law, other in under_other_laws(scene).items()}
-    if others:
-        law = min(others, key=lambda one: others[one].modes[0].objective)
+    told, best = found, found.final.log_evidence + LAW_EVIDENCE
+    for law in sorted(others, key=lambda one: others[one].modes[0].objective):
         new = _under_one_law(others[law], effects=effects, progress=progress)
-        gained = new.final.log_evidence - found.final.log_evidence
-        if new.verdict in ("missing_physics", "adequate") and gained > LAW_EVIDENCE:
-            found = _told(found, new, law)
+        if new.verdict in ("missing_physics", "adequate") and new.final.log_evidence > best:
+            told, best = _told(found, new, law), new.final.log_evidence
+        if not _left_over(new):
+            break
+    found = told
     return replace(found, seconds=time.monotonic() - own.began)
 
 
@@ -96,8 +100,12 @@ def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
 
 
 def _left_over(found: Diagnosis) -> bool:
-    """Whether the verdict leaves so much that the law of reflection itself is in doubt."""
-    if found.verdict == "adequate" or found.final.refit.likelihood.fitted_errors:
+    """Whether the verdict leaves so much that the law of reflection itself is in doubt; noise that has no memory is
+    no trace of another law."""
+    settled = found.verdict == "adequate" or (
+        found.verdict == "noise_model" and found.named != ("red_noise",)
+    )
+    if settled or found.final.refit.likelihood.fitted_errors:
         return False
     likelihood = found.final.refit.likelihood
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
@@ -277,8 +285,9 @@ def _verdict(
     start: Found, final: Found, scorer: Scorer, found: dict[str, torch.Tensor], seed: int, p_after: float
 ) -> tuple[str, list[str]]:
     """The verdict and the names. Several effects together bend a model to much that is none of them: they are
-    named where they leave no structure behind, a single one where it takes the larger part away. Where it does not,
-    the errors may be at fault, but not red noise, which takes up whatever physics has begun to explain."""
+    named where they leave no structure behind, a single one also where it takes the larger part away and describes
+    the recording better at the quoted errors than noise alone. Where it does not, the errors may be at fault, but not
+    red noise, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud."""
     likelihood = start.refit.likelihood
     begun = bool(final.hypothesis.added) and nameable(final)
     if begun:
@@ -288,7 +297,10 @@ def _verdict(
             return "missing_physics", named
         before = start.refit.chi2 - likelihood.degrees_of_freedom
         left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-        whole = len(final.hypothesis.added) == 1 or p_after >= STRUCTURE_P
+        alone = final.score.by_kind["white"]
+        noise = max(score for kind, score in start.score.by_kind.items() if kind != "white")
+        single = len(final.hypothesis.added) == 1 and all(a > b for a, b in zip(alone, noise, strict=True))
+        whole = single or p_after >= STRUCTURE_P
         if whole and left <= max(LEFT_AFTER * before, CONSISTENT * final.refit.likelihood.chi2_sd):
             return "missing_physics", named
     white, heldout_white = start.score.by_kind["white"]
@@ -297,13 +309,18 @@ def _verdict(
         for kind, (value, heldout) in start.score.by_kind.items()
         if kind != "white"
     }
-    if kinds and not (begun and start.score.noise.kind == "red_noise"):
+    if kinds and not (begun and start.score.noise.kind == "red_noise") and not loud(start.score.noise):
         best = max(kinds, key=lambda kind: kinds[kind][0])
         if kinds[best][0] > NOISE_EVIDENCE and kinds[best][1] > NOISE_HELDOUT:
             whitened = _gate(start.refit, scorer, found, {}, seed, noise=start.score.noise)
             if whitened.global_p >= STRUCTURE_P:
                 return "noise_model", [best]
     return "unexplained", []
+
+
+def loud(noise: NoiseModel) -> bool:
+    """Whether noise is louder than what recordings have of it, so that it stands for something else."""
+    return max(noise.jitter, noise.red) > MOST_NOISE
 
 
 def _windows(refit: Refit, found: Gate, coordinates_: dict[str, torch.Tensor]) -> Where:

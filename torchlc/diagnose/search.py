@@ -55,6 +55,10 @@ HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
 GROSS = 6.0
 """Standard deviations of chi-square beyond which a mismatch is gross."""
+HARMLESS = 1.0
+"""What a step back from a bound may cost in chi-square."""
+MOST_WEIGHT = 0.6
+"""The share of a second material beyond which it is the first."""
 TIED = 2.0
 """Difference of log evidence within which refits count as equally good."""
 BEAM = 3
@@ -188,7 +192,7 @@ def extended(
     group = torch.arange(places).repeat_interleave(len(pool))
     theta[:, columns] = psi[group]
     fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group, generator))
-    return judged(rescanned(bench, entry, fitted), scorer)
+    return judged(released(rescanned(bench, entry, fitted)), scorer)
 
 
 def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
@@ -315,30 +319,55 @@ def _divided(
 def nameable(found: Found) -> bool:
     """The parameters of every added effect are inside their bounds, which hold SPREADS of a divided offset's: one
     that scatters more is no error of calibration, whatever it mends."""
-    parameters = found.refit.model.parameter_set
     for entry in found.hypothesis.added:
         parsed = Entry.parse(entry)
-        quantities = {q.name: q for q in registry()[parsed.name].quantities}
         if parsed.width is not None:
-            (one,) = quantities.values()
+            (one,) = registry()[parsed.name].quantities
             off = one.off or 0.0
             if SPREADS * parsed.width > min(off - one.low, one.high - off):
                 return False
-        for column in effect_columns(parameters, entry):
-            short = parameters.names[column].partition(".")[2].partition("[")[0]
-            quantity = quantities[short]
-            value = float(found.refit.theta[column])
-            if quantity.off is not None and bool(found.refit.held[column]) and not weakest(quantity, value):
-                return False
-            if short == "weight" and value > 0.6:
-                return False
-    return True
+    sizes = sizes_of(found.refit)
+    too_much = any(name == "weight" and value > MOST_WEIGHT for _, name, _, value in sizes)
+    return not too_much and not stuck(found.refit)
 
 
-def weakest(quantity: Quantity, value: float) -> bool:
-    """Whether a bound is the one towards a value of no effect that lies at infinity: as little of it as there can
-    be, rather than more than there may be."""
-    return quantity.off == math.inf and value > 0.5 * (quantity.low + quantity.high)
+def sizes_of(at: Refit) -> list[tuple[int, str, Quantity, float]]:
+    """Column, name, quantity and value of what makes the added effects large or small."""
+    names = at.model.parameter_set.names
+    found = []
+    for entry in at.hypothesis.added:
+        quantities = {quantity.name: quantity for quantity in registry()[Entry.parse(entry).name].quantities}
+        for column in effect_columns(at.model.parameter_set, entry):
+            short = names[column].partition(".")[2].partition("[")[0]
+            if quantities[short].off is not None:
+                found.append((column, short, quantities[short], float(at.theta[column])))
+    return found
+
+
+def stuck(at: Refit) -> list[tuple[int, float]]:
+    """Columns of sizes at a bound, and their values without effect. A bound towards a value of no effect that lies
+    at infinity is as little of it as there can be, rather than as much."""
+    return [
+        (column, quantity.off or 0.0)
+        for column, _, quantity, value in sizes_of(at)
+        if bool(at.held[column])
+        and not (quantity.off == math.inf and value > 0.5 * (quantity.low + quantity.high))
+    ]
+
+
+def released(at: Refit) -> Refit:
+    """A refit whose sizes came to their bounds with them half way back, where that costs less than HARMLESS: a
+    product (of an area and its reflectance) may wander to the bound of one for nothing."""
+    held = stuck(at)
+    if not held or at.likelihood.fitted_errors:
+        return at
+    theta = at.theta.clone()
+    for column, off in held:
+        theta[column] = 0.5 * (theta[column] + off)
+    with torch.no_grad():
+        reached = polish(at.likelihood, theta[None], None, held=[column for column, _ in held])
+    again = linearised(at.likelihood, at.hypothesis, at.model.parameter_set.from_flat(reached.y[0]))
+    return again if again.objective < at.objective + HARMLESS else at
 
 
 def better(

@@ -1,6 +1,6 @@
 # make demo    install into .venv and run the whole job on the recording that ships with the package
 # make test    install into .venv and run the whole test suite
-# Both need Python 3.11 or newer and make, and nothing else. The rest: make lint examples docs bench wheel minimum clean
+# Both need Python 3.11 or newer and make, and nothing else. The rest: make lint examples verdicts docs bench wheel minimum clean
 
 PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
@@ -9,7 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf model fit output cli))
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint format examples docs bench wheel minimum clean
+.PHONY: demo test lint format examples verdicts docs bench wheel minimum clean
 
 demo: .venv/demo
 	$(BIN)/torchlc demo
@@ -28,6 +28,10 @@ format: .venv/develop
 
 examples: .venv/develop
 	@set -e; for script in examples/*.py examples/paper; do echo "$$script" && $(BIN)/python "$$script" out; done
+
+verdicts: .venv/develop
+	$(BIN)/python examples/calibration/make_injections.py out/cases --seed 7 --subset
+	$(BIN)/python examples/calibration/verdicts.py out/cases out/verdicts.jsonl --quick --least 0.9
 
 docs: .venv/develop
 	$(BIN)/sphinx-build -W --keep-going -q -j 2 docs docs/_build/html

@@ -268,6 +268,16 @@ def names() -> Iterator[str]:
                 "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
 
 
+SUBSET = (
+    "control_geo", "control_meo", "control_box", "control_wing", "control_leo", "panel_offset-large",
+    "self_shadowing-large", "exposure_smearing-large", "earth_shadow-as_is", "finite_sun-large",
+    "appendage-large", "lobe_tail-large", "attitude_offset-large", "spin_rate_offset-large",
+    "background-large", "zero_point_step-large", "two-self_shadowing-zero_point_step", "jitter-large",
+    "outliers-large", "outside-flash",
+)  # fmt: skip
+"""Twenty of them, one of nearly every kind, for a run of minutes."""
+
+
 Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says of it
 
 

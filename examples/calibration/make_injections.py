@@ -1,4 +1,6 @@
-"""Concealed-effect cases: python examples/calibration/make_injections.py OUT [--seed 1] [--only TEXT]
+"""Concealed-effect cases.
+
+    python examples/calibration/make_injections.py OUT [--seed 1] [--only TEXT] [--subset]
 
 Each case is a folder with scene.toml (what the model may assume), recording.ecsv (what the brute-force
 reference saw, noise included) and answer.json (what was concealed). Geometry, materials, priors and noise are
@@ -31,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import observe
 import sky
 from body import DEFAULT_EFFECTS
-from cases import NOISE, OUTSIDE, Concealed, compose, instant, listed, names
+from cases import NOISE, OUTSIDE, SUBSET, Concealed, compose, instant, listed, names
 from circumstances import Setup, toml
 from gain import Baseline, truth_of
 
@@ -243,9 +245,11 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--subset", action="store_true", help="twenty cases, one of nearly every kind")
     options = parser.parse_args()
     for number, name in enumerate(names(), 70001):
-        if options.only in name and not (options.out / name / "answer.json").exists():
+        wanted = options.only in name and (name in SUBSET or not options.subset)
+        if wanted and not (options.out / name / "answer.json").exists():
             print(write_case(name, options.out / name, number, options.seed), flush=True)
 
 

@@ -5,6 +5,7 @@
         python examples/calibration/make_injections.py CASES/$seed --seed $seed --only control_
     done
     python examples/calibration/verdicts.py CASES RESULTS.jsonl [--only TEXT] [--part K/N] [--quick] [--summary]
+        [--least SHARE]
     python examples/calibration/verdicts.py CASES RESULTS.jsonl --summary --publish docs/calibration
 
 A case is one line of the results; those that are there are not done again, so a stopped run goes on where it
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -37,7 +39,7 @@ from torchlc.terminal import quiet_libraries
 
 SIZES = ("small", "medium", "large", "as_is")
 WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
-"""Effects by how much chi-square the true model gains over the best refit without it."""
+"""Effects by how much chi-square the true model gains over the best refit without it, by either program."""
 KINDS = (
     "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "other noise",
     "scene slightly wrong", "other reflection law", "outside the library",
@@ -168,7 +170,8 @@ def group(row: dict[str, Any]) -> str:
     if row["truth"]["verdict"] == "noise_model":
         return "other noise"
     if size in SIZES:
-        worth = row["truth"]["chi2"]["baseline_refit"] - row["truth"]["chi2"]["truth"]
+        refit = min(row["truth"]["chi2"]["baseline_refit"], row["improvement"]["chi2_before"])
+        worth = refit - row["truth"]["chi2"]["truth"]
         return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)
     known: dict[str, str] = {
         "two": "two effects",
@@ -285,6 +288,12 @@ def main() -> None:
     )
     parser.add_argument("--quick", action="store_true", help="diagnose with quick=True")
     parser.add_argument("--summary", action="store_true", help="only say what is there")
+    parser.add_argument(
+        "--least",
+        type=float,
+        default=0.0,
+        help="fail if fewer than this share are right, or any alarm is false",
+    )
     parser.add_argument("--publish", type=Path, help="folder for verdicts.json and verdicts.png")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -302,6 +311,12 @@ def main() -> None:
     print(json.dumps(summary(list(rows.values())), indent=1))
     if options.publish is not None:
         publish(list(rows.values()), options.publish)
+    outcomes = Counter(judged(row) for row in rows.values())
+    good = outcomes["right"] + outcomes["in family"]
+    if good < options.least * len(rows) or (options.least and outcomes["false alarm"]):
+        sys.exit(
+            f"{good} of {len(rows)} right, {outcomes['false alarm']} false alarms; expected {options.least:.0%}, none"
+        )
 
 
 if __name__ == "__main__":

@@ -18,9 +18,9 @@ from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.plan import next_nights
 from torchlc.diagnose.refit import Hypothesis, Workbench, linearised
 from torchlc.diagnose.run import diagnose
-from torchlc.diagnose.search import Found, candidate_entries
+from torchlc.diagnose.search import Found, candidate_entries, released, stuck
 from torchlc.effects.base import Entry
-from torchlc.fit import find_modes
+from torchlc.fit import find_modes, polish
 from torchlc.likelihood import matern32
 from torchlc.model import LightCurve
 from torchlc.recording import load_recording
@@ -129,6 +129,45 @@ def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> No
             if entry == "interreflection":
                 bare = base(theta[:, [model.names.index(name) for name in base.names]])
                 assert float((light - bare).abs().max()) > 1e-6, "it does something here"
+
+
+@needs_practice
+def test_a_size_that_wandered_to_its_bound_for_nothing_is_let_go() -> None:
+    """An appendage's area and reflectances are known as products alone: with the area held at the largest there may
+    be, the rest makes up for it."""
+    scene, recording, _ = practice("appendage")
+    bench, hypothesis = Workbench(assemble(scene, recording)), Hypothesis(("appendage",))
+    likelihood = bench.likelihood(hypothesis)
+    parameters = likelihood.model.parameter_set
+    area = likelihood.model.names.index("appendage.area")
+    inside = diagnose(scene, recording, quick=True, effects=["appendage"]).final.refit
+    theta = bench.start(hypothesis, inside.theta[None], inside.names)
+    for name in ("appendage.r_spec", "appendage.r_diff"):
+        theta[:, likelihood.model.names.index(name)] *= float(theta[0, area]) / 10.0
+    theta[:, area] = 10.0
+    with torch.no_grad():
+        reached = polish(likelihood, theta, None, held=[area])
+    wandered = linearised(likelihood, hypothesis, parameters.from_flat(reached.y[0]))
+    assert [column for column, _ in stuck(wandered)] == [area]
+    let_go = released(wandered)
+    assert not stuck(let_go)
+    assert let_go.objective < wandered.objective + 1.0
+    assert float(let_go.theta[area]) < 9.0
+
+
+def test_the_weakest_tail_there_can_be_is_no_parameter_at_its_limit() -> None:
+    """A tail that is as heavy as may be (g = 1) is at its limit; one as light as can be told (g = 10) is not."""
+    scene = load_scene(DEMO / "scene.toml")
+    bench = Workbench(assemble(scene, load_recording(DEMO / "recording.ecsv", scene)))
+    hypothesis = Hypothesis(("lobe_tail[panel]",))
+    likelihood = bench.likelihood(hypothesis)
+    theta = likelihood.model.parameter_set.start()
+    place = likelihood.model.names.index("lobe_tail.g[panel]")
+    for g, held in ((10.0, []), (1.0, [place])):
+        theta[place] = g
+        refit = linearised(likelihood, hypothesis, theta)
+        assert bool(refit.held[place])
+        assert [column for column, _ in stuck(refit)] == held
 
 
 def test_nights_are_planned_with_the_exposures_of_the_recording(demo_refit) -> None:

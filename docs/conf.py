@@ -38,6 +38,7 @@ myst_substitutions = {
     "noise_heldout": f"{run.NOISE_HELDOUT:g}",
     "quick_refits": run.QUICK_REFITS,
     "seen_sigma": f"{where.SEEN_SIGMA:g}",
+    "most_noise": f"{run.MOST_NOISE:g}",
     "structure_p": f"{run.STRUCTURE_P:g}",
     "tied_distance": f"{families.TIED_DISTANCE:g}",
     "tied_evidence": f"{families.TIED_EVIDENCE:g}",

@@ -16,7 +16,7 @@ from torchlc.assemble import assemble
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.plan import next_nights
-from torchlc.diagnose.refit import Hypothesis, Workbench, linearised
+from torchlc.diagnose.refit import Hypothesis, Workbench, gaussian_prior, linearised
 from torchlc.diagnose.run import diagnose
 from torchlc.diagnose.search import Found, candidate_entries, released, stuck
 from torchlc.effects.base import Entry
@@ -25,6 +25,7 @@ from torchlc.likelihood import matern32
 from torchlc.model import LightCurve
 from torchlc.recording import load_recording
 from torchlc.scene import load_scene
+from torchlc.scene.numbers import Free
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
 DEMO = Path(__file__).parents[1] / "torchlc" / "demo"
@@ -212,7 +213,7 @@ def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, noise: N
     scorer = Scorer(context.seconds, context.curve, blocks, False)
     free = ~refit.held
     m = refit.slopes[:, free]
-    prior = torch.diag(1 / refit.prior_precision[free])
+    prior = torch.linalg.inv(refit.prior_precision[free][:, free])
     shift = m @ (refit.prior_mean - refit.y)[free]
     gap = (context.seconds[:, None] - context.seconds).abs() / 60
     c = torch.diag(refit.sigma**2 + noise.jitter**2)
@@ -232,6 +233,30 @@ def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, noise: N
         refit.delta[rows]
     )
     assert float(scorer.heldout(refit, noise)[2]) == pytest.approx(float(expected), abs=1e-3)
+
+
+def test_gaussian_prior_is_the_density_of_reflectances_known_to_a_few_per_cent() -> None:
+    """Normal in r_spec and r_diff, though the fit's own coordinate is r_diff's share of what r_spec leaves: the
+    same odds of two points near the centre, and the same mean and spread as draws."""
+    scene = load_scene(DEMO / "scene.toml")
+    panel = scene.materials["panel"]
+    known = {
+        "n": panel.parameters["n"],
+        "r_spec": Free(value=0.3, low=0.0, high=1.0, sigma=0.02, prior="normal"),
+        "r_diff": Free(value=0.2, low=0.0, high=1.0, sigma=0.01, prior="normal"),
+    }
+    materials = {**scene.materials, "panel": panel.model_copy(update={"preset": None, "parameters": known})}
+    scene = scene.model_copy(update={"materials": materials})
+    model = LightCurve(scene, load_recording(DEMO / "recording.ecsv", scene))
+    parameters = model.parameter_set
+    pair = [model.names.index("panel.r_spec"), model.names.index("panel.r_diff")]
+    theta = parameters.start()
+    mean, precision, _ = gaussian_prior(parameters, parameters.to_flat(theta))
+    draws = parameters.sample_prior(40_000, torch.Generator().manual_seed(1))
+    flat = parameters.to_flat(draws)[:, pair]
+    spread = torch.linalg.inv(precision)[pair][:, pair]
+    torch.testing.assert_close(flat.mean(0), mean[pair], rtol=2e-3, atol=0)
+    torch.testing.assert_close(torch.cov(flat.T), spread, rtol=0.04, atol=1e-6)
 
 
 def test_gate_is_uniform_when_nothing_is_missing(demo_refit) -> None:

@@ -39,7 +39,7 @@ from torchlc.terminal import quiet_libraries
 
 SIZES = ("small", "medium", "large", "as_is")
 WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
-"""Effects by how much chi-square the true model gains over the best refit without it, by either program."""
+"""Effects by how much chi-square the true model gains over the best refit without it."""
 KINDS = (
     "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "other noise",
     "scene slightly wrong", "other reflection law", "outside the library",
@@ -170,7 +170,9 @@ def group(row: dict[str, Any]) -> str:
     if row["truth"]["verdict"] == "noise_model":
         return "other noise"
     if size in SIZES:
-        refit = min(row["truth"]["chi2"]["baseline_refit"], row["improvement"]["chi2_before"])
+        refit = row["truth"]["chi2"]["baseline_refit"]
+        if row["verdict"] == "adequate":  # priors included
+            refit = min(refit, row["improvement"]["chi2_before"])
         worth = refit - row["truth"]["chi2"]["truth"]
         return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)
     known: dict[str, str] = {

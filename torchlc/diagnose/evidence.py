@@ -242,8 +242,7 @@ class Scorer:
         blocks = blocks or self.blocks
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
-        precision = torch.diag(refit.prior_precision[keep])
-        shift = (refit.prior_mean - refit.y)[keep]
+        shift, precision = refit.prior()
         total = 0.0
         for rows, removed in zip(blocks.rows, blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
@@ -279,8 +278,7 @@ class Scorer:
         scores = []
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
-        shift = (refit.prior_mean - refit.y)[keep]
-        precision = torch.diag(refit.prior_precision[keep])
+        shift, precision = refit.prior()
         for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
             r, m, _ = self._whitened(refit, noise, rest)
@@ -324,13 +322,10 @@ def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
     """log of the integral over x of exp(-|r - m x|^2 / 2) N(x; mu - y, V), held coordinates left out."""
     keep = torch.nonzero(~refit.held)[:, 0]
     m = m[:, keep]
-    shift = (refit.prior_mean - refit.y)[keep]
-    precision = refit.prior_precision[keep]
-    system = torch.diag(precision) + m.T @ m
-    factor = stable_cholesky(system)
-    b = m.T @ r + precision * shift
+    shift, precision = refit.prior()
+    factor = stable_cholesky(precision + m.T @ m)
+    b = m.T @ r + precision @ shift
     root = torch.linalg.solve_triangular(factor, b[:, None], upper=False)[:, 0]
-    quadratic = r @ r + (precision * shift * shift).sum() - root @ root
-    return float(
-        -0.5 * quadratic - torch.log(torch.diagonal(factor)).sum() + 0.5 * torch.log(precision).sum()
-    )
+    quadratic = r @ r + shift @ precision @ shift - root @ root
+    width = torch.log(torch.diagonal(factor)).sum() - 0.5 * torch.linalg.slogdet(precision)[1]
+    return float(-0.5 * quadratic - width)

@@ -128,31 +128,21 @@ def runs(mask: Tensor) -> list[tuple[int, int]]:
     )
 
 
-def residual_projection(refit: Refit) -> tuple[Tensor, Tensor]:
-    """Orthonormal basis Q (T + n, P) of what the baseline can absorb, prior rows below the data, and which
-    rows are prior rows.
+def residual_projection(refit: Refit) -> Tensor:
+    """Orthonormal basis Q (T + n, P) of what the baseline can absorb, prior rows below the data.
 
     Flat priors give no row; a peaked prior gives one.
     """
-    parameters = refit.model.parameter_set
-    peaked = [
-        i
-        for i, entry in enumerate(parameters.free)
-        if entry.prior.kind in ("normal", "lognormal", "halfnormal")
-    ]
     m = refit.slopes / refit.sigma[:, None]
-    rows = torch.zeros(len(peaked), m.shape[1], dtype=m.dtype)
-    for row, column in enumerate(peaked):
-        rows[row, column] = torch.sqrt(refit.prior_precision[column])
-    whole = torch.cat([m, rows])
+    whole = torch.cat([m, refit.prior_rows])
     if refit.likelihood.gains:
         prediction = (refit.likelihood.observed - refit.delta) / refit.sigma
-        gains = torch.zeros(len(m), refit.likelihood.curves, dtype=m.dtype)
+        gains = torch.zeros(len(whole), refit.likelihood.curves, dtype=m.dtype)
         gains[torch.arange(len(m)), refit.likelihood.curve] = prediction
-        whole = torch.cat([whole, torch.cat([gains, gains.new_zeros(len(peaked), gains.shape[1])])], 1)
+        whole = torch.cat([whole, gains], 1)
     u, s, _ = torch.linalg.svd(whole, full_matrices=False)
     keep = s > 1e-10 * s.max() if len(s) else s > 0
-    return u[:, keep], torch.tensor(peaked)
+    return u[:, keep]
 
 
 def gate(
@@ -167,10 +157,10 @@ def gate(
     given."""
     if noise is not None and scorer is not None and noise.kind != "white":
         refit = scorer.whitened(refit, noise)
-    basis, peaked = residual_projection(refit)
+    basis = residual_projection(refit)
     rows = len(refit.delta)
     generator = torch.Generator().manual_seed(seed)
-    z = torch.randn(draws, rows + len(peaked), generator=generator, dtype=refit.delta.dtype)
+    z = torch.randn(draws, len(basis), generator=generator, dtype=refit.delta.dtype)
     z = z - (z @ basis) @ basis.T
     u = (refit.delta / refit.sigma)[None]
     prior = refit.model.parameter_set.prior_residuals(refit.theta)[None]

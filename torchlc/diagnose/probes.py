@@ -58,8 +58,8 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
         context = bench.base.context
         part = context.curve if per == "curve" else context.night
         change = torch.where(part == torch.unique(part)[:, None], change, 0.0)
-    basis, peaked = residual_projection(at)
-    padded = torch.cat([change, change.new_zeros(len(change), len(peaked))], 1)
+    basis = residual_projection(at)
+    padded = torch.cat([change, change.new_zeros(len(change), len(at.prior_rows))], 1)
     projected = padded - (padded @ basis) @ basis.T
     norm = torch.linalg.vector_norm(projected, dim=1)
     raw = torch.linalg.vector_norm(change, dim=1)

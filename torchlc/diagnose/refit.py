@@ -17,10 +17,12 @@ from torchlc.fit import polish
 from torchlc.least_squares import differences
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
-from torchlc.parameters import ParameterSet, Prior
+from torchlc.parameters import ParameterSet
 
 LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
 """Sizes of an effect that are tried, in units of its typical one."""
+LEAST_PRECISION = 1e-6
+"""Of a prior's coordinate that the others leave no room."""
 MODE_APART = 0.01
 MODE_DEPTH = 20.0
 """Minima of one hypothesis count as distinct beyond, and compete within, these differences of the objective."""
@@ -48,8 +50,8 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Refit:
     """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model,
-    slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior of y
-    as a Gaussian (mean, precision).
+    slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior about y
+    as a Gaussian (mean (P,), precision (P, P)), of which peaked priors are ``prior_rows`` (n, P), unit variance each.
 
     ``held`` marks coordinates at a bound, whose columns of slopes are zero; ``others`` are further minima that the
     data leave possible.
@@ -65,6 +67,7 @@ class Refit:
     scale: Tensor
     prior_mean: Tensor
     prior_precision: Tensor
+    prior_rows: Tensor
     held: Tensor
     chi2: float
     objective: float
@@ -81,17 +84,23 @@ class Refit:
     @property
     def log_mass(self) -> float:
         """Log of the posterior mass about the minimum, up to what all minima of a hypothesis share."""
-        keep = ~self.held
-        white = (self.slopes / self.sigma[:, None])[:, keep]
-        prior = self.prior_precision[keep]
-        width = torch.linalg.slogdet(white.T @ white + torch.diag(prior))[1] - torch.log(prior).sum()
+        white = (self.slopes / self.sigma[:, None])[:, ~self.held]
+        _, prior = self.prior()
+        width = torch.linalg.slogdet(white.T @ white + prior)[1] - torch.linalg.slogdet(prior)[1]
         return -0.5 * (self.objective + float(width))
+
+    def prior(self) -> tuple[Tensor, Tensor]:
+        """Mean (K,) less y, and precision (K, K), of the coordinates that are not held."""
+        keep = ~self.held
+        precision = self.prior_precision[keep][:, keep]
+        force = (self.prior_precision @ (self.prior_mean - self.y))[keep]
+        return torch.linalg.solve(precision, force), precision
 
     def covariance(self) -> Tensor:
         """Posterior covariance (P, P) of y in the linear form; held coordinates have none."""
         white = self.slopes / self.sigma[:, None]
         keep = torch.nonzero(~self.held)[:, 0]
-        precision = white.T @ white + torch.diag(self.prior_precision)
+        precision = white.T @ white + self.prior_precision
         found = torch.zeros_like(precision)
         if len(keep):
             found[keep[:, None], keep[None]] = torch.linalg.inv(precision[keep][:, keep])
@@ -213,7 +222,7 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
             )[0]
         else:
             slopes = found.delta.new_zeros(len(found.delta), 0)
-        mean, precision = gaussian_prior(parameters)
+        mean, precision, rows = gaussian_prior(parameters, y)
         u = found.delta / sigma
         pull = parameters.prior_residuals(theta)
         objective = float((u * u).sum() + (pull * pull).sum())
@@ -229,30 +238,33 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
         found.scale.expand(found.delta.shape),
         mean,
         precision,
+        rows,
         held,
         float((u * u).sum()),
         objective,
     )
 
 
-def gaussian_prior(parameters: ParameterSet) -> tuple[Tensor, Tensor]:
-    """Mean and precision (P,) of y: a flat prior of width w counts as a Gaussian of variance w^2 / 12 about
-    its middle."""
+def gaussian_prior(parameters: ParameterSet, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean (P,) and precision (P, P) of the prior about y (P,), and the slopes (n, P) of its peaked members' rows: a
+    flat prior of width w counts as a Gaussian of variance w^2 / 12 about its middle, a peaked one by its slope,
+    which for the second reflectance of a pair is one in both."""
     low, high = parameters.flat_bounds()
-    mean, precision = torch.zeros_like(low), torch.zeros_like(low)
-    for index, entry in enumerate(parameters.free):
-        prior: Prior = entry.prior
-        if prior.kind in ("uniform", "loguniform"):
-            width = high[index] - low[index]
-            mean[index], precision[index] = 0.5 * (low[index] + high[index]), 12.0 / width**2
-        elif prior.kind == "lognormal":
-            mean[index], precision[index] = math.log(prior.centre), prior.sigma**-2
-        elif index in parameters._second:
-            room = prior.high - prior.low
-            mean[index], precision[index] = (prior.centre - prior.low) / room, (room / prior.sigma) ** 2
-        else:
-            mean[index], precision[index] = prior.centre, prior.sigma**-2
-    return mean, precision
+    peaked = [entry.prior.kind not in ("uniform", "loguniform") for entry in parameters.free]
+    flat = torch.where(torch.tensor(peaked, device=y.device), 0.0, 12.0 / (high - low) ** 2)
+    middle = torch.where(flat > 0, 0.5 * (low + high), y)
+    if not any(peaked):
+        return middle, torch.diag(flat), y.new_zeros(0, len(y))
+
+    def rows_at(point: Tensor) -> Tensor:
+        return parameters.prior_residuals(parameters.from_flat(point))
+
+    with torch.enable_grad():
+        rows = torch.autograd.functional.jacobian(rows_at, y)
+    assert isinstance(rows, Tensor)
+    precision = torch.diag(flat + LEAST_PRECISION) + rows.T @ rows
+    force = flat * (middle - y) - rows.T @ rows_at(y)
+    return y + torch.linalg.solve(precision, force), precision, rows
 
 
 def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: torch.Generator) -> Tensor:

@@ -55,8 +55,9 @@ HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
 GROSS = 6.0
 """Standard deviations of chi-square beyond which a mismatch is gross."""
+STEP_BACK = 0.2
 HARMLESS = 1.0
-"""What a step back from a bound may cost in chi-square."""
+"""What a step back from a bound, by that share of the way to no effect, may cost in chi-square."""
 MOST_WEIGHT = 0.6
 """The share of a second material beyond which it is the first."""
 TIED = 2.0
@@ -356,14 +357,14 @@ def stuck(at: Refit) -> list[tuple[int, float]]:
 
 
 def released(at: Refit) -> Refit:
-    """A refit whose sizes came to their bounds with them half way back, where that costs less than HARMLESS: a
-    product (of an area and its reflectance) may wander to the bound of one for nothing."""
+    """A refit whose sizes came to their bounds with them a step back, where that costs less than HARMLESS: a product
+    (of an area and its reflectance) may wander to the bound of one for nothing."""
     held = stuck(at)
     if not held or at.likelihood.fitted_errors:
         return at
     theta = at.theta.clone()
     for column, off in held:
-        theta[column] = 0.5 * (theta[column] + off)
+        theta[column] -= STEP_BACK * (theta[column] - off)
     with torch.no_grad():
         reached = polish(at.likelihood, theta[None], None, held=[column for column, _ in held])
     again = linearised(at.likelihood, at.hypothesis, at.model.parameter_set.from_flat(reached.y[0]))
@@ -556,10 +557,15 @@ def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list
 
 
 def leader_first(ranked: Sequence[Found]) -> list[Found]:
-    """Refits in order of evidence, led by that of the largest evidence and held-out density together among those
-    whose evidence is as good as the first's."""
+    """Refits in order of evidence, led, among those whose evidence is as good as the first's, by that of the largest
+    evidence and held-out density together, less one for each parameter: the point about which blocks are predicted
+    had them in sight (Akaike 1974, IEEE Trans. Autom. Control 19, 716)."""
     tied = [found for found in ranked if found.log_evidence > ranked[0].log_evidence - TIED]
-    leader = max(tied, key=lambda found: found.log_evidence + found.score.heldout_total, default=None)
+    leader = max(
+        tied,
+        key=lambda found: found.log_evidence + found.score.heldout_total - len(found.refit.names),
+        default=None,
+    )
     return sorted(ranked, key=lambda found: found is not leader)
 
 

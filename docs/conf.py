@@ -40,6 +40,7 @@ myst_substitutions = {
     "seen_sigma": f"{where.SEEN_SIGMA:g}",
     "most_noise": f"{run.MOST_NOISE:g}",
     "structure_p": f"{run.STRUCTURE_P:g}",
+    "tied": f"{search.TIED:g}",
     "tied_distance": f"{families.TIED_DISTANCE:g}",
     "tied_evidence": f"{families.TIED_EVIDENCE:g}",
 }

@@ -259,6 +259,29 @@ def test_gaussian_prior_is_the_density_of_reflectances_known_to_a_few_per_cent()
     torch.testing.assert_close(torch.cov(flat.T), spread, rtol=0.04, atol=1e-6)
 
 
+def test_a_scene_without_anything_free_gets_a_verdict() -> None:
+    """The demo's recording with every number of its materials and its zero point given as known."""
+    scene = load_scene(DEMO / "scene.toml")
+    materials = {
+        name: material.model_copy(
+            update={
+                "preset": None,
+                "parameters": {
+                    key: number.value if isinstance(number, Free) else number
+                    for key, number in material.parameters.items()
+                },
+            }
+        )
+        for name, material in scene.materials.items()
+    }
+    model = scene.model.model_copy(update={"parameters": {**scene.model.parameters, "zero_point": 0.0}})
+    scene = scene.model_copy(update={"materials": materials, "model": model})
+    recording = load_recording(DEMO / "recording.ecsv", scene)
+    assert LightCurve(scene, recording).names == []
+    found = diagnose(scene, recording, quick=True, effects=["background", "zero_point_drift"])
+    assert found.gate.global_p < 0.01, "where the priors begin is not what was recorded"
+
+
 def test_gate_is_uniform_when_nothing_is_missing(demo_refit) -> None:
     """Residuals drawn off the baseline's tangent: p-values uniform by Kolmogorov and Smirnov at 1 %."""
     refit = demo_refit

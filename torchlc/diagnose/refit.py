@@ -251,7 +251,7 @@ def gaussian_prior(parameters: ParameterSet, y: Tensor) -> tuple[Tensor, Tensor,
     which for the second reflectance of a pair is one in both."""
     low, high = parameters.flat_bounds()
     peaked = [entry.prior.kind not in ("uniform", "loguniform") for entry in parameters.free]
-    flat = torch.where(torch.tensor(peaked, device=y.device), 0.0, 12.0 / (high - low) ** 2)
+    flat = torch.where(torch.tensor(peaked, dtype=torch.bool, device=y.device), 0.0, 12.0 / (high - low) ** 2)
     middle = torch.where(flat > 0, 0.5 * (low + high), y)
     if not any(peaked):
         return middle, torch.diag(flat), y.new_zeros(0, len(y))

@@ -278,7 +278,7 @@ def test_a_scene_without_anything_free_gets_a_verdict() -> None:
     scene = scene.model_copy(update={"materials": materials, "model": model})
     recording = load_recording(DEMO / "recording.ecsv", scene)
     assert LightCurve(scene, recording).names == []
-    found = diagnose(scene, recording, quick=True, effects=["background", "zero_point_drift"])
+    found = diagnose(scene, recording, quick=True, effects=["background", "interreflection", "finite_sun"])
     assert found.gate.global_p < 0.01, "where the priors begin is not what was recorded"
 
 

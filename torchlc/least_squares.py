@@ -106,6 +106,9 @@ def differences(
     relative error of a slope of the order of 1e-6 as well.
     """
     starts, dimensions = y.shape
+    base = residual(y) if at is None else at
+    if not dimensions:
+        return base[..., None].expand(*base.shape, 0)
     span = torch.where(torch.isfinite(high - low), high - low, torch.inf)
     step = 1e-6 * torch.minimum(torch.ones_like(span), span) * torch.ones_like(y)
     moved = torch.where(y + step <= high, y + step, y - step)
@@ -113,7 +116,6 @@ def differences(
     if colours is not None:
         eye = torch.stack([eye[list(group)].any(0) for group in colours.groups])
     points = torch.where(eye, moved[:, None], y[:, None]).reshape(-1, dimensions)
-    base = residual(y) if at is None else at
     change = residual(points).reshape(starts, len(eye), -1) - base[:, None]
     if colours is not None:
         group = torch.empty(dimensions, dtype=torch.long)

@@ -430,15 +430,21 @@ class LightCurve(nn.Module):
         flat = theta.flatten(0, -2) if theta.ndim > 1 else theta
         size = self.batch_size(tables)
         if theta.ndim == 1 or len(flat) <= size:
-            return self.shine(tables, self.parameter_set.values(theta), shares)
-        cuts = flat.split(size)
-        pieces = [self.shine(tables, self.parameter_set.values(piece), shares) for piece in cuts]
+            return self._shone(tables, theta, shares)
+        pieces = [self._shone(tables, piece, shares) for piece in flat.split(size)]
         flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
         kept = None
         if shares:
             stacked = torch.cat([piece.shares for piece in pieces if piece.shares is not None])
             kept = stacked.reshape(*theta.shape[:-1], *stacked.shape[1:])
         return Brightness(flux, kept, self.assembly.components)
+
+    def _shone(self, tables: Tables, theta: Tensor, shares: bool) -> Brightness:
+        """Light of every row of theta (..., P), whether or not it depends on it."""
+        found = self.shine(tables, self.parameter_set.values(theta), shares)
+        flux = found.flux.expand(*theta.shape[:-1], -1)
+        kept = None if found.shares is None else found.shares.expand(*theta.shape[:-1], -1, -1)
+        return replace(found, flux=flux, shares=kept)
 
     # ------------------------------------------------------------------ geometry
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from tests.bad_input_cases import BODY, MESH_SCENE, RECORDING, SCENE
-from tests.fuzz import BESIDE, QUICK, WHOLE, Case, cases, in_process, whole_process
+from tests.fuzz import in_process, whole_process
+from tests.fuzz_cases import BESIDE, QUICK, WHOLE, Case, cases
 from torchlc.cli import run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")

@@ -33,9 +33,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import observe
 import sky
 from body import DEFAULT_EFFECTS
-from cases import NOISE, OUTSIDE, SUBSET, Concealed, compose, instant, listed, names
-from circumstances import Setup, toml
+from cases import NOISE, OUTSIDE, SUBSET, compose, listed, names
+from circumstances import Setup
+from concealed import Concealed, instant
 from gain import Baseline, truth_of
+from scene_files import toml
 
 # ------------------------------------------------------------------------------------------ rivals
 

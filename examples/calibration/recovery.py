@@ -33,8 +33,9 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "reference"))
 
 import sky  # noqa: E402
-from circumstances import free_material, geo, leo, toml, tumbler  # noqa: E402
+from circumstances import geo, leo, tumbler  # noqa: E402
 from ranks import draw, read, summary  # noqa: E402
+from scene_files import free_material, toml  # noqa: E402
 
 RESULTS = HERE / "recovery.jsonl"
 DOCS = HERE.parents[1] / "docs" / "calibration"

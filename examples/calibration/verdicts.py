@@ -171,7 +171,7 @@ def group(row: dict[str, Any]) -> str:
         return "other noise"
     if size in SIZES:
         refit = row["truth"]["chi2"]["baseline_refit"]
-        if row["verdict"] == "adequate":  # priors included
+        if row["verdict"] == "adequate":  # no prior is strained: this chi-square is a refit's own
             refit = min(refit, row["improvement"]["chi2_before"])
         worth = refit - row["truth"]["chi2"]["truth"]
         return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)

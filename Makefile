@@ -31,6 +31,7 @@ examples: .venv/develop
 
 verdicts: .venv/develop
 	$(BIN)/python examples/calibration/make_injections.py out/cases --seed 7 --subset
+	rm -f out/verdicts.jsonl
 	$(BIN)/python examples/calibration/verdicts.py out/cases out/verdicts.jsonl --quick --least 0.9
 
 docs: .venv/develop

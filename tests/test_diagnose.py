@@ -149,7 +149,7 @@ def test_a_size_that_wandered_to_its_bound_for_nothing_is_let_go() -> None:
     with torch.no_grad():
         reached = polish(likelihood, theta, None, held=[area])
     wandered = linearised(likelihood, hypothesis, parameters.from_flat(reached.y[0]))
-    assert [column for column, _ in stuck(wandered)] == [area]
+    assert [size.column for size in stuck(wandered)] == [area]
     let_go = released(wandered)
     assert not stuck(let_go)
     assert let_go.objective < wandered.objective + 1.0
@@ -168,7 +168,7 @@ def test_the_weakest_tail_there_can_be_is_no_parameter_at_its_limit() -> None:
         theta[place] = g
         refit = linearised(likelihood, hypothesis, theta)
         assert bool(refit.held[place])
-        assert [column for column, _ in stuck(refit)] == held
+        assert [size.column for size in stuck(refit)] == held
 
 
 def test_nights_are_planned_with_the_exposures_of_the_recording(demo_refit) -> None:

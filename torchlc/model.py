@@ -248,7 +248,7 @@ class LightCurve(nn.Module):
     def _moved(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P), the geometry of each worked out once, or as often as gradients ask for it."""
         detail = shares or self.assembly.needs_shares
-        counts, pieces = [], []
+        pieces = []
         for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs)):
             distinct, member = rows, None
             if not torch.is_grad_enabled():
@@ -257,11 +257,9 @@ class LightCurve(nn.Module):
             tables = self.make_tables(self.view(made, len(distinct)), detail, compact=False)
             if member is not None and len(distinct) > 1:
                 tables = _members(tables, member, self._still_surfaces(detail).values())
-            pieces.append(self.shine(tables, self.parameter_set.values(rows), shares))
-            counts.append(len(rows))
-        each = list(zip(counts, pieces, strict=True))
-        kept = [one.shares.expand(count, -1, -1) for count, one in each if one.shares is not None]
-        flux = torch.cat([one.flux.expand(count, -1) for count, one in each])
+            pieces.append(self._shone(tables, rows, shares))
+        kept = [one.shares for one in pieces if one.shares is not None]
+        flux = torch.cat([one.flux for one in pieces])
         return Brightness(flux, torch.cat(kept) if kept else None, self.assembly.components)
 
     def _geometries(self, rows: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -362,7 +360,7 @@ class LightCurve(nn.Module):
                 )
             surfaces.append(replace(surface, table=table))
         tables = replace(nodes[0], surfaces=tuple(surfaces))
-        return self.shine(tables, self.parameter_set.values(flat), shares)
+        return self._shone(tables, flat, shares)
 
     def _clock_nodes(self, detail: bool) -> tuple[list[Tables], float]:
         """Tables at NODES offsets of the clock about none, and the step between them, s."""

@@ -200,23 +200,23 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
         observer = _into(pose, view.to_observer[:, rows])
         for light in view.lights:
             cos_i, cos_r, *bisector = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
-            weight = _by_row(_weight(view, patch, light, cos_i, cos_r, rows))
-            lit = weight.flatten().nonzero()[:, 0]
-            angles = projected(
-                *(_by_row(one.expand(cos_i.shape)).flatten()[lit] for one in (cos_i, cos_r, *bisector))
-            )
+            shape = cos_i.shape
+            weight = _by_row(_weight(view, patch, light, cos_i, cos_r, rows), shape)
+            lit = weight.nonzero()[:, 0]
+            angles = projected(*(_by_row(one, shape)[lit] for one in (cos_i, cos_r, *bisector)))
             spread = []
             if light.spread is not None:
-                of_row = light.spread[:, :, rows, None].mT.expand(cos_i.shape)
-                spread = [0.25 * _by_row(of_row).flatten()[lit]]
-            found.append((lit // weight[0].numel(), *vars(angles).values(), *spread, weight.flatten()[lit]))
+                spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
+            row = lit // (len(weight) // shape[-1])
+            found.append((row, *vars(angles).values(), *spread, weight[lit]))
     row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
     return slotted(row, columns, view.range_m[:, rows].shape[1], EMPTY)
 
 
-def _by_row(pairs: Tensor) -> Tensor:
-    """Pairs (L, Q, F, T) with those of a row side by side, (T, L, Q, F)."""
-    return pairs.movedim(-1, 0)
+def _by_row(pairs: Tensor, shape: torch.Size) -> Tensor:
+    """Pairs (L, Q, F, T), or what is the same along some of these axes, one after the other, those of a row side by
+    side: (T * L * Q * F,)."""
+    return pairs.expand(shape).movedim(-1, 0).flatten()
 
 
 def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:

@@ -242,7 +242,7 @@ class Scorer:
         blocks = blocks or self.blocks
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
-        shift, precision = refit.prior()
+        shift, precision = refit.prior
         total = 0.0
         for rows, removed in zip(blocks.rows, blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
@@ -278,7 +278,7 @@ class Scorer:
         scores = []
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
-        shift, precision = refit.prior()
+        shift, precision = refit.prior
         for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
             r, m, _ = self._whitened(refit, noise, rest)
@@ -322,7 +322,7 @@ def _log_marginal(r: Tensor, m: Tensor, refit: Refit) -> float:
     """log of the integral over x of exp(-|r - m x|^2 / 2) N(x; mu - y, V), held coordinates left out."""
     keep = torch.nonzero(~refit.held)[:, 0]
     m = m[:, keep]
-    shift, precision = refit.prior()
+    shift, precision = refit.prior
     factor = stable_cholesky(precision + m.T @ m)
     b = m.T @ r + precision @ shift
     root = torch.linalg.solve_triangular(factor, b[:, None], upper=False)[:, 0]

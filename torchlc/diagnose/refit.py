@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -85,10 +86,11 @@ class Refit:
     def log_mass(self) -> float:
         """Log of the posterior mass about the minimum, up to what all minima of a hypothesis share."""
         white = (self.slopes / self.sigma[:, None])[:, ~self.held]
-        _, prior = self.prior()
+        _, prior = self.prior
         width = torch.linalg.slogdet(white.T @ white + prior)[1] - torch.linalg.slogdet(prior)[1]
         return -0.5 * (self.objective + float(width))
 
+    @cached_property
     def prior(self) -> tuple[Tensor, Tensor]:
         """Mean (K,) less y, and precision (K, K), of the coordinates that are not held."""
         keep = ~self.held
@@ -250,7 +252,7 @@ def gaussian_prior(parameters: ParameterSet, y: Tensor) -> tuple[Tensor, Tensor,
     flat prior of width w counts as a Gaussian of variance w^2 / 12 about its middle, a peaked one by its slope,
     which for the second reflectance of a pair is one in both."""
     low, high = parameters.flat_bounds()
-    peaked = [entry.prior.kind not in ("uniform", "loguniform") for entry in parameters.free]
+    peaked = [entry.prior.peaked for entry in parameters.free]
     flat = torch.where(torch.tensor(peaked, dtype=torch.bool, device=y.device), 0.0, 12.0 / (high - low) ** 2)
     middle = torch.where(flat > 0, 0.5 * (low + high), y)
     if not any(peaked):

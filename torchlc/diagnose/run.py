@@ -87,8 +87,7 @@ def diagnose(
             told, best = _told(found, new, law), new.final.log_evidence
         if not _left_over(new):
             break
-    found = told
-    return replace(found, seconds=time.monotonic() - own.began)
+    return replace(told, seconds=time.monotonic() - own.began)
 
 
 def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
@@ -102,12 +101,10 @@ def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
 def _left_over(found: Diagnosis) -> bool:
     """Whether the verdict leaves so much that the law of reflection itself is in doubt; noise that has no memory is
     no trace of another law."""
-    settled = found.verdict == "adequate" or (
-        found.verdict == "noise_model" and found.named != ("red_noise",)
-    )
-    if settled or found.final.refit.likelihood.fitted_errors:
-        return False
     likelihood = found.final.refit.likelihood
+    forgetful = found.verdict == "noise_model" and found.named != ("red_noise",)
+    if found.verdict == "adequate" or forgetful or likelihood.fitted_errors:
+        return False
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
     return found.verdict == "unexplained" or found.final.refit.chi2 > gross
 
@@ -289,6 +286,9 @@ def _verdict(
     the recording better at the quoted errors than noise alone. Where it does not, the errors may be at fault, but not
     red noise, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud."""
     likelihood = start.refit.likelihood
+    white, heldout_white = start.score.by_kind["white"]
+    kinds = {kind: score for kind, score in start.score.by_kind.items() if kind != "white"}
+    best = max(kinds, key=lambda kind: kinds[kind][0])
     begun = bool(final.hypothesis.added) and nameable(final)
     if begun:
         own = sorted(map(Entry.parse, final.hypothesis.added), key=lambda entry: entry.per is not None)
@@ -297,24 +297,17 @@ def _verdict(
             return "missing_physics", named
         before = start.refit.chi2 - likelihood.degrees_of_freedom
         left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-        alone = final.score.by_kind["white"]
-        noise = max(score for kind, score in start.score.by_kind.items() if kind != "white")
-        single = len(final.hypothesis.added) == 1 and all(a > b for a, b in zip(alone, noise, strict=True))
+        pairs = zip(final.score.by_kind["white"], kinds[best], strict=True)
+        single = len(final.hypothesis.added) == 1 and all(alone > noisy for alone, noisy in pairs)
         whole = single or p_after >= STRUCTURE_P
         if whole and left <= max(LEFT_AFTER * before, CONSISTENT * final.refit.likelihood.chi2_sd):
             return "missing_physics", named
-    white, heldout_white = start.score.by_kind["white"]
-    kinds = {
-        kind: (value - white, heldout - heldout_white)
-        for kind, (value, heldout) in start.score.by_kind.items()
-        if kind != "white"
-    }
-    if kinds and not (begun and start.score.noise.kind == "red_noise") and not loud(start.score.noise):
-        best = max(kinds, key=lambda kind: kinds[kind][0])
-        if kinds[best][0] > NOISE_EVIDENCE and kinds[best][1] > NOISE_HELDOUT:
-            whitened = _gate(start.refit, scorer, found, {}, seed, noise=start.score.noise)
-            if whitened.global_p >= STRUCTURE_P:
-                return "noise_model", [best]
+    noise = start.score.noise
+    gained = kinds[best][0] - white > NOISE_EVIDENCE and kinds[best][1] - heldout_white > NOISE_HELDOUT
+    if gained and not (begun and noise.kind == "red_noise") and not loud(noise):
+        whitened = _gate(start.refit, scorer, found, {}, seed, noise=noise)
+        if whitened.global_p >= STRUCTURE_P:
+            return "noise_model", [best]
     return "unexplained", []
 
 

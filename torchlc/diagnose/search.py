@@ -328,45 +328,54 @@ def nameable(found: Found) -> bool:
             if SPREADS * parsed.width > min(off - one.low, one.high - off):
                 return False
     sizes = sizes_of(found.refit)
-    too_much = any(name == "weight" and value > MOST_WEIGHT for _, name, _, value in sizes)
+    too_much = any(size.quantity.name == "weight" and size.value > MOST_WEIGHT for size in sizes)
     return not too_much and not stuck(found.refit)
 
 
-def sizes_of(at: Refit) -> list[tuple[int, str, Quantity, float]]:
-    """Column, name, quantity and value of what makes the added effects large or small."""
+@dataclass(frozen=True)
+class Size:
+    """What makes an added effect large or small: its column in theta, its value, and the value without effect."""
+
+    column: int
+    quantity: Quantity
+    value: float
+    off: float
+
+
+def sizes_of(at: Refit) -> list[Size]:
+    """The sizes of all added effects."""
     names = at.model.parameter_set.names
     found = []
     for entry in at.hypothesis.added:
         quantities = {quantity.name: quantity for quantity in registry()[Entry.parse(entry).name].quantities}
         for column in effect_columns(at.model.parameter_set, entry):
-            short = names[column].partition(".")[2].partition("[")[0]
-            if quantities[short].off is not None:
-                found.append((column, short, quantities[short], float(at.theta[column])))
+            quantity = quantities[names[column].partition(".")[2].partition("[")[0]]
+            if quantity.off is not None:
+                found.append(Size(column, quantity, float(at.theta[column]), quantity.off))
     return found
 
 
-def stuck(at: Refit) -> list[tuple[int, float]]:
-    """Columns of sizes at a bound, and their values without effect. A bound towards a value of no effect that lies
-    at infinity is as little of it as there can be, rather than as much."""
-    return [
-        (column, quantity.off or 0.0)
-        for column, _, quantity, value in sizes_of(at)
-        if bool(at.held[column])
-        and not (quantity.off == math.inf and value > 0.5 * (quantity.low + quantity.high))
-    ]
+def stuck(at: Refit) -> list[Size]:
+    """Sizes at a bound. One towards a value without effect that lies at infinity does not count: it is as little as
+    there can be, rather than as much."""
+
+    def least(size: Size) -> bool:
+        return size.off == math.inf and size.value > 0.5 * (size.quantity.low + size.quantity.high)
+
+    return [size for size in sizes_of(at) if bool(at.held[size.column]) and not least(size)]
 
 
 def released(at: Refit) -> Refit:
     """A refit whose sizes came to their bounds with them a step back, where that costs less than HARMLESS: a product
     (of an area and its reflectance) may wander to the bound of one for nothing."""
     held = stuck(at)
-    if not held or at.likelihood.fitted_errors:
+    if not held or at.likelihood.fitted_errors or any(math.isinf(size.off) for size in held):
         return at
     theta = at.theta.clone()
-    for column, off in held:
-        theta[column] -= STEP_BACK * (theta[column] - off)
+    for size in held:
+        theta[size.column] -= STEP_BACK * (size.value - size.off)
     with torch.no_grad():
-        reached = polish(at.likelihood, theta[None], None, held=[column for column, _ in held])
+        reached = polish(at.likelihood, theta[None], None, held=[size.column for size in held])
     again = linearised(at.likelihood, at.hypothesis, at.model.parameter_set.from_flat(reached.y[0]))
     return again if again.objective < at.objective + HARMLESS else at
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchlc.attitude import Attitude
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
-from torchlc.effects import GEOMETRY_STAGES, registry
+from torchlc.effects import GEOMETRY_STAGES, every, registry
 from torchlc.effects.base import Context, Effect, Entry
 from torchlc.errors import InputError
 from torchlc.orbit import Track, make_track
@@ -292,7 +292,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
     for entry in wanted:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
-        if name not in known:
+        if name not in every():
             raise InputError(
                 scene.source,
                 "model.effects",
@@ -300,7 +300,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
                 f"one of {', '.join(known)}",
                 did_you_mean(name, known),
             )
-        cls = known[name]
+        cls = every()[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
@@ -310,7 +310,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             effect = effect.prepared(context)
             effect.by, effect.width = parsed.per, parsed.width
             found.append(effect)
-    order = list(known)
+    order = list(every())
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
 

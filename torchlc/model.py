@@ -57,8 +57,10 @@ LATE = ("pointing", "light", "surface")
 """Stages of which none turns the body or takes it elsewhere."""
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
-MOST_CONDENSED = 1_000_000
-"""Pairs in all up to which that is done: the tabulation costs as much as 60 calls."""
+SOON_CONDENSED, LATE_CONDENSED = 1_000_000, 10_000_000
+"""Pairs in all up to which that is done, at once and after MANY_VALUES values of theta: the tabulation costs as much as
+light at about as many of them."""
+MANY_VALUES = 60
 GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
 VALUES_AT_ONCE = 2**17
@@ -122,6 +124,7 @@ class LightCurve(nn.Module):
         self._still: dict[bool, dict[Key, Surface | None]] = {}
         self._placed: View | None = None
         self._steps: dict[tuple[bool, int], Tables] = {}
+        self._values_asked = 0
 
     # ------------------------------------------------------------------ parameters
 
@@ -203,6 +206,7 @@ class LightCurve(nn.Module):
         (..., P)."""
         theta = self.theta() if theta is None else theta
         if not self.geometry_free:
+            self._values_asked += theta.shape[:-1].numel()
             detail = shares or self.assembly.needs_shares
             return self._chunked(theta, self.tables(detail), shares)
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
@@ -540,16 +544,20 @@ class LightCurve(nn.Module):
                 values = self.parameter_set.values(self.parameter_set.start())
                 made = self.make_tables(self.view(values), detail, compact=True)
                 self._tables[detail] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
+        if self._values_asked > MANY_VALUES:
+            with torch.no_grad():
+                late = (self._condensed(one, LATE_CONDENSED) for one in self._tables[detail].surfaces)
+                self._tables[detail] = replace(self._tables[detail], surfaces=tuple(late))
         return self._tables[detail]
 
-    def _condensed(self, surface: Surface) -> Surface:
+    def _condensed(self, surface: Surface, most: int = SOON_CONDENSED) -> Surface:
         """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing
         reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
         shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
         reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
-        if not MOST_SLOTS < pairs < MOST_CONDENSED / self.assembly.T or not shared or reshaped:
+        if not MOST_SLOTS < pairs < most / self.assembly.T or not shared or reshaped:
             return surface
         if not self.names or not hasattr(surface.model, "condense"):
             return surface

@@ -26,6 +26,11 @@ from torchlc.tracing import transformed
 GRID_STEP = 0.08
 COLUMNS_AT_ONCE = 48
 """Rows condensed at once: their pairs stay in the cache."""
+DEEP = -60.0
+"""Logarithm of a pair's share in the lobe sum of a row below which it is left out of the larger exponents' sums."""
+SORTED_FROM = 64
+"""Pairs a row from which it pays to look for those."""
+STEPS_BETWEEN = 4
 GRID_STEPS = math.ceil(math.log1p(1e6) / GRID_STEP)
 """Of the grid in log(1 + n) on which condensed tables stand, up to n = 1e6."""
 
@@ -114,19 +119,34 @@ class AshikhminShirley(Brdf):
 def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     """Logarithms of the normal and grazing sums and their derivatives per grid step, (G, 2, 2, T): value and
     slope, normal and grazing; -600 where there is no light."""
+    idle = (table["normal"] == 0) & (table["grazing"] == 0)
+    if len(idle) >= SORTED_FROM:  # those that die first last, pairs without light at the end
+        order = torch.argsort(torch.where(idle, -math.inf, table["log_half"]), 0, descending=True)
+        named = ("log_half", "normal", "grazing", "spread")
+        table = {name: table[name].gather(0, order) for name in named if name in table}
+        idle = idle.gather(0, order)
     log_half = table["log_half"]
     light = torch.stack([table["normal"], table["grazing"]])
     spread = table.get("spread")
     most = torch.full_like(log_half[:1], math.inf) if spread is None else 1 / spread.clamp(min=1e-12)
     widest = torch.addcmul(torch.log1p(most), most, log_half) if spread is not None else log_half
-    idle = (light == 0).all(0)
+    depth = torch.where(
+        idle, DEEP, log_half - torch.where(idle, -math.inf, log_half).amax(0).clamp(min=-1e300)
+    )
     logs, slopes = [], []
-    for x in torch.arange(GRID_STEPS + 1, dtype=light.dtype, device=light.device) * GRID_STEP:
+    for step, x in enumerate(
+        torch.arange(GRID_STEPS + 1, dtype=light.dtype, device=light.device) * GRID_STEP
+    ):
         n = torch.expm1(x)
         if logs and bool(((n > most) | idle).all()):
             logs.append(logs[-1])
             slopes.append(torch.zeros_like(logs[-1]))
             continue
+        if step % STEPS_BETWEEN == 0 and len(log_half) >= SORTED_FROM:
+            kept = max(1, int((torch.minimum(n, most) * depth > DEEP).any(1).sum()))
+            log_half, light, depth, idle = log_half[:kept], light[:, :kept], depth[:kept], idle[:kept]
+            if spread is not None:
+                most, widest = most[:kept], widest[:kept]
         exponent = torch.addcmul(x, n, log_half)
         turning = torch.addcmul(torch.ones_like(n), n + 1, log_half)
         if spread is not None:

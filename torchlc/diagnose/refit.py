@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchlc.assemble import Assembly, assemble
-from torchlc.effects import registry
+from torchlc.effects import effect_class
 from torchlc.effects.base import Entry
 from torchlc.fit import polish
 from torchlc.least_squares import differences
@@ -274,7 +274,7 @@ def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: to
     of the typical, then draws from the prior, as for directions and other wide quantities; offsets of single
     curves start at none. k = 0 for an effect without parameters."""
     entry = Entry.parse(effect)
-    quantities = {q.name: q for q in registry()[entry.name].quantities}
+    quantities = {q.name: q for q in effect_class(effect).quantities}
     parameters = likelihood.model.parameter_set
     columns = []
     for column in effect_columns(parameters, effect):

@@ -31,6 +31,7 @@ from torchlc.diagnose.search import (
     search,
 )
 from torchlc.diagnose.sizes import resized
+from torchlc.diagnose.strangers import stranger, told_of
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
 from torchlc.effects import registry
 from torchlc.effects.base import Entry
@@ -198,6 +199,11 @@ def _under_one_law(
         sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
         if sized is not None and sized.log_evidence > final.log_evidence - EVIDENCE_GAIN:
             verdict, named, doubt = "unexplained", [], SIZES_AS_WELL
+    odd = None
+    if verdict in ("missing_physics", "noise_model") and not likelihood.fitted_errors:
+        odd = stranger(bench, scorer, baseline, final, seed)
+    if odd is not None and _gate(odd.refit, scorer, found_coordinates, {}, seed).global_p >= STRUCTURE_P:
+        verdict, named, doubt = "unexplained", [], told_of(odd)
     groups = (
         families(final, [start, *first, *others], named)
         if verdict == "missing_physics"
@@ -206,6 +212,8 @@ def _under_one_law(
     where: Where | None
     if verdict == "missing_physics":
         where = locate(start.refit, final.refit, found_coordinates)
+    elif verdict == "unexplained" and odd is not None:
+        where = locate(start.refit, odd.refit, found_coordinates)
     else:
         where = _windows(start.refit, first_gate, found_coordinates)
     nights, advice = _next(verdict, final, [*first, *others], groups, scene)
@@ -267,7 +275,7 @@ def _gate(
     """The gate at the quoted errors, or after whitening by a noise model (then without chi-square, which the
     noise was fitted to)."""
     likelihood = refit.likelihood
-    signatures = {entry: one.signatures for entry, one in probes.items() if len(one.signatures)}
+    signatures = {entry: one.signatures[~one.aimed] for entry, one in probes.items() if not one.aimed.all()}
     battery = Battery(
         scorer.seconds,
         likelihood.curve,

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnose.evidence import Score, Scorer
-from torchlc.diagnose.probes import Probe, apart, probe, scanned_column, scanned_hours
+from torchlc.diagnose.probes import SWING, Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.diagnose.refit import (
     Hypothesis,
     Refit,
@@ -27,8 +27,8 @@ from torchlc.diagnose.refit import (
     refit,
 )
 from torchlc.diagnose.starts import objective, screened
-from torchlc.effects import registry
-from torchlc.effects.base import Entry, Quantity
+from torchlc.effects import effect_class, every, registry
+from torchlc.effects.base import Effect, Entry, Quantity
 from torchlc.fit import polish
 from torchlc.likelihood import Likelihood
 
@@ -116,10 +116,15 @@ def judged(fitted: Refit, scorer: Scorer) -> Found:
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
     """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
     ``name[target]``."""
+    named = {name: cls for name, cls in registry().items() if only is None or name in only}
+    return _carried(bench, named)
+
+
+def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]:
     present = {effect.name for effect in bench.base.effects}
     entries = []
-    for name, cls in registry().items():
-        if cls.stage == "noise" or name in present or (only is not None and name not in only):
+    for name, cls in effects.items():
+        if cls.stage == "noise" or name in present:
             continue
         for target in cls.targets(bench.base.context):
             if cls(target).missing(bench.base.context) is None:
@@ -128,6 +133,11 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
                     str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())
                 ]
     return entries
+
+
+def unlisted_entries(bench: Workbench) -> list[str]:
+    """Every effect that these data could carry and that is never named, only held against what would be."""
+    return _carried(bench, {name: cls for name, cls in every().items() if not cls.listed})
 
 
 def affordable(bench: Workbench, entries: Sequence[str]) -> list[str]:
@@ -193,7 +203,29 @@ def extended(
     group = torch.arange(places).repeat_interleave(len(pool))
     theta[:, columns] = psi[group]
     fitted = refit(likelihood, hypothesis, screened(likelihood, theta, starts, group, generator))
-    return judged(released(rescanned(bench, entry, fitted)), scorer)
+    return judged(released(wrapped(entry, rescanned(bench, entry, fitted))), scorer)
+
+
+def wrapped(entry: str, fitted: Refit) -> Refit:
+    """A refit of a swing whose phase, or the longitude of whose axis, came to the end of its range, fitted on from the
+    other end: the two are the same swing."""
+    columns = effect_columns(fitted.model.parameter_set, entry)
+    if effect_class(entry).turning != "swing" or len(columns) != SWING or fitted.likelihood.fitted_errors:
+        return fitted
+    _, _, phase, lon, lat = columns
+    free = fitted.model.parameter_set.free
+    theta = fitted.theta.clone()
+    if bool(fitted.held[lon]):
+        limits = free[lon].prior
+        theta[lon] = limits.low + limits.high - theta[lon]
+        theta[lat] = -theta[lat]
+        theta[phase] = (theta[phase] + 180.0) % 360.0
+    elif bool(fitted.held[phase]):
+        theta[phase] = free[phase].prior.low + free[phase].prior.high - theta[phase]
+    else:
+        return fitted
+    again = refit(fitted.likelihood, fitted.hypothesis, theta[None])
+    return again if again.objective < fitted.objective else fitted
 
 
 def rescanned(bench: Workbench, entry: str, fitted: Refit) -> Refit:
@@ -297,7 +329,7 @@ def _divided(
     """An offset that every curve (or night) has for itself, the spread of its values learnt from them: begun
     wide, narrowed to their root mean square."""
     parsed = Entry.parse(entry)
-    (quantity,) = registry()[parsed.name].quantities
+    (quantity,) = effect_class(entry).quantities
     width = min(10 * (quantity.sigma or 1.0), quantity.high / 3)
     hypothesis, theta, names = at[0].hypothesis, at[0].theta, at[0].names
     for _ in range(3):
@@ -323,7 +355,7 @@ def nameable(found: Found) -> bool:
     for entry in found.hypothesis.added:
         parsed = Entry.parse(entry)
         if parsed.width is not None:
-            (one,) = registry()[parsed.name].quantities
+            (one,) = effect_class(entry).quantities
             off = one.off or 0.0
             if SPREADS * parsed.width > min(off - one.low, one.high - off):
                 return False
@@ -347,7 +379,7 @@ def sizes_of(at: Refit) -> list[Size]:
     names = at.model.parameter_set.names
     found = []
     for entry in at.hypothesis.added:
-        quantities = {quantity.name: quantity for quantity in registry()[Entry.parse(entry).name].quantities}
+        quantities = {quantity.name: quantity for quantity in effect_class(entry).quantities}
         for column in effect_columns(at.model.parameter_set, entry):
             quantity = quantities[names[column].partition(".")[2].partition("[")[0]]
             if quantity.off is not None:
@@ -528,7 +560,7 @@ def compatible(stem: Found, entry: str) -> bool:
     new = Entry.parse(entry)
     if new.plain in stem.hypothesis.plain:
         return False
-    return registry()[new.name].stage == "material" or new.name not in stem.hypothesis.names
+    return effect_class(entry).stage == "material" or new.name not in stem.hypothesis.names
 
 
 def stems(good: Sequence[Found], promising: Sequence[Found]) -> list[Found]:

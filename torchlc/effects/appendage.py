@@ -22,7 +22,9 @@ class Appendage(Effect):
     order = 1
     brdf = AshikhminShirley
     quantities = (
-        Quantity("area", "m2", 0.0, 10.0, "area of one side", off=0.0, typical=1.0),
+        Quantity(
+            "area", "m2", 0.0, 10.0, "area of one side", off=0.0, typical=1.0, prior="halfnormal", sigma=2.0
+        ),
         Quantity(
             "lon",
             "deg",

@@ -310,10 +310,13 @@ def turned_poses(
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
     and override the method of their stage; ``per`` gives each material or component its own set of
-    parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
+    parameters; ``known`` switches it on by default; ``listed`` is false for one that a diagnosis only holds against what
+    it would name; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
-    after the first row that has to be tried at every row, for no descent finds it; ``brdf`` is the
+    after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
+    whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
+    about the body axes and the time; ``brdf`` is the
     reflection model of a surface that it adds; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
     the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its
@@ -324,11 +327,13 @@ class Effect:
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
     known: ClassVar[bool] = False
+    listed: ClassVar[bool] = True
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
     steps: int = 0
     scanned: ClassVar[str] = ""
+    turning: ClassVar[str] = ""
     brdf: ClassVar[type[Brdf] | None] = None
     linear: ClassVar[bool] = False
     divisible: ClassVar[bool] = False

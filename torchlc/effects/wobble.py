@@ -21,6 +21,7 @@ class Wobble(Effect):
 
     name = "wobble"
     stage = "attitude"
+    turning = "swing"
     quantities = (
         Quantity("deg", "deg", 0.0, 5.0, "amplitude", off=0.0, typical=0.5, prior="halfnormal", sigma=1.0),
         Quantity("period_min", "min", 1.0, 720.0, "period", typical=10.0, prior="loguniform"),

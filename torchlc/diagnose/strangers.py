@@ -1,0 +1,49 @@
+"""Physics without a name in the library: what describes a recording better than all that could be named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torchlc.diagnose.evidence import Scorer
+from torchlc.diagnose.probes import probe
+from torchlc.diagnose.refit import Refit, Workbench, is_dear
+from torchlc.diagnose.search import Found, affordable, extended, leader_first, nameable, unlisted_entries
+from torchlc.effects import effect_class
+from torchlc.listing import first_sentence
+
+
+def stranger(
+    bench: Workbench, scorer: Scorer, baseline: Sequence[Refit], final: Found, seed: int
+) -> Found | None:
+    """The best refit with an effect that is never named, if it describes the recording better than ``final`` does;
+    those whose light takes long to work out are not asked."""
+    entries = [
+        entry
+        for entry in affordable(bench, unlisted_entries(bench))
+        if not is_dear(bench.likelihood(baseline[0].hypothesis.with_effect(entry)).model)
+    ]
+    made = [
+        extended(
+            bench, scorer, baseline, entry, probe(bench, baseline[0], entry, seed + number), seed + number
+        )
+        for number, entry in enumerate(entries)
+    ]
+    ahead = [found for found in made if nameable(found) and found.log_evidence > final.log_evidence]
+    ranked = sorted([*ahead, final], key=lambda found: -found.log_evidence)
+    leader = leader_first(ranked)[0]
+    return None if leader is final else leader
+
+
+def told_of(found: Found) -> str:
+    """In words, what such a refit says."""
+    (entry,) = found.hypothesis.plain
+    cls = effect_class(entry)
+    told = first_sentence(cls).split(": ")[0]
+    parameters = {
+        name.partition(".")[2]: float(value)
+        for name, value in zip(found.refit.names, found.refit.theta, strict=True)
+        if name.partition(".")[0] == cls.name
+    }
+    units = {quantity.name: quantity.unit for quantity in cls.quantities}
+    numbers = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in parameters.items())
+    return f"physics of which the library has no name describes it better, {cls.name} ({numbers}): {told}"

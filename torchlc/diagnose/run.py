@@ -101,10 +101,10 @@ def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
 
 def _left_over(found: Diagnosis) -> bool:
     """Whether the verdict leaves so much that the law of reflection itself is in doubt; noise that has no memory is
-    no trace of another law."""
+    no trace of another law, nor is what can be described but not named."""
     likelihood = found.final.refit.likelihood
     forgetful = found.verdict == "noise_model" and found.named != ("red_noise",)
-    if found.verdict == "adequate" or forgetful or likelihood.fitted_errors:
+    if found.verdict == "adequate" or forgetful or found.doubt or likelihood.fitted_errors:
         return False
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
     return found.verdict == "unexplained" or found.final.refit.chi2 > gross

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.probes import probe
-from torchlc.diagnose.refit import Refit, Workbench, is_dear
-from torchlc.diagnose.search import Found, affordable, extended, leader_first, nameable, unlisted_entries
+from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy
+from torchlc.diagnose.search import TIED, Found, affordable, extended, nameable, unlisted_entries
 from torchlc.effects import effect_class
 from torchlc.listing import first_sentence
 
@@ -15,12 +16,14 @@ from torchlc.listing import first_sentence
 def stranger(
     bench: Workbench, scorer: Scorer, baseline: Sequence[Refit], final: Found, seed: int
 ) -> Found | None:
-    """The best refit with an effect that is never named, if it describes the recording better than ``final`` does;
-    those whose light takes long to work out are not asked."""
+    """The best refit with an effect that is never named, if it describes the recording better than ``final`` does, with
+    no more parameters than the effects of that; those whose light fills the buffers are not asked."""
+    most = len(effects_of(final)) or math.inf
     entries = [
         entry
         for entry in affordable(bench, unlisted_entries(bench))
-        if not is_dear(bench.likelihood(baseline[0].hypothesis.with_effect(entry)).model)
+        if len(effect_class(entry).quantities) <= most
+        and not is_heavy(bench.likelihood(baseline[0].hypothesis.with_effect(entry)).model)
     ]
     made = [
         extended(
@@ -28,10 +31,20 @@ def stranger(
         )
         for number, entry in enumerate(entries)
     ]
-    ahead = [found for found in made if nameable(found) and found.log_evidence > final.log_evidence]
-    ranked = sorted([*ahead, final], key=lambda found: -found.log_evidence)
-    leader = leader_first(ranked)[0]
-    return None if leader is final else leader
+    ahead = [
+        found
+        for found in made
+        if nameable(found)
+        and found.log_evidence > final.log_evidence + TIED
+        and found.log_evidence + found.score.heldout_total > final.log_evidence + final.score.heldout_total
+    ]
+    return max(ahead, key=lambda found: found.log_evidence, default=None)
+
+
+def effects_of(found: Found) -> list[int]:
+    """Columns of theta that belong to a refit's added effects."""
+    parameters = found.refit.model.parameter_set
+    return [column for entry in found.hypothesis.added for column in effect_columns(parameters, entry)]
 
 
 def told_of(found: Found) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,7 @@ from torchlc.assemble import assemble
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.plan import next_nights
-from torchlc.diagnose.refit import Hypothesis, Workbench, gaussian_prior, linearised
+from torchlc.diagnose.refit import Hypothesis, Workbench, gaussian_prior, linearised, values_of
 from torchlc.diagnose.run import diagnose
 from torchlc.diagnose.search import Found, candidate_entries, released, stuck
 from torchlc.effects.base import Entry
@@ -73,6 +75,22 @@ def overlap(found: list[dict], truth: list[list[str]], recording) -> float:
             mask |= (times >= start) & (times <= end)
         masks.append(mask)
     return float((masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum())
+
+
+def test_physics_without_a_name_is_told_and_not_named(tmp_path) -> None:
+    """Wings 6 deg apart, by the independent program of the examples: a wobble describes them about as well."""
+    maker = Path(__file__).parents[1] / "examples" / "calibration" / "make_injections.py"
+    command = [sys.executable, str(maker), str(tmp_path), "--seed", "22", "--only", "outside-split"]
+    subprocess.run(command, check=True, capture_output=True)
+    scene = load_scene(tmp_path / "outside-split" / "scene.toml")
+    recording = load_recording(tmp_path / "outside-split" / "recording.ecsv", scene)
+    found = diagnose(scene, recording, quick=True)
+    content = found.to_json()
+    assert (content["verdict"], content["named"], content["families"]) == ("unexplained", [], [])
+    assert "the wings point apart (deg = " in content["doubt"]
+    assert values_of(found.final.refit)["wing_split.deg"] == pytest.approx(3.0, abs=0.2)
+    assert content["remaining"]["global_p"] > 0.01
+    assert {one["name"] for one in content["where"]["components"][:2]} == {"panel +Y", "panel -Y"}
 
 
 @needs_practice

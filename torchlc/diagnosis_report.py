@@ -153,6 +153,8 @@ def headline(content: Mapping[str, Any]) -> str:
     verdict = VERDICTS[content["verdict"]].format(
         named=_and(noise if content["verdict"] == "noise_model" else told)
     )
+    if content["doubt"]:
+        verdict = f"{verdict} {_first_upper(content['doubt'])}."
     chance = _chance(content["global_p"])
     return f"{verdict} The chance of structure like this where nothing is missing: {chance}."
 

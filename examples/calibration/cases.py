@@ -66,9 +66,10 @@ SUBSET = (
     "self_shadowing-large", "exposure_smearing-large", "earth_shadow-as_is", "finite_sun-large",
     "appendage-large", "lobe_tail-large", "attitude_offset-large", "spin_rate_offset-large",
     "background-large", "zero_point_step-large", "two-self_shadowing-zero_point_step", "jitter-large",
-    "outliers-large", "outside-flash",
+    "outliers-large", "wobble-large",
+    "outside-flash", "outside-jump", "outside-split",
 )  # fmt: skip
-"""Twenty of them, one of nearly every kind, for a run of minutes."""
+"""Some twenty of them, one of nearly every kind, for a run of minutes."""
 
 
 Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says of it

@@ -247,7 +247,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--subset", action="store_true", help="twenty cases, one of nearly every kind")
+    parser.add_argument("--subset", action="store_true", help="some twenty cases, one of nearly every kind")
     options = parser.parse_args()
     for number, name in enumerate(names(), 70001):
         wanted = options.only in name and (name in SUBSET or not options.subset)

@@ -137,6 +137,7 @@ class Diagnosis:
                 "improvement": self.improvement(),
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
+                "doubt": self.doubt,
                 "next_observation": self.next_observation,
                 "sets": told(self.others, self.final, self.baseline),
                 "nights": [vars(night) for night in self.nights[:8]],
@@ -228,8 +229,6 @@ class Diagnosis:
             kind = self.final.score.noise.kind
             if kind != "white":
                 note += f"; described by {kind}"
-        if self.doubt:
-            note += f"; {self.doubt}"
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}

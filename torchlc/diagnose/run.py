@@ -101,13 +101,15 @@ def _told(own: Diagnosis, other: Diagnosis, law: str) -> Diagnosis:
 
 def _left_over(found: Diagnosis) -> bool:
     """Whether the verdict leaves so much that the law of reflection itself is in doubt; noise that has no memory is
-    no trace of another law, nor is what can be described but not named."""
+    no trace of another law, nor is what can be described but not named. Beside another effect a tail may stand for
+    another lobe, and the other for what it does not bend right."""
     likelihood = found.final.refit.likelihood
     forgetful = found.verdict == "noise_model" and found.named != ("red_noise",)
     if found.verdict == "adequate" or forgetful or found.doubt or likelihood.fitted_errors:
         return False
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
-    return found.verdict == "unexplained" or found.final.refit.chi2 > gross
+    reshaped = "lobe_tail" in found.named and len(found.named) > 1
+    return found.verdict == "unexplained" or reshaped or found.final.refit.chi2 > gross
 
 
 class Start:
@@ -199,23 +201,23 @@ def _under_one_law(
         sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
         if sized is not None and sized.log_evidence > final.log_evidence - EVIDENCE_GAIN:
             verdict, named, doubt = "unexplained", [], SIZES_AS_WELL
-    odd = None
+    described = verdict == "missing_physics"
     if verdict in ("missing_physics", "noise_model") and not likelihood.fitted_errors:
         odd = stranger(bench, scorer, baseline, final, seed)
-    if odd is not None and _gate(odd.refit, scorer, found_coordinates, {}, seed).global_p >= STRUCTURE_P:
-        verdict, named, doubt = "unexplained", [], told_of(odd)
+        left = None if odd is None else _gate(odd.refit, scorer, found_coordinates, {}, seed)
+        if odd is not None and left is not None and left.global_p >= STRUCTURE_P:
+            verdict, named, doubt = "unexplained", [], told_of(odd)
+            final, after, described = odd, left, True
     groups = (
         families(final, [start, *first, *others], named)
         if verdict == "missing_physics"
         else [[n] for n in named]
     )
-    where: Where | None
-    if verdict == "missing_physics":
-        where = locate(start.refit, final.refit, found_coordinates)
-    elif verdict == "unexplained" and odd is not None:
-        where = locate(start.refit, odd.refit, found_coordinates)
-    else:
-        where = _windows(start.refit, first_gate, found_coordinates)
+    where = (
+        locate(start.refit, final.refit, found_coordinates)
+        if described
+        else _windows(start.refit, first_gate, found_coordinates)
+    )
     nights, advice = _next(verdict, final, [*first, *others], groups, scene)
     return Diagnosis(
         verdict=verdict,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
 
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.probes import probe
-from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy
+from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy, values_of
 from torchlc.diagnose.search import TIED, Found, affordable, extended, nameable, unlisted_entries
 from torchlc.effects import effect_class
-from torchlc.listing import first_sentence
 
 
 def stranger(
@@ -51,12 +51,11 @@ def told_of(found: Found) -> str:
     """In words, what such a refit says."""
     (entry,) = found.hypothesis.plain
     cls = effect_class(entry)
-    told = first_sentence(cls).split(": ")[0]
-    parameters = {
-        name.partition(".")[2]: float(value)
-        for name, value in zip(found.refit.names, found.refit.theta, strict=True)
-        if name.partition(".")[0] == cls.name
-    }
+    what = inspect.getdoc(inspect.getmodule(cls)) or cls.name
     units = {quantity.name: quantity.unit for quantity in cls.quantities}
-    numbers = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in parameters.items())
-    return f"physics of which the library has no name describes it better, {cls.name} ({numbers}): {told}"
+    numbers = ", ".join(
+        f"{name.partition('.')[2]} = {value:.3g} {units[name.partition('.')[2]]}"
+        for name, value in values_of(found.refit).items()
+        if name.partition(".")[0] == cls.name
+    )
+    return f"what describes it has no name there: {what[0].lower()}{what[1:].rstrip('.')} ({numbers})"

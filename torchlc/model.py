@@ -57,9 +57,9 @@ LATE = ("pointing", "light", "surface")
 """Stages of which none turns the body or takes it elsewhere."""
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
-SOON_CONDENSED, LATE_CONDENSED = 1_000_000, 10_000_000
-"""Pairs in all up to which that is done, at once and after MANY_VALUES values of theta: the tabulation costs as much as
-light at about as many of them."""
+SOON_CONDENSED = 1_000_000
+"""Pairs in all up to which that is done at once, and beyond which after MANY_VALUES values of theta: the tabulation
+costs as much as light at about as many of them."""
 MANY_VALUES = 60
 GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
@@ -546,11 +546,11 @@ class LightCurve(nn.Module):
                 self._tables[detail] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
         if self._values_asked > MANY_VALUES:
             with torch.no_grad():
-                late = (self._condensed(one, LATE_CONDENSED) for one in self._tables[detail].surfaces)
+                late = (self._condensed(one, math.inf) for one in self._tables[detail].surfaces)
                 self._tables[detail] = replace(self._tables[detail], surfaces=tuple(late))
         return self._tables[detail]
 
-    def _condensed(self, surface: Surface, most: int = SOON_CONDENSED) -> Surface:
+    def _condensed(self, surface: Surface, most: float = SOON_CONDENSED) -> Surface:
         """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing
         reshapes the lobe and there is something to fit."""
         table = surface.table

@@ -48,6 +48,7 @@ STAGES = (
     "scatter", "material", "detector", "noise",
 )  # fmt: skip
 LARGEST_MEMORY = 400 * 2**20
+MANY_FACETS = 100
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 
@@ -251,6 +252,11 @@ class Context:
     @property
     def parts(self) -> tuple[Part, ...]:
         return self.shape.parts
+
+    @property
+    def many_facets(self) -> bool:
+        """True for curved shapes and meshes, whose facets smooth an extended source themselves."""
+        return sum(len(part.faces) for part in self.parts) > MANY_FACETS
 
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]

@@ -15,9 +15,8 @@ from torchlc.parameters import Quantity
 EARTH_RADIUS_KM = 6371.0
 LEAST, MOST = 12, 20
 """Tiles along each side of the Earth's disc."""
-MANY_FACETS = 100
 MOST_ON_MANY = 8
-"""Tiles along each side for a shape of more facets than that, whose curved surfaces smooth the Earth's image themselves."""
+"""Tiles along each side for shapes of many facets."""
 SMOOTH = 0.6
 """Least width of a lobe, as a standard deviation in widths of a tile."""
 
@@ -121,7 +120,7 @@ class Earthshine(Effect):
         assert position is not None
         height = torch.linalg.vector_norm(position, dim=-1).min() / EARTH_RADIUS_KM
         self.across = tiles_across(math.asin(min(1.0, 1 / float(height))), max(context.lobes.values()))
-        if sum(len(part.faces) for part in context.parts) > MANY_FACETS:
+        if context.many_facets:
             self.across = min(self.across, MOST_ON_MANY)
         self.nodes = self.across**2
         return self

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,26 +19,26 @@ LIMB_DARKENING = 0.6
 
 SPOKES = (5, 8, 10, 12)
 """Points of each ring, from the innermost."""
+FEW_SPOKES = (5,)
+"""For shapes of many facets, which are cut for lobes of n up to 1e4."""
 
 
 @functools.cache
-def rings() -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights of the Gauss rule in r^2 whose weight function is the disc's limb-darkened
+def rings(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and weights of the Gauss rule of ``count`` nodes in r^2 whose weight function is the disc's limb-darkened
     brightness."""
     x, w = np.polynomial.legendre.leggauss(64)
     x = 0.5 * (x + 1)
     light = w * (1 - LIMB_DARKENING * (1 - np.sqrt(1 - x)))
-    orthonormal, _ = np.linalg.qr(
-        np.sqrt(light)[:, None] * np.polynomial.legendre.legvander(x, len(SPOKES) - 1)
-    )
+    orthonormal, _ = np.linalg.qr(np.sqrt(light)[:, None] * np.polynomial.legendre.legvander(x, count - 1))
     nodes, vectors = np.linalg.eigh(orthonormal.T @ (x[:, None] * orthonormal))
     return np.sqrt(nodes), vectors[0] ** 2
 
 
-def disc_nodes(like: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (D, 2) on the disc, in radii of it, and their weights (D,), which sum to 1."""
+def disc_nodes(like: Tensor, each: Sequence[int] = SPOKES) -> tuple[Tensor, Tensor]:
+    """Points (D, 2) on the disc, in radii of it, ``each`` of them on a ring, and their weights (D,), which sum to 1."""
     points, weights = [], []
-    for number, (radius, weight, spokes) in enumerate(zip(*rings(), SPOKES, strict=True)):
+    for number, (radius, weight, spokes) in enumerate(zip(*rings(len(each)), each, strict=True)):
         angle = 2 * math.pi * (np.arange(spokes) + 0.5 * (number % 2)) / spokes
         points.append(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
         weights.append(np.full(spokes, weight / spokes))
@@ -49,7 +50,8 @@ class FiniteSun(Effect):
     the Sun.
 
     Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5; the rule is within 0.2 % up to n = 1e6, to 1e-3
-    of the peak. Neglects the softening of shadow edges, 9 mm at 2 m.
+    of the peak. Shapes of more than 100 facets get 5 directions: within 3e-5 for n = 1e4 on a cylinder, 0.6 % for 1e5, which
+    its facets do not resolve. Neglects the softening of shadow edges, 9 mm at 2 m.
     """
 
     name = "finite_sun"
@@ -57,14 +59,20 @@ class FiniteSun(Effect):
     known = True
     order = 1
     nodes = sum(SPOKES)
+    spokes = SPOKES
 
     def missing(self, context):
         if all(context.models[name].additive for name in context.materials):
             return "no material has a lobe that the disc could widen"
         return None
 
+    def prepared(self, context):
+        if context.many_facets:
+            self.spokes, self.nodes = FEW_SPOKES, sum(FEW_SPOKES)
+        return self
+
     def light(self, lights, view, p, context):
-        points, weights = disc_nodes(view.to_sun)
+        points, weights = disc_nodes(view.to_sun, self.spokes)
         radius = SUN_RADIUS_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)
         return tuple(_spread(one, points, weights, radius) if one.primary else one for one in lights)
 

@@ -21,6 +21,7 @@ from tests.effects.cases import (
     tilted,
     unit,
 )
+from tests.effects.test_finite_sun import CYLINDER
 from torchlc.effects import earthshine
 from torchlc.effects.earthshine import EARTH_RADIUS_KM, sunlit_tiles, tiles_across
 from torchlc.model import LightCurve
@@ -130,6 +131,23 @@ def test_ten_times_as_many_tiles_give_the_same(tmp_path, monkeypatch, radius, n)
     light.append(earthlight(scene, tmp_path, to_sun, to_observer, np.tile(position, (8, 1))))
     found, finer = (np.asarray(one) for one in light)
     np.testing.assert_allclose(found, finer, rtol=0.01, atol=0.01 * np.median(finer))
+
+
+@pytest.mark.parametrize("n", [50.0, 1000.0])
+def test_few_tiles_do_for_a_cylinder_in_high_orbit(tmp_path, monkeypatch, n):
+    """64 tiles against 400, within 1 %."""
+    random = np.random.default_rng(9)
+    position = 26560.0 * unit(np.array([0.3, 0.2, 1.0]))
+    to_sun = unit(unit(position) + 1.2 * unit(random.normal(size=(8, 3))))
+    to_observer = unit(-unit(position) + 0.7 * unit(random.normal(size=(8, 3))))
+    scene = still(CYLINDER, material("white", n, 0.3, 0.3))
+    light = [earthlight(scene, tmp_path, to_sun, to_observer, np.tile(position, (8, 1)))]
+    monkeypatch.setattr(earthshine, "MOST_ON_MANY", 20)
+    monkeypatch.setattr(earthshine, "LEAST", 20)
+    light.append(earthlight(scene, tmp_path, to_sun, to_observer, np.tile(position, (8, 1))))
+    found, finer = (np.asarray(one) for one in light)
+    assert not np.array_equal(found, finer)
+    np.testing.assert_allclose(found, finer, rtol=0.01)
 
 
 def globe(pixel, position, to_sun, to_observer, n):

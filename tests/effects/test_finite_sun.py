@@ -10,6 +10,16 @@ import pytest
 from tests.effects.cases import AU_KM, PLATE, flux, material, seen_from, still, tilted, unit
 
 SUN_RADIUS_KM = 695_700.0
+CYLINDER = """
+    [[components]]
+    name = "stage"
+    shape = "cylinder"
+    radius = 1.2
+    length = 8.0
+    axis = [0, 0, 1]
+    centre = [0, 0, 0]
+    material = "white"
+"""
 POINTS = 10_000
 
 
@@ -50,3 +60,20 @@ def test_nothing_without_a_lobe_needs_a_disc(tmp_path):
     to_sun, to_observer = tilted(np.array([10.0, 40.0])), tilted(np.array([20.0, 30.0]), 90.0)
     recording = seen_from(scene, tmp_path, to_sun, to_observer)
     np.testing.assert_allclose(flux(scene, recording, ["finite_sun"]), flux(scene, recording), rtol=5e-5)
+
+
+def test_few_directions_do_for_a_cylinder(tmp_path):
+    """Against 600 points of the disc one by one, as bright as they are, for the sharpest lobe that its facets are cut for."""
+    scene = still(CYLINDER, material("white", 1e4, 0.5, 0.2))
+    to_sun, to_observer = unit(np.random.default_rng(11).normal(size=(2, 6, 3)))
+    to_sun[0], to_observer[0] = unit([1.0, 0.2, 0.3]), unit([1.0, -0.4, -0.31])  # beside the glint's line
+    found = flux(scene, seen_from(scene, tmp_path, to_sun, to_observer), ["finite_sun"])
+    expected = []
+    for number, (sun, observer) in enumerate(zip(to_sun, to_observer, strict=True)):
+        points, weight = disc(sun)
+        points, weight = points[::16], weight[::16] / weight[::16].sum()
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        single = flux(scene, seen_from(scene, folder, points, np.tile(observer, (len(points), 1))))
+        expected.append(float(weight @ np.asarray(single)))
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=2e-3)

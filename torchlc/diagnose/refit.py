@@ -22,6 +22,8 @@ from torchlc.parameters import ParameterSet
 
 LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
 """Sizes of an effect that are tried, in units of its typical one."""
+MANY_PAIRS = 4096
+"""Of facet and instant or direction, a row."""
 LEAST_PRECISION = 1e-6
 """Of a prior's coordinate that the others leave no room."""
 MODE_APART = 0.01
@@ -147,8 +149,10 @@ class Workbench:
 
 
 def is_slow(model: LightCurve) -> bool:
-    """True if every new geometry costs a computation of what parts take from, or give to, each other."""
-    return model.geometry_free and model.parts_meet
+    """True if every new geometry costs a computation of what parts take from, or give to, each other, or of very many
+    pairs of facet and direction, as curved shapes have under a Sun with a disc."""
+    many = model.assembly.pairs > MANY_PAIRS * model.assembly.T
+    return model.geometry_free and (model.parts_meet or many)
 
 
 def is_heavy(model: LightCurve) -> bool:

@@ -294,7 +294,8 @@ def _verdict(
     """The verdict and the names. Several effects together bend a model to much that is none of them: they are
     named where they leave no structure behind, a single one also where it takes the larger part away and describes
     the recording better at the quoted errors than noise alone. Where it does not, the errors may be at fault, but not
-    red noise, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud."""
+    red noise, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud. Where errors
+    are fitted, rows that were not seen have to be predicted nearer."""
     likelihood = start.refit.likelihood
     white, heldout_white = start.score.by_kind["white"]
     kinds = {kind: score for kind, score in start.score.by_kind.items() if kind != "white"}
@@ -304,13 +305,15 @@ def _verdict(
         own = sorted(map(Entry.parse, final.hypothesis.added), key=lambda entry: entry.per is not None)
         named = list(dict.fromkeys(entry.name for entry in own))
         if likelihood.fitted_errors:
-            return "missing_physics", named
-        before = start.refit.chi2 - likelihood.degrees_of_freedom
-        left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-        pairs = zip(final.score.by_kind["white"], kinds[best], strict=True)
-        single = len(final.hypothesis.added) == 1 and all(alone > noisy for alone, noisy in pairs)
-        whole = single or p_after >= STRUCTURE_P
-        if whole and left <= max(LEFT_AFTER * before, CONSISTENT * final.refit.likelihood.chi2_sd):
+            done = scorer.heldout_rms(final.refit) < scorer.heldout_rms(start.refit)
+        else:
+            before = start.refit.chi2 - likelihood.degrees_of_freedom
+            left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
+            pairs = zip(final.score.by_kind["white"], kinds[best], strict=True)
+            single = len(final.hypothesis.added) == 1 and all(alone > noisy for alone, noisy in pairs)
+            consistent = CONSISTENT * final.refit.likelihood.chi2_sd
+            done = (single or p_after >= STRUCTURE_P) and left <= max(LEFT_AFTER * before, consistent)
+        if done:
             return "missing_physics", named
     noise = start.score.noise
     gained = kinds[best][0] - white > NOISE_EVIDENCE and kinds[best][1] - heldout_white > NOISE_HELDOUT

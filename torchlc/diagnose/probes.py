@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchlc.diagnose.gate import residual_projection
 from torchlc.diagnose.refit import Refit, Workbench, effect_columns, effect_starts, is_slow
-from torchlc.diagnose.turns import Target, jumps, swings
+from torchlc.diagnose.turns import Target, jumps, spaced, swings
 from torchlc.effects import effect_class
 from torchlc.effects.base import Entry
 from torchlc.likelihood import Likelihood
@@ -148,12 +148,7 @@ def apart(bench: Workbench, entry: str, ranked: Tensor) -> Tensor:
     column = scanned_column(entry)
     if column is None or not len(ranked):
         return ranked
-    least = least_apart(bench)
-    chosen: list[int] = []
-    for index, hour in enumerate(ranked[:, column].tolist()):
-        if all(abs(hour - float(ranked[other, column])) > least for other in chosen):
-            chosen.append(index)
-    return ranked[chosen]
+    return ranked[spaced(ranked[:, column], least_apart(bench), len(ranked))]
 
 
 def least_apart(bench: Workbench) -> float:

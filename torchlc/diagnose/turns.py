@@ -124,11 +124,18 @@ def _best(target: Target, slopes: Tensor, waves: Tensor) -> tuple[Tensor, Tensor
 
 def _peaks(gain: Tensor, places: Tensor, apart: float, count: int) -> list[int]:
     """Indices of the largest gains (F,), at least ``apart`` from each other in ``places`` (F,)."""
+    order = torch.argsort(gain, descending=True)
+    order = order[gain[order] > 0]
+    return order[spaced(places[order], apart, count)].tolist()
+
+
+def spaced(places: Tensor, apart: float, count: int) -> list[int]:
+    """Indices of up to ``count`` of the places (F,), best first, that are more than ``apart`` from all better ones."""
     chosen: list[int] = []
-    for index in torch.argsort(gain, descending=True).tolist():
-        if len(chosen) == count or gain[index] <= 0:
+    for index, place in enumerate(places.tolist()):
+        if len(chosen) == count:
             break
-        if all(abs(float(places[index] - places[other])) > apart for other in chosen):
+        if all(abs(place - float(places[other])) > apart for other in chosen):
             chosen.append(index)
     return chosen
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of
+from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
 
@@ -31,5 +31,4 @@ class AttitudeDrift(Effect):
 
     def attitude(self, rotation, state, p, context):
         hours = (state.time - 0.5 * (context.seconds.min() + context.seconds.max())) / 3600
-        vector = torch.stack(torch.broadcast_tensors(p["x"], p["y"], p["z"]), -1)
-        return rotation @ rotation_of(torch.deg2rad(hours[..., None] * vector))
+        return rotation @ rotation_of(torch.deg2rad(hours[..., None] * turn_about_axes(p)))

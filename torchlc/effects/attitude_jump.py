@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of
+from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
 
@@ -51,5 +51,4 @@ class AttitudeJump(Effect):
 
     def attitude(self, rotation, state, p, context):
         after = torch.sigmoid((state.time - 3600 * p["time"]) / (WIDTH_IN_CADENCES * context.cadence))
-        vector = torch.stack(torch.broadcast_tensors(p["x"], p["y"], p["z"]), -1)
-        return rotation @ rotation_of(torch.deg2rad(after[..., None] * vector))
+        return rotation @ rotation_of(torch.deg2rad(after[..., None] * turn_about_axes(p)))

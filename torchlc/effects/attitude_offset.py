@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.effects.base import Effect, Parameters
 from torchlc.parameters import Quantity
 
 SERIES_BELOW = 1e-4
@@ -28,6 +28,11 @@ def rotation_of(vector: torch.Tensor) -> torch.Tensor:
     return unit + a[..., None, None] * cross + b[..., None, None] * (cross @ cross)
 
 
+def turn_about_axes(p: Parameters) -> torch.Tensor:
+    """Turns x, y and z about the body axes as one vector (..., T or 1, 3), in their own unit."""
+    return torch.stack(torch.broadcast_tensors(p["x"], p["y"], p["z"]), -1)
+
+
 def _angle(name: str, turn: str) -> Quantity:
     return Quantity(
         name, "deg", -15.0, 15.0, f"turn about body {turn}",
@@ -46,5 +51,4 @@ class AttitudeOffset(Effect):
     quantities = (_angle("x", "X"), _angle("y", "Y"), _angle("z", "Z"))
 
     def attitude(self, rotation, state, p, context):
-        vector = torch.stack(torch.broadcast_tensors(p["x"], p["y"], p["z"]), -1)
-        return rotation @ rotation_of(torch.deg2rad(vector))
+        return rotation @ rotation_of(torch.deg2rad(turn_about_axes(p)))

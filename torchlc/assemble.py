@@ -28,8 +28,7 @@ from torchlc.spelling import did_you_mean
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
-"""Smooth shapes are cut finely enough for exponents up to here (or up to a smaller upper bound); a larger fit
-is warned of."""
+"""Smooth shapes are cut finely enough for exponents up to here, or up to a smaller upper bound."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
 COMPONENT_SIZES = (
@@ -174,21 +173,26 @@ def assemble(
     *,
     base: Assembly | None = None,
     pinned: Mapping[str, float] | None = None,
+    sharpest: float = RESOLVED_N,
 ) -> Assembly:
     """Bring scene and recording together under a list of effects (default: the scene's own).
 
     An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends
     its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
-    them.
+    them. Smooth shapes are cut finely enough for exponents up to ``sharpest``.
     """
     if base is None:
         track = make_track(scene, recording)
         attitude = Attitude(scene, recording)
-        shape = Shape(scene, _finest_lobes(scene))
+        shape = Shape(scene, _finest_lobes(scene, sharpest))
     else:
         track, attitude, shape = base.track, base.attitude, base.shape
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}
-    context = base.context if base is not None else _context(scene, recording, track, attitude, shape, models)
+    context = (
+        base.context
+        if base is not None
+        else _context(scene, recording, track, attitude, shape, models, _finest_lobes(scene, sharpest))
+    )
     row_index = {
         "curve": (context.curve, recording.curve_ids),
         "station": (context.station, recording.station_ids),
@@ -220,7 +224,7 @@ def _is_material(model: type[Brdf], short: str) -> bool:
     return short in model.shared or any(quantity.name == short for quantity in model.quantities)
 
 
-def _finest_lobes(scene: Scene) -> dict[str, float]:
+def _finest_lobes(scene: Scene, sharpest: float) -> dict[str, float]:
     finest = {}
     for name, material in scene.materials.items():
         bounds = [1.0]
@@ -228,12 +232,12 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
             if key in ("n", "n_u", "n_v"):
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
-                    bounds.append(min(top, max(RESOLVED_N, number.value)))
+                    bounds.append(min(top, max(sharpest, number.value)))
                 else:
                     bounds.append(number)
             elif key in ("alpha", "m"):
                 width = number.value if isinstance(number, SceneFree) else number
-                bounds.append(min(2 / max(width, 1e-3) ** 2, RESOLVED_N))
+                bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
         finest[name] = max(bounds)
     return finest
 
@@ -254,6 +258,7 @@ def _context(
     attitude: Attitude,
     shape: Shape,
     models: Mapping[str, type[Brdf]],
+    lobes: Mapping[str, float],
 ) -> Context:
     seconds = torch.as_tensor(recording.seconds, dtype=torch.float64)
     gaps = np.diff(np.unique(recording.seconds))
@@ -273,7 +278,7 @@ def _context(
         attitude=attitude,
         shape=shape,
         rest=_at_rest(scene, shape),
-        lobes=_finest_lobes(scene),
+        lobes=lobes,
         materials=list(scene.materials),
         models=dict(models),
         mode=scene.attitude.mode,

@@ -23,6 +23,7 @@ from gain import gain, sized, with_effects
 
 NOISE = ("jitter", "red_noise", "outliers")
 OUTSIDE = "outside the library"
+LAWS = {"ggx": "GGX", "beckmann": "Beckmann"}
 SIZES = {"small": 3.0, "medium": 6.0, "large": 20.0}
 THREE_SIZES = ("panel_offset", "attitude_offset", "self_shadowing", "exposure_smearing", "appendage",
                "second_material", "lobe_tail", "time_offset", "spin_rate_offset", "zero_point_drift",
@@ -38,6 +39,12 @@ PAIRS = (
     ("box", "spin_rate_offset", "appendage"), ("leo", "time_offset", "background"),
     ("fast", "exposure_smearing", "saturation"),
 )  # fmt: skip
+CONDUCTORS = (
+    ("ggx", "wing", "self_shadowing"), ("ggx", "geo_free", "panel_offset"), ("ggx", "box", "time_offset"),
+    ("ggx", "leo", "appendage"), ("beckmann", "wing", "self_shadowing"), ("beckmann", "geo_free", "panel_offset"),
+    ("beckmann", "meo", "zero_point_drift"), ("beckmann", "box", "spin_rate_offset"),
+)  # fmt: skip
+"""Rough conductors without a base: the distribution of their microfacets, on what object, and what is concealed."""
 
 
 def names() -> Iterator[str]:
@@ -57,8 +64,9 @@ def names() -> Iterator[str]:
         yield f"two-{one}-{two}"
     yield from ("wrong-box-wing", "wrong-box-box", "wrong-orbit-leo", "wrong-orbit-meo", "wrong-clock-leo",
                 "wrong-clock-rocket", "ggx-wing-self_shadowing", "ggx-geo-panel_offset",
-                "ggx-wing-self_shadowing-bare", "ggx-geo_free-panel_offset-bare", "outside-flash",
-                "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
+                "outside-flash", "outside-jump", "outside-cloud", "outside-split")  # fmt: skip
+    for law, kind, effect in CONDUCTORS:
+        yield f"{law}-{kind}-{effect}-bare"
 
 
 SUBSET = (
@@ -84,7 +92,9 @@ def compose(name: str, number: int, rng: Rng) -> Composed:
     first, *rest = name.split("-")
     if first in NOISE:
         return noisy(first, rest[0] == "large", at, rng)
-    special = {"two": two_effects, "wrong": wrong_scene, "ggx": other_law, "outside": outside}
+    special = {"two": two_effects, "wrong": wrong_scene, "outside": outside}
+    if first in LAWS:
+        return other_law(first, rest, at, rng)
     if first in special:
         return special[first](rest, at, rng)
     return one_effect(first, rest, at, rng)
@@ -148,8 +158,8 @@ def wrong_scene(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     return replace(setup, true_tree=tree), {}, answer
 
 
-def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
-    """An effect on an object whose every surface obeys another law than the model's."""
+def other_law(law: str, words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    """An effect on an object whose every surface is a rough conductor, microfacets distributed by ``law``."""
     kind, effect, *bare = words
     setup = at[kind](rng)
     _, maker, first, limits = RECIPES[effect]
@@ -157,7 +167,7 @@ def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     setup, concealed = make(sized(setup, make, first, limits, 20.0), setup)
     rough = {
         material: {
-            "model": "ggx",
+            "model": law,
             "alpha": round(float(np.sqrt(2.0 / (values["n"] + 2.0))), 4),
             "f0": 0.6 if bare else values["r_spec"],
             "r_diff": 0.0 if bare else values["r_diff"],
@@ -166,7 +176,8 @@ def other_law(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     }
     answer = {
         "verdict": "missing_physics",
-        "note": "every surface is a rough conductor (GGX)" + (", bare" if bare else " over a Lambert base"),
+        "note": f"every surface is a rough conductor ({LAWS[law]})"
+        + (", bare" if bare else " over a Lambert base"),
         "family": [[effect, "lobe_tail"]],
     }
     return replace(setup, true_materials=rough), concealed, answer

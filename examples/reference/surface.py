@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.special import erf
 from sky import Array, unit
 
 
@@ -56,14 +57,24 @@ def _ashikhmin_shirley(
     return specular, diffuse
 
 
-def _ggx(material: Mapping[str, Any], geometry: tuple[Array, ...]) -> tuple[Array, Array]:
-    """Rough conductor D G F / 4 with GGX and Smith's G (Walter et al. 2007), over a Lambert base."""
+def _conductor(material: Mapping[str, Any], geometry: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Rough conductor D G F / 4 with Smith's G over a Lambert base: GGX, or Beckmann's distribution, whose G is
+    exact, by the error function (Walter et al. 2007)."""
     cos_i, cos_r, cos_half, cos_sun_half, _, _ = geometry
     alpha2 = material["alpha"] ** 2
-    distribution = alpha2 / (np.pi * (cos_half**2 * (alpha2 - 1.0) + 1.0) ** 2)
+    gaussian = material["model"] == "beckmann"
+    if gaussian:
+        tan2 = 1.0 / np.maximum(cos_half, 1e-9) ** 2 - 1.0
+        distribution = np.exp(-tan2 / alpha2) / (np.pi * alpha2 * np.maximum(cos_half, 1e-9) ** 4)
+    else:
+        distribution = alpha2 / (np.pi * (cos_half**2 * (alpha2 - 1.0) + 1.0) ** 2)
 
     def seen(cosine: Array) -> Array:
-        return 2.0 / (1.0 + np.sqrt(1.0 + alpha2 * (1.0 / cosine**2 - 1.0)))
+        tan2 = np.maximum(1.0 / cosine**2 - 1.0, 1e-18)
+        if gaussian:
+            a = 1.0 / np.sqrt(alpha2 * tan2)
+            return 2.0 / (1.0 + erf(a) + np.exp(-(a**2)) / (a * np.sqrt(np.pi)))
+        return 2.0 / (1.0 + np.sqrt(1.0 + alpha2 * tan2))
 
     fresnel = material["f0"] + (1.0 - material["f0"]) * (1.0 - cos_sun_half) ** 5
     specular = distribution * seen(cos_i) * seen(cos_r) * fresnel / 4.0
@@ -76,8 +87,8 @@ def _law(material: Mapping[str, Any], geometry: tuple[Array, ...], g: float | No
         return _ashikhmin_shirley(material, geometry, g)
     if model == "lambert":
         return np.zeros_like(geometry[0]), material["albedo"] / np.pi * geometry[0] * geometry[1]
-    if model == "ggx":
-        return _ggx(material, geometry)
+    if model in ("ggx", "beckmann"):
+        return _conductor(material, geometry)
     raise ValueError(f"no such truth: {model}")
 
 

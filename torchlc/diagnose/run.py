@@ -4,12 +4,12 @@ change."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
 
-from torchlc.assemble import assemble
+from torchlc.assemble import RESOLVED_N, assemble
 from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
@@ -17,14 +17,16 @@ from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.laws import under_other_laws
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.probes import Probe, probe
-from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
+from torchlc.diagnose.refit import MANY_PAIRS, Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
+    CONSISTENT,
     EVIDENCE_GAIN,
     GROSS,
     Found,
     affordable,
     candidate_entries,
+    consistent,
     explored,
     judged,
     nameable,
@@ -48,14 +50,16 @@ NOISE_HELDOUT = 3.0
 MOST_NOISE = 0.2
 """Jitter or red noise, mag: four times the scale of their priors."""
 LEFT_AFTER = 0.5
-CONSISTENT = 2.0
-"""Standard deviations of chi-square within which what is left counts as nothing."""
 LAW_EVIDENCE = 10.0
 """Another law of reflection is tried where a gross mismatch is left, and taken where its best model gains this
 over that of the scene's own law."""
 SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain it as well as an appendage"
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
+MOST_MODES = 3
+BLUNTER = 10.0
+LEAST_SHARP = 300.0
+"""Where facets are very many, smooth shapes are cut for exponents so many times those found, or for this one."""
 
 
 def diagnose(
@@ -77,7 +81,10 @@ def diagnose(
         if name not in registry():
             raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
     own = Start(scene, recording, seed)
-    found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
+    coarse = own.coarser()
+    found = _under_one_law(coarse or own, quick=quick, effects=effects, progress=progress)
+    if coarse is not None and not own.agrees(found.final.refit):
+        found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
     if quick or not _left_over(found):
         return found
     others = {law: Start(other, recording, seed) for law, other in under_other_laws(scene).items()}
@@ -107,20 +114,48 @@ def _left_over(found: Diagnosis) -> bool:
     forgetful = found.verdict == "noise_model" and found.named != ("red_noise",)
     if found.verdict == "adequate" or forgetful or found.doubt or likelihood.fitted_errors:
         return False
+    if consistent(found.baseline.refit):
+        return False
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
     reshaped = "lobe_tail" in found.named and len(found.named) > 1
     return found.verdict == "unexplained" or reshaped or found.final.refit.chi2 > gross
 
 
 class Start:
-    """A scene, a recording and the minima of the scene's own model, from which a diagnosis begins."""
+    """A scene, a recording and the minima of the scene's own model, from which a diagnosis begins; smooth shapes cut
+    for exponents up to ``sharpest``."""
 
-    def __init__(self, scene: Scene, recording: Recording, seed: int) -> None:
+    def __init__(
+        self, scene: Scene, recording: Recording, seed: int, *, sharpest: float = RESOLVED_N
+    ) -> None:
         self.began = time.monotonic()
         self.scene, self.recording, self.seed = scene, recording, seed
-        self.bench = Workbench(assemble(scene, recording), seed)
+        self.bench = Workbench(assemble(scene, recording, sharpest=sharpest), seed)
         self.likelihood = self.bench.likelihood(Hypothesis())
         self.modes, _, _ = find_modes(self.likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
+
+    def coarser(self) -> Start | None:
+        """The same, smooth shapes cut for lobes that are sharper than those found by BLUNTER alone; None where facets
+        are few, or the lobes too sharp for it to make a difference."""
+        model = self.likelihood.model
+        names = model.parameter_set.names
+        columns = [k for k, name in enumerate(names) if name.rpartition(".")[2] in ("n", "n_u", "n_v")]
+        if model.assembly.pairs <= MANY_PAIRS * model.assembly.T or not columns:
+            return None
+        found = max(float(mode.theta[columns].max()) for mode in self.modes[:MOST_MODES])
+        sharpest = max(BLUNTER * found, LEAST_SHARP)
+        if sharpest > RESOLVED_N / BLUNTER:
+            return None
+        coarse = Start(self.scene, self.recording, self.seed, sharpest=sharpest)
+        coarse.began = self.began
+        return coarse
+
+    def agrees(self, at: Refit) -> bool:
+        """Whether this start's shapes leave the residuals of a refit that was made with others: in all of them
+        together, less than one standard deviation of one."""
+        with torch.no_grad():
+            delta = self.bench.likelihood(at.hypothesis).residuals(at.theta[None]).delta[0]
+        return float(((delta - at.delta) / at.sigma).norm()) < 1.0
 
 
 def _under_one_law(
@@ -133,7 +168,7 @@ def _under_one_law(
     """The diagnosis with surfaces that reflect as the scene says."""
     scene, recording, seed = own.scene, own.recording, own.seed
     bench, likelihood = own.bench, own.likelihood
-    baseline = [linearised(likelihood, Hypothesis(), mode.theta) for mode in own.modes[:3]]
+    baseline = [linearised(likelihood, Hypothesis(), mode.theta) for mode in own.modes[:MOST_MODES]]
     if progress is not None:
         progress("baseline", 0.05)
     context = bench.base.context
@@ -175,8 +210,8 @@ def _under_one_law(
             **common,
         )
 
-    def is_clean(found: Found) -> bool:
-        return _gate(found.refit, scorer, found_coordinates, {}, seed).global_p >= ADEQUATE_P
+    def is_clean(found: Found, beside: Mapping[str, Probe]) -> bool:
+        return _gate(found.refit, scorer, found_coordinates, beside, seed).global_p >= ADEQUATE_P
 
     final, first, others = search(
         bench,
@@ -270,7 +305,7 @@ def _gate(
     refit: Refit,
     scorer: Scorer,
     found: dict[str, torch.Tensor],
-    probes: dict[str, Probe],
+    probes: Mapping[str, Probe],
     seed: int,
     noise: NoiseModel | None = None,
 ) -> Gate:

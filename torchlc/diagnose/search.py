@@ -53,6 +53,11 @@ WIDE = 192
 EVIDENCE_GAIN = 3.5
 HELDOUT_GAIN = 1.0
 EXCESS_SHARE = 0.1
+LEFT_SHARE = 0.5
+"""What is named has to take the first share of the whole excess of chi-square; beside another effect the second share, of
+what that one leaves, will do."""
+CONSISTENT = 2.0
+"""Standard deviations of chi-square within which what is left counts as nothing."""
 GROSS = 6.0
 """Standard deviations of chi-square beyond which a mismatch is gross."""
 STEP_BACK = 0.2
@@ -445,7 +450,7 @@ def search(
     null: Found,
     baseline: Sequence[Refit],
     probes: dict[str, Probe],
-    is_clean: Callable[[Found], bool],
+    is_clean: Callable[[Found, Mapping[str, Probe]], bool],
     *,
     seed: int = 0,
     most_refits: int | None = None,
@@ -482,15 +487,24 @@ def search(
     best = good[0] if good else null
     beam = stems(good, promising(sound, null, excess))
     for _ in range(MOST_EFFECTS - 1):
-        if not beam or is_clean(best):
+        if not beam:
             break
+        if is_clean(best, {}):
+            # A faint effect beside a strong one is seen by what it would do, not by the residuals' look alone.
+            if (
+                not best.hypothesis.added
+                or most_refits is not None
+                or is_clean(best, beside(bench, best, entries, seed))
+            ):
+                break
+            beam = [best]
         grown: list[Found] = []
         for place, stem in enumerate(beam):
-            again = {}
-            for number, entry in enumerate(entries):
-                made = any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
-                if compatible(stem, entry) and not made and payable(bench, stem, entry):
-                    again[entry] = probe(bench, stem.refit, entry, seed + number)
+            again = {
+                entry: found
+                for entry, found in beside(bench, stem, entries, seed).items()
+                if not any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
+            }
             least = least_score(again)
             for number, entry in enumerate(sorted(again, key=lambda one: -again[one].score)):
                 late = number >= (MOST_GROWN if place == 0 else MOST_GROWN_BESIDE)
@@ -514,6 +528,15 @@ def search(
         others += tried
         beam = [best, *accepted[1:BEAM]]
     return best, first, others
+
+
+def beside(bench: Workbench, stem: Found, entries: Sequence[str], seed: int) -> dict[str, Probe]:
+    """Probes at a refit of every effect that may join its set."""
+    return {
+        entry: probe(bench, stem.refit, entry, seed + number)
+        for number, entry in enumerate(entries)
+        if compatible(stem, entry) and payable(bench, stem, entry)
+    }
 
 
 def least_score(probes: Mapping[str, Probe]) -> float:
@@ -610,10 +633,17 @@ def leader_first(ranked: Sequence[Found]) -> list[Found]:
     return sorted(ranked, key=lambda found: found is not leader)
 
 
+def consistent(at: Refit) -> bool:
+    """Whether chi-square at the quoted errors leaves nothing to be explained."""
+    return at.chi2 <= at.likelihood.degrees_of_freedom + CONSISTENT * at.likelihood.chi2_sd
+
+
 def _all_needed(found: Found, known: dict[frozenset[str], Found], best: Found, excess: float | None) -> bool:
     """A set is named only if it beats the best smaller set and each member improves held-out prediction given
     the others, where errors are fitted by enough."""
-    if not better(found, best, excess, gain=0.0):
+    left = best.refit.chi2 - best.refit.likelihood.degrees_of_freedom
+    asked = None if excess is None else min(excess, left * LEFT_SHARE / EXCESS_SHARE)
+    if not better(found, best, asked, gain=0.0):
         return False
     if not best.hypothesis.added and not better(found, best, excess, 2 * HELDOUT_GAIN, 2 * EVIDENCE_GAIN):
         return False

@@ -1,0 +1,120 @@
+"""What came out of the cases: each judged by its answer, all of them counted."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+SIZES = ("small", "medium", "large", "as_is")
+WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
+"""Effects by how much chi-square the true model gains over the best refit without it."""
+KINDS = (
+    "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "other noise",
+    "scene slightly wrong", "other reflection law", "outside the library",
+)  # fmt: skip
+OUTCOMES = {
+    "right": "#3f9b5c",
+    "in family": "#9cc9a5",
+    "one of two": "#c9dcae",
+    "extra name": "#e0b23c",
+    "missed": "#c9ced6",
+    "unexplained": "#8a94a6",
+    "noise_model": "#8a63b8",
+    "false alarm": "#d9772b",
+    "wrong name": "#c2410c",
+}
+"""What may come out, with its colour."""
+
+
+def judged(row: dict[str, Any]) -> str:
+    """One of OUTCOMES."""
+    truth, named = row["truth"], set(row["named"])
+    sets = [set(one) for one in truth["family"] or []] or [set(truth["effects"])]
+    if row["verdict"] not in truth["verdicts_accepted"]:
+        if row["verdict"] == "adequate":
+            return "missed"
+        if truth["verdict"] == "adequate":
+            return "false alarm"
+        return "wrong name" if row["verdict"] == "missing_physics" else row["verdict"]
+    if row["verdict"] != "missing_physics" or named == set(truth["effects"]):
+        return "right"
+    if named in sets:
+        return "in family"
+    if any(one <= named | set(family) for one in sets for family in row["families"]):
+        return "in family"
+    if any(one < named for one in sets):
+        return "extra name"
+    if any(named < one for one in sets):
+        return "one of two"
+    return "wrong name"
+
+
+def group(row: dict[str, Any]) -> str:
+    """The kind of case, by its name."""
+    head, _, rest = row["case"].rpartition("/")[2].partition("-")
+    size = rest.partition("-")[0]
+    if head.startswith("control"):
+        return "nothing missing"
+    if row["truth"]["verdict"] == "noise_model":
+        return "other noise"
+    if size in SIZES:
+        refit = row["truth"]["chi2"]["baseline_refit"]
+        if row["verdict"] == "adequate":  # no prior is strained: this chi-square is a refit's own
+            refit = min(refit, row["improvement"]["chi2_before"])
+        worth = refit - row["truth"]["chi2"]["truth"]
+        return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)
+    known: dict[str, str] = {
+        "two": "two effects",
+        "wrong": "scene slightly wrong",
+        "ggx": "other reflection law",
+        "beckmann": "other reflection law",
+        "outside": "outside the library",
+    }
+    return known.get(head, head)
+
+
+def ordered(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The kinds of case that there are, in the order in which they are told."""
+    there = {group(row) for row in rows}
+    return [kind for kind in KINDS if kind in there] + sorted(there - set(KINDS))
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Counts of each outcome by kind of case, and the measures over all of them."""
+    counts = {
+        kind: {word: n for word in OUTCOMES if (n := found[word])}
+        for kind in ordered(rows)
+        for found in [Counter(judged(row) for row in rows if group(row) == kind)]
+    }
+    clean = [row["global_p"] for row in rows if group(row) == "nothing missing"]
+    named = [row for row in rows if row["verdict"] == "missing_physics"]
+    right = [row for row in named if judged(row) in ("right", "in family")]
+    held = {when: np.sum([row["materials"][when] for row in right], axis=0) for when in ("before", "after")}
+    overlaps = [row["overlap"] for row in right if row["overlap"] is not None]
+    fitting = [
+        abs(row["improvement"]["chi2_after"] / row["improvement"]["dof"] - 1)
+        * np.sqrt(row["improvement"]["dof"] / 2)
+        for row in right
+    ]
+    seconds = [row["cpu_seconds"] for row in rows]
+    return {
+        "cases": len(rows),
+        "outcomes": counts,
+        "clean_p_uniform_ks_p": float(stats.kstest(clean, "uniform").pvalue) if len(clean) > 4 else None,
+        "median_overlap": float(np.median(overlaps)) if overlaps else None,
+        "materials_inside_90": {
+            when: float(inside / whole) if len(right) and whole else None
+            for when, (inside, whole) in held.items()
+        }
+        if right
+        else {},
+        "chi2_within_3_sigma": float(np.mean(np.array(fitting) < 3.0)) if fitting else None,
+        "processor_seconds": {"median": float(np.median(seconds)), "longest": max(seconds)}
+        if seconds
+        else {},
+    }

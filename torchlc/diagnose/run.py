@@ -29,6 +29,7 @@ from torchlc.diagnose.search import (
     consistent,
     explored,
     judged,
+    minima,
     nameable,
     search,
 )
@@ -186,20 +187,26 @@ def _under_one_law(
             progress("signatures", 0.05 + 0.1 * (number + 1) / len(entries))
     gates = [_gate(refit, scorer, found_coordinates, probes, seed) for refit in baseline]
     first_gate = max(gates, key=lambda one: one.global_p)
-    start = judged(replace(baseline[0], others=tuple(baseline[1:])), scorer)
+    adequate = first_gate.global_p >= ADEQUATE_P
+    deepest = replace(baseline[0], others=tuple(baseline[1:]))
+    start = (
+        judged(deepest, scorer)
+        if adequate
+        else max(minima(deepest, scorer), key=lambda found: found.log_evidence)
+    )
     common = {
         "scorer": scorer,
         "gate": first_gate,
         "probes": probes,
-        "baseline": start,
         "coordinates": found_coordinates,
         "quick": quick,
         "seed": seed,
         "untried": tuple(entry for entry in possible if entry not in entries),
     }
-    if first_gate.global_p >= ADEQUATE_P:
+    if adequate:
         return Diagnosis(
             verdict="adequate",
+            baseline=start,
             final=start,
             named=(),
             families=(),
@@ -213,7 +220,7 @@ def _under_one_law(
     def is_clean(found: Found, beside: Mapping[str, Probe]) -> bool:
         return _gate(found.refit, scorer, found_coordinates, beside, seed).global_p >= ADEQUATE_P
 
-    final, first, others = search(
+    start, final, first, others = search(
         bench,
         scorer,
         start,
@@ -256,6 +263,7 @@ def _under_one_law(
     nights, advice = _next(verdict, final, [*first, *others], groups, scene)
     return Diagnosis(
         verdict=verdict,
+        baseline=start,
         final=final,
         nights=nights,
         next_observation=advice,

@@ -455,8 +455,9 @@ def search(
     seed: int = 0,
     most_refits: int | None = None,
     progress: Callable[[str, float], None] | None = None,
-) -> tuple[Found, list[Found], list[Found]]:
-    """The best set of effects, all first-round refits (best first), and every other refit that was made."""
+) -> tuple[Found, Found, list[Found], list[Found]]:
+    """The scene's own model at its best, the best set of effects, all first-round refits (best first), and every
+    other refit that was made."""
     dof = baseline[0].likelihood.degrees_of_freedom
     excess = None if baseline[0].likelihood.fitted_errors else max(null.refit.chi2 - dof, 1.0)
     entries = sorted(probes, key=lambda entry: -probes[entry].score)
@@ -475,6 +476,7 @@ def search(
         if progress is not None:
             progress("refits", 0.1 + 0.5 * (number + 1) / len(entries))
     first = second_look(bench, scorer, baseline, first, probes, null, seed)
+    null = unaided(bench, scorer, null, first)
     others: list[Found] = []
     sound = [found for found in first if nameable(found)]
     good = leader_first(
@@ -527,7 +529,34 @@ def search(
         best, tried = trimmed(bench, scorer, accepted[0])
         others += tried
         beam = [best, *accepted[1:BEAM]]
-    return best, first, others
+    return null, best, first, others
+
+
+def unaided(bench: Workbench, scorer: Scorer, null: Found, first: Sequence[Found]) -> Found:
+    """The scene's own model from the materials at which effects left it too: what an effect that does nothing has
+    over it is but a minimum that was not looked into."""
+    likelihood = null.refit.likelihood
+    if is_dear(likelihood.model) or not null.refit.names or likelihood.fitted_errors:
+        return null
+    starts = [bench.start(null.hypothesis, one.refit.theta[None], one.refit.names) for one in first]
+    if not starts:
+        return null
+    with torch.no_grad():
+        reached = polish(likelihood, torch.cat(starts), None)
+    order = torch.argsort(reached.cost)
+    theta = likelihood.model.parameter_set.from_flat(reached.y[order])
+    again = leading(likelihood, null.hypothesis, theta, reached.cost[order])
+    return max([null, *minima(again, scorer)], key=lambda one: one.log_evidence)
+
+
+def minima(at: Refit, scorer: Scorer) -> list[Found]:
+    """A refit at each of its minima, with the others beside it: what noise describes best need not be the one that is
+    deepest, or the widest, at the quoted errors."""
+    each = [at, *at.others]
+    return [
+        judged(replace(one, others=tuple(other for other in each if other is not one)), scorer)
+        for one in each
+    ]
 
 
 def beside(bench: Workbench, stem: Found, entries: Sequence[str], seed: int) -> dict[str, Probe]:

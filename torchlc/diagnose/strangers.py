@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.probes import probe
 from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy, values_of
-from torchlc.diagnose.search import TIED, Found, affordable, extended, nameable, unlisted_entries
+from torchlc.diagnose.search import EVIDENCE_GAIN, Found, affordable, extended, nameable, unlisted_entries
 from torchlc.effects import effect_class
 
 
@@ -35,7 +35,7 @@ def stranger(
         found
         for found in made
         if nameable(found)
-        and found.log_evidence > final.log_evidence + TIED
+        and found.log_evidence > final.log_evidence + EVIDENCE_GAIN
         and found.log_evidence + found.score.heldout_total > final.log_evidence + final.score.heldout_total
     ]
     return max(ahead, key=lambda found: found.log_evidence, default=None)

@@ -20,9 +20,17 @@ from torchlc.assemble import assemble
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.plan import next_nights
-from torchlc.diagnose.refit import MANY_PAIRS, Hypothesis, Workbench, gaussian_prior, linearised, values_of
+from torchlc.diagnose.refit import (
+    MANY_PAIRS,
+    Hypothesis,
+    Workbench,
+    gaussian_prior,
+    linearised,
+    refit,
+    values_of,
+)
 from torchlc.diagnose.run import Start, diagnose
-from torchlc.diagnose.search import Found, candidate_entries, released, stuck
+from torchlc.diagnose.search import Found, candidate_entries, judged, released, stuck, unaided
 from torchlc.effects.base import Entry
 from torchlc.fit import find_modes, polish
 from torchlc.likelihood import matern32
@@ -145,6 +153,25 @@ def demo_refit():
     likelihood = bench.likelihood(Hypothesis())
     modes, _, _ = find_modes(likelihood, starts=8, adam_steps=40)
     return linearised(likelihood, Hypothesis(), modes[0].theta)
+
+
+def test_the_scene_s_own_model_is_looked_for_where_effects_left_it(demo_refit) -> None:
+    """Begun away from its minimum, found again from the materials of a refit with an effect that does little."""
+    bench = Workbench(demo_refit.model.assembly)
+    likelihood = bench.likelihood(Hypothesis())
+    context = bench.base.context
+    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, context.curve), False)
+    wrong = demo_refit.theta.clone()
+    wrong[demo_refit.names.index("panel.n")] = 3.0
+    null = judged(linearised(likelihood, Hypothesis(), wrong), scorer)
+    with_drift = Hypothesis(("zero_point_drift",))
+    start = bench.start(with_drift, demo_refit.theta[None], demo_refit.names)
+    beside = judged(refit(bench.likelihood(with_drift), with_drift, start), scorer)
+    found = unaided(bench, scorer, null, [beside])
+    assert found.hypothesis == Hypothesis()
+    assert found.log_evidence > null.log_evidence + 5
+    assert found.refit.objective == pytest.approx(demo_refit.objective, abs=0.01)
+    assert unaided(bench, scorer, found, [beside]).log_evidence == pytest.approx(found.log_evidence, abs=0.01)
 
 
 def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> None:

@@ -118,6 +118,7 @@ def hemisphere(count: int) -> tuple[np.ndarray, np.ndarray]:
         {"n": 30.0, "r_spec": 0.5, "r_diff": 0.5},
         {"n": 300.0, "r_spec": 0.8, "r_diff": 0.2},
         {"model": "ggx", "alpha": 0.3, "f0": 0.9, "r_diff": 0.0},
+        {"model": "beckmann", "alpha": 0.3, "f0": 0.9, "r_diff": 0.0},
     ],
 )
 def test_no_surface_reflects_more_than_it_gets(material: dict[str, float]) -> None:

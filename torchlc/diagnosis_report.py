@@ -194,8 +194,8 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         )
         if improvement["heldout_rms_after"] is not None and improvement["heldout_rms_before"] is not None:
             proof += (
-                f", and rows that the fit had not seen are predicted to {improvement['heldout_rms_after']:.3f} mag "
-                f"instead of {improvement['heldout_rms_before']:.3f}"
+                f", and rows that the fit had not seen are predicted to {improvement['heldout_rms_after']:.3g} mag "
+                f"instead of {improvement['heldout_rms_before']:.3g}"
             )
         meant = [
             f"{name}: {_lowered(first_sentence(registry()[name]))}" for name in named if name in registry()
@@ -223,8 +223,9 @@ def _substances(after: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _place(where: Mapping[str, Any]) -> str:
     intervals = where["intervals"]
-    text = f"It shows in {len(intervals)} stretch{'es' if len(intervals) != 1 else ''} of the recording"
+    text = "It is too faint to show in any one stretch of the recording"
     if intervals:
+        text = f"It shows in {len(intervals)} stretch{'es' if len(intervals) != 1 else ''} of the recording"
         strongest = max(intervals, key=lambda one: one["significance"])
         text += f", most between {_clock(strongest['start'])} and {_clock(strongest['end'])}"
     if where["components"]:

@@ -184,14 +184,15 @@ def assemble(
     if base is None:
         track = make_track(scene, recording)
         attitude = Attitude(scene, recording)
-        shape = Shape(scene, _finest_lobes(scene, sharpest))
+        lobes = _finest_lobes(scene, sharpest)
+        shape = Shape(scene, lobes)
     else:
-        track, attitude, shape = base.track, base.attitude, base.shape
+        track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}
     context = (
         base.context
         if base is not None
-        else _context(scene, recording, track, attitude, shape, models, _finest_lobes(scene, sharpest))
+        else _context(scene, recording, track, attitude, shape, models, lobes)
     )
     row_index = {
         "curve": (context.curve, recording.curve_ids),

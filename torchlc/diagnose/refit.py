@@ -151,8 +151,12 @@ class Workbench:
 def is_slow(model: LightCurve) -> bool:
     """True if every new geometry costs a computation of what parts take from, or give to, each other, or of very many
     pairs of facet and direction, as curved shapes have under a Sun with a disc."""
-    many = model.assembly.pairs > MANY_PAIRS * model.assembly.T
-    return model.geometry_free and (model.parts_meet or many)
+    return model.geometry_free and (model.parts_meet or many_pairs(model))
+
+
+def many_pairs(model: LightCurve) -> bool:
+    """True if a row has more than MANY_PAIRS pairs of facet and instant or direction."""
+    return model.assembly.pairs > MANY_PAIRS * model.assembly.T
 
 
 def is_heavy(model: LightCurve) -> bool:

@@ -17,10 +17,9 @@ from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.laws import under_other_laws
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.probes import Probe, probe
-from torchlc.diagnose.refit import MANY_PAIRS, Hypothesis, Refit, Workbench, linearised
+from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised, many_pairs
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
-    CONSISTENT,
     EVIDENCE_GAIN,
     GROSS,
     Found,
@@ -141,7 +140,7 @@ class Start:
         model = self.likelihood.model
         names = model.parameter_set.names
         columns = [k for k, name in enumerate(names) if name.rpartition(".")[2] in ("n", "n_u", "n_v")]
-        if model.assembly.pairs <= MANY_PAIRS * model.assembly.T or not columns:
+        if not many_pairs(model) or not columns:
             return None
         found = max(float(mode.theta[columns].max()) for mode in self.modes[:MOST_MODES])
         sharpest = max(BLUNTER * found, LEAST_SHARP)
@@ -354,8 +353,8 @@ def _verdict(
             left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
             pairs = zip(final.score.by_kind["white"], kinds[best], strict=True)
             single = len(final.hypothesis.added) == 1 and all(alone > noisy for alone, noisy in pairs)
-            consistent = CONSISTENT * final.refit.likelihood.chi2_sd
-            done = (single or p_after >= STRUCTURE_P) and left <= max(LEFT_AFTER * before, consistent)
+            little = left <= LEFT_AFTER * before or consistent(final.refit)
+            done = (single or p_after >= STRUCTURE_P) and little
         if done:
             return "missing_physics", named
     noise = start.score.noise

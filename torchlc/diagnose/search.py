@@ -491,20 +491,20 @@ def search(
     for _ in range(MOST_EFFECTS - 1):
         if not beam:
             break
+        probed: dict[str, Probe] = {}
         if is_clean(best, {}):
             # A faint effect beside a strong one is seen by what it would do, not by the residuals' look alone.
-            if (
-                not best.hypothesis.added
-                or most_refits is not None
-                or is_clean(best, beside(bench, best, entries, seed))
-            ):
+            if not best.hypothesis.added or most_refits is not None:
+                break
+            probed = beside(bench, best, entries, seed)
+            if is_clean(best, probed):
                 break
             beam = [best]
         grown: list[Found] = []
         for place, stem in enumerate(beam):
             again = {
                 entry: found
-                for entry, found in beside(bench, stem, entries, seed).items()
+                for entry, found in (probed or beside(bench, stem, entries, seed)).items()
                 if not any(set(one.hypothesis.plain) == {*stem.hypothesis.plain, entry} for one in grown)
             }
             least = least_score(again)

@@ -157,7 +157,7 @@ def fit(
             fit=found,
             posterior=posterior,
             seconds=seconds,
-            warnings=[*found.model.assembly.warnings, *found.warnings, *warnings],
+            warnings=[*found.model.warnings, *found.warnings, *warnings],
             seed=seed,
             provenance=provenance(scene, rows, seed, command),
         )

@@ -104,22 +104,40 @@ class Assembly:
         return found
 
     @cached_property
+    def moving(self) -> dict[str, str]:
+        """Free parameters that move the geometry, in the order of theta, and where each does: the attitude's
+        "spin", a "size", or the stage of an effect before shade."""
+        stages = {name: self._moves(name) for name in self.parameters.names}
+        return {name: stage for name, stage in stages.items() if stage is not None}
+
+    @cached_property
+    def settled(self) -> tuple[tuple[str, float], ...]:
+        """Fixed numbers that the geometry depends on."""
+        return tuple((name, value) for name, value in self.parameters.fixed.items() if self._moves(name))
+
+    @cached_property
     def geometry_columns(self) -> list[int]:
-        """Places in theta of the parameters that move the geometry: the attitude's, sizes, and those of
-        effects before the shade stage."""
-        owners = {
-            effect.name: effect
-            for effect in self.effects
-            if effect.stage in GEOMETRY_STAGES and not effect.linear
-        }
-        found = []
-        for column, name in enumerate(self.parameters.names):
-            owner, _, short = name.partition("[")[0].rpartition(".")
-            effect = owners.get(name.partition(".")[0])
-            material = effect is not None and effect.brdf is not None and _is_material(effect.brdf, short)
-            if owner == "attitude" or short in COMPONENT_SIZES or (effect is not None and not material):
-                found.append(column)
-        return found
+        """Places in theta of the parameters that move the geometry."""
+        return [self.parameters.names.index(name) for name in self.moving]
+
+    def _moves(self, name: str) -> str | None:
+        """The stage at which a number moves the geometry; None if it does not."""
+        whole = name.partition("[")[0]
+        owner, _, short = whole.rpartition(".")
+        if owner == "attitude":
+            return "spin"
+        if owner in self._sized and short in COMPONENT_SIZES:
+            return "size"
+        for effect in self.effects:
+            if whole.partition(".")[0] != effect.name or effect.linear or effect.stage not in GEOMETRY_STAGES:
+                continue
+            if effect.brdf is None or not _is_material(effect.brdf, short):
+                return effect.stage
+        return None
+
+    @cached_property
+    def _sized(self) -> set[str]:
+        return {component.name for component in self.scene.components}
 
     @property
     def geometry_free(self) -> bool:

@@ -40,7 +40,7 @@ from torchlc.scene import Scene
 from torchlc.shape import tracking_pose
 from torchlc.shape.part import like
 from torchlc.table import pair_table
-from torchlc.tracing import transformed
+from torchlc.tracing import apart, readable, transformed
 from torchlc.vectors import unit
 
 RECENT_TABLES = 48
@@ -53,19 +53,38 @@ within 2e-4."""
 MOST_GRIDDED = 64
 """Facets and instants together up to which a batch of geometries is worked out on one grid of all pairs, and
 beyond which only the pairs that are lit and seen are."""
-LATE = ("pointing", "light", "surface")
+LATE = frozenset(("pointing", "light", "surface"))
 """Stages of which none turns the body or takes it elsewhere."""
 MOST_SLOTS = 12
-"""Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call."""
-SOON_CONDENSED = 1_000_000
-"""Pairs in all up to which that is done at once, and beyond which after MANY_VALUES values of theta: the tabulation
-costs as much as light at about as many of them."""
-MANY_VALUES = 60
+"""Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call. For a cylinder of
+384 facets under a Sun with a disc, the tabulation costs as much as the table of pairs that it replaces, or as 130
+calls that sum them."""
+TABULATED_MAG = 1e-3
+STEPPED_MAG = 1e-3
+CLOCK_MAG = 2e-4
+"""What a lobe tabulated over its exponent, light interpolated over an exposure time, and tables interpolated over a
+clock offset are out by at most; see :class:`Evaluation`."""
 GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
 VALUES_AT_ONCE = 2**17
 """Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
 is in the cache when the next reads it, and memory does not grow with the batch."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How a model works out its light, settled by scene, recording and effects: the same for every theta, alone or
+    in a batch, with or without gradients.
+
+    ``way``: "kept" tables of a fixed geometry; tables worked out "anew" for every theta; "stepped", light
+    interpolated over the one parameter that moves the geometry, or "clocked", tables over the offset of the clock.
+    ``tabulated`` names the materials whose lobes are interpolated over their exponent. ``error_mag`` is the largest
+    error of these interpolations, mag, 0 where there is none.
+    """
+
+    way: str
+    tabulated: tuple[str, ...]
+    error_mag: float
 
 
 @dataclass(frozen=True)
@@ -124,7 +143,6 @@ class LightCurve(nn.Module):
         self._still: dict[bool, dict[Key, Surface | None]] = {}
         self._placed: View | None = None
         self._steps: dict[tuple[bool, int], Tables] = {}
-        self._values_asked = 0
 
     # ------------------------------------------------------------------ parameters
 
@@ -175,7 +193,10 @@ class LightCurve(nn.Module):
         shaping = [
             e for e in self.effects if e.stage in {*GEOMETRY_STAGES, "scatter"} or e.name == "lobe_tail"
         ]
-        return (str(self.geometry_free), *(f"{e.name}[{e.target}]" for e in shaping))
+        return (
+            *(str(told) for told in (self.geometry_free, bool(self.names), self.assembly.settled)),
+            *(f"{e.entry} {e.nodes}" for e in shaping),
+        )
 
     @property
     def geometry_free(self) -> bool:
@@ -205,39 +226,91 @@ class LightCurve(nn.Module):
         """Total flux Phi (..., T), and component shares (..., C, T) if asked for, of natural values theta
         (..., P)."""
         theta = self.theta() if theta is None else theta
+        found = self._brightness(theta, shares)
+        if shares and not self.assembly.needs_shares and (self._tabulated(True) or self._tabulated(False)):
+            # a component's lobes are another table than those of all of its material together
+            return replace(found, flux=self._brightness(theta, False).flux)
+        return found
+
+    def _brightness(self, theta: Tensor, shares: bool) -> Brightness:
         if not self.geometry_free:
-            self._values_asked += theta.shape[:-1].numel()
-            detail = shares or self.assembly.needs_shares
-            return self._chunked(theta, self.tables(detail), shares)
+            return self._chunked(theta, self.tables(shares or self.assembly.needs_shares), shares)
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
-        clock = self._only_clock()
-        if theta.ndim == 1 and not clock and (transformed() or not self._gridded):
+        found = self._together(flat, shares)
+        if found is None and theta.ndim == 1:
             return self._single(theta, shares)
-        if clock or not transformed():
-            stepped = self._stepping_effect()
-            grouped = None
-            if clock:
-                grouped = self._interpolated(flat, shares)
-            elif stepped is not None and theta.ndim > 1:
-                grouped = self._stepped(flat, stepped, shares)
-            elif self._gridded:
-                grouped = self._moved(flat, shares)
-            elif not torch.is_grad_enabled():
-                grouped = self._grouped(flat, shares)
-            if grouped is not None:
-                kept = grouped.shares
-                kept = None if kept is None else kept.reshape(*theta.shape[:-1], *kept.shape[1:])
-                return replace(grouped, flux=grouped.flux.reshape(*theta.shape[:-1], -1), shares=kept)
-        size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
+        if found is None:
+            size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
 
-        def one(row: Tensor) -> tuple[Tensor, ...]:
-            result = self._single(row, shares)
-            return (result.flux,) if result.shares is None else (result.flux, result.shares)
+            def one(row: Tensor) -> tuple[Tensor, ...]:
+                result = self._single(row, shares)
+                return (result.flux,) if result.shares is None else (result.flux, result.shares)
 
-        found = torch.vmap(one, chunk_size=size)(flat)
-        flux = found[0].reshape(*theta.shape[:-1], -1)
-        kept = found[1].reshape(*theta.shape[:-1], *found[1].shape[1:]) if len(found) > 1 else None
-        return Brightness(flux, kept, self.assembly.components)
+            flux, *kept = torch.vmap(one, chunk_size=size)(flat)
+            found = Brightness(flux, kept[0] if kept else None, self.assembly.components)
+        flux = found.flux.reshape(*theta.shape[:-1], -1)
+        kept = (
+            None if found.shares is None else found.shares.reshape(*theta.shape[:-1], *found.shares.shape[1:])
+        )
+        return replace(found, flux=flux, shares=kept)
+
+    def _together(self, flat: Tensor, shares: bool) -> Brightness | None:
+        """Rows of theta (B, P) of a free geometry worked out together; None where each is worked out by itself."""
+        if self._only_clock:
+            return self._interpolated(flat, shares)
+        if self._stepping is not None:
+            return self._stepped(flat, self._stepping, shares)
+        if transformed():
+            return None
+        if self._gridded:
+            return self._moved(flat, shares)
+        return None if torch.is_grad_enabled() else self._grouped(flat, shares)
+
+    # ------------------------------------------------------------------ how it is evaluated
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """How light is worked out, and what that neglects; makes the tables that are kept."""
+        way, error_mag = "kept", 0.0
+        if self.geometry_free:
+            way = "clocked" if self._only_clock else "anew" if self._stepping is None else "stepped"
+            error_mag = {"clocked": CLOCK_MAG, "stepped": STEPPED_MAG}.get(way, 0.0)
+        tabulated = self._tabulated(self.assembly.needs_shares)
+        return Evaluation(way, tabulated, error_mag + (TABULATED_MAG if tabulated else 0.0))
+
+    def _tabulated(self, detail: bool) -> tuple[str, ...]:
+        """Materials whose lobes are interpolated over their exponent."""
+        if not any(map(self._condensable, self.assembly.models)):
+            surfaces = ()
+        elif not self.geometry_free:
+            surfaces = self.tables(detail).surfaces
+        elif self._stepping is not None:
+            surfaces = self._step(self._stepping.steps, self._stepping, detail).surfaces
+        else:
+            surfaces = self._still_surfaces(detail).values() if self._gridded else ()
+        names = (surface.material for surface in surfaces if surface is not None and "lobes" in surface.table)
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was assumed or left out, a sentence each: of scene, recording and effects, and of how light is
+        worked out."""
+        said = [*self.assembly.warnings]
+        movers = [name for name, stage in self.assembly.moving.items() if stage not in ("light", "surface")]
+        for effect in self.effects if movers else ():
+            jumping = effect.jumps(self.assembly.context)
+            if jumping is not None:
+                said.append(
+                    f"{effect.name}: {jumping} move in jumps: gradients by {', '.join(movers)}, and fits, which follow "
+                    "them, leave out how they move; draws of the posterior do not"
+                )
+        if self._only_clock:
+            reach = NODES // 2 * self._clock_step
+            said.append(
+                f"time_offset: light is interpolated between offsets of up to {reach:.3g} s either way; beyond, it is "
+                f"that at {reach:.3g} s"
+            )
+        return tuple(said)
 
     @cached_property
     def _gridded(self) -> bool:
@@ -246,7 +319,12 @@ class LightCurve(nn.Module):
         a = self.assembly
         sized = any(self.names[column].rpartition(".")[2] in COMPONENT_SIZES for column in a.geometry_columns)
         return (
-            a.pairs <= MOST_GRIDDED * a.T and not sized and not a.stage("scatter") and not self._only_clock()
+            self.geometry_free
+            and a.pairs <= MOST_GRIDDED * a.T
+            and not sized
+            and not a.stage("scatter")
+            and not self._only_clock
+            and self._stepping is None
         )
 
     def _moved(self, flat: Tensor, shares: bool) -> Brightness:
@@ -332,27 +410,31 @@ class LightCurve(nn.Module):
     @property
     def unaffordable(self) -> bool:
         """True if fits would work out the whole of a large mesh anew for every value of a parameter."""
-        return (
-            self.geometry_free and self.assembly.traced_pairs > MOST_TRACED_PAIRS and not self._only_clock()
-        )
+        return self.geometry_free and self.assembly.traced_pairs > MOST_TRACED_PAIRS and not self._only_clock
 
+    @cached_property
     def _only_clock(self) -> bool:
         """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the
         offset."""
-        moved = {self.names[column].partition("[")[0] for column in self.assembly.geometry_columns}
-        plain = all(self.assembly.models[one].additive for one in self.scene.materials)
-        return moved == {"time_offset.s"} and plain and self.assembly.traced_pairs > MOST_TRACED_PAIRS
+        a = self.assembly
+        moved = {self.names[column].partition("[")[0] for column in a.geometry_columns}
+        plain = all(model.additive for model in a.models.values()) and not a.stage("scatter")
+        return moved == {"time_offset.s"} and plain and a.traced_pairs > MOST_TRACED_PAIRS
 
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a
-        turn apart, by cubics through four of them; offsets beyond the outermost are taken there."""
+        turn apart, by cubics through four of them; offsets beyond the outermost are taken there. Positions are
+        those at the very offset."""
         nodes, step = self._clock_nodes(shares or self.assembly.needs_shares)
         half = NODES // 2
-        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / step
+        values = self.parameter_set.values(flat)
+        place = self.assembly.rows(values, "time_offset.s") / step
         place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
-        first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
+        first_node = (place.detach().floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
         column = torch.arange(self.assembly.T)
+        view = self._places(values, len(flat))
+        phase_angle = _phase_angle(view)
         surfaces = []
         for number, surface in enumerate(nodes[0].surfaces):
             table = {}
@@ -362,62 +444,84 @@ class LightCurve(nn.Module):
                     (weights[k] * stack[first_node + k, column] for k in range(4)),
                     start=torch.zeros_like(place),
                 )
-            surfaces.append(replace(surface, table=table))
-        tables = replace(nodes[0], surfaces=tuple(surfaces))
-        return self._shone(tables, flat, shares)
+            surfaces.append(replace(surface, table=table, phase_angle=phase_angle))
+        sky = Sky(_by_value(view, view.state), _by_value(view, view.nodes), False)
+        return self._shone(Tables(tuple(surfaces), (), sky), flat, shares)
+
+    @cached_property
+    def _clock_step(self) -> float:
+        """Seconds in which the body makes CLOCK_TURN_DEG of a turn, at the median row."""
+        with apart():
+            values = self.assembly.attitude_values(self.parameter_set.values(self.parameter_set.start()))
+            state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
+            first, second = (self.assembly.attitude.rotation(one, values) for one in state)
+            turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
+            return float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
 
     def _clock_nodes(self, detail: bool) -> tuple[list[Tables], float]:
         """Tables at NODES offsets of the clock about none, and the step between them, s."""
         if detail not in self._nodes:
-            with torch.no_grad():
+            with apart():
                 values = self.parameter_set.values(self.parameter_set.start())
                 clocks = [name for name in values if name.startswith("time_offset.s")]
-                state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
-                first, second = (self.assembly.attitude.rotation(one, values) for one in state)
-                turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
-                step = float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
                 made = []
                 for k in range(-(NODES // 2), NODES // 2 + 1):
-                    moved = {**values, **{name: torch.full_like(values[name], k * step) for name in clocks}}
+                    offset = k * self._clock_step
+                    moved = {**values, **{name: torch.full_like(values[name], offset) for name in clocks}}
                     made.append(self.make_tables(self.view(moved), detail, compact=True))
-                self._nodes[detail] = made, step
+                self._nodes[detail] = made, self._clock_step
         return self._nodes[detail]
 
-    def _stepping_effect(self) -> Effect | None:
+    @cached_property
+    def _stepping(self) -> Effect | None:
         """The effect whose parameter alone moves the geometry, if light can be interpolated over it."""
-        owners = {self.names[column].partition(".")[0] for column in self.assembly.geometry_columns}
-        found = [e for e in self.effects if e.steps and {e.name} == owners]
-        return found[0] if found and len(self.assembly.geometry_columns) == 1 else None
+        moving = self.assembly.geometry_columns
+        found = [
+            effect
+            for effect in self.effects
+            if effect.steps
+            and effect.quantities
+            and [self.names[one] for one in moving] == [effect.full_name(effect.quantities[0].name)]
+        ]
+        return found[0] if found else None
 
     def _stepped(self, flat: Tensor, effect: Effect, shares: bool) -> Brightness:
         """Rows of theta (B, P) by cubics through the light at four of ``effect.steps`` + 1 values of its
-        parameter, each of which has its tables once for all."""
+        parameter, each of which has its tables once for all. Where a transform hides which four, all are worked
+        out."""
         steps, column = effect.steps, self.assembly.geometry_columns[0]
-        top = effect.quantities[0].high
-        place = flat[:, column] / top * steps
+        detail = shares or self.assembly.needs_shares
+        place = flat[:, column] / effect.quantities[0].high * steps
         first = (place.detach().floor().long() - 1).clamp(0, steps - 3)
         weights = _cubic(place - first)
-        flux = flat.new_zeros(len(flat), self.assembly.T)
-        light = flat.new_zeros(len(flat), len(self.assembly.components), self.assembly.T)
-        for step in torch.unique(first[:, None] + torch.arange(4)).tolist():
-            nodes = step - first
-            rows = torch.nonzero((nodes >= 0) & (nodes < 4))[:, 0]
-            tables = self._step(step, effect, top * step / steps, shares)
-            piece = self._chunked(flat[rows], tables, shares)
-            part = weights[nodes[rows], rows, None] * piece.flux
-            flux = flux.index_add(0, rows, part)
-            if piece.shares is not None:
-                light = light.index_add(0, rows, part[:, None] * piece.shares)
+        flux, light = torch.zeros_like(place[:, None]), torch.zeros_like(place[:, None, None])
+        known = readable(first)
+        wanted = torch.unique(first[:, None] + torch.arange(4)).tolist() if known else range(steps + 1)
+        for step in wanted:
+            node = step - first
+            inside = (node >= 0) & (node < 4)
+            weight = torch.where(inside, weights.gather(0, node.clamp(0, 3)[None])[0], 0.0)[:, None]
+            if known:
+                rows = torch.nonzero(inside)[:, 0]
+                piece = self._chunked(flat[rows], self._step(step, effect, detail), shares)
+                piece = _put(piece, rows, len(flat))
+            else:
+                piece = self._shone(self._step(step, effect, detail), flat, shares)
+            part = weight * piece.flux
+            flux = flux + part
+            if shares and piece.shares is not None:
+                light = light + part[:, None] * piece.shares
         kept = light / torch.where(flux > 0, flux, 1.0)[:, None] if shares else None
         return Brightness(flux, kept, self.assembly.components)
 
-    def _step(self, step: int, effect: Effect, value: float, shares: bool) -> Tables:
-        detail = shares or self.assembly.needs_shares
+    def _step(self, step: int, effect: Effect, detail: bool) -> Tables:
+        """Tables at one of the values of the effect's parameter."""
         if (detail, step) not in self._steps:
-            with torch.no_grad():
+            with apart():
                 values = self.parameter_set.values(self.parameter_set.start())
-                name = effect.full_name(effect.quantities[0].name)
-                values[name] = torch.full_like(values[name], value)
+                quantity = effect.quantities[0]
+                name = effect.full_name(quantity.name)
+                values[name] = torch.full_like(values[name], quantity.high * step / effect.steps)
                 made = self.make_tables(self.view(values), detail, compact=True)
                 self._steps[detail, step] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
         return self._steps[detail, step]
@@ -488,9 +592,8 @@ class LightCurve(nn.Module):
     def _places(self, values: Mapping[str, Tensor], batch: int) -> View:
         """Clock to attitude; kept where no free parameter has a part in it."""
         a = self.assembly
-        moving = {self.names[column].partition(".")[0] for column in a.geometry_columns}
         several = any(effect.nodes > 1 for effect in a.stage("clock"))
-        late = moving <= {effect.name for effect in a.effects if effect.stage in LATE} and not several
+        late = LATE.issuperset(a.moving.values()) and not several
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
         context = a.context
@@ -540,35 +643,38 @@ class LightCurve(nn.Module):
         """The tables of a model whose geometry is fixed, made on first use; with ``detail`` wings stay
         apart."""
         if detail not in self._tables:
-            with torch.no_grad():
+            with apart():
                 values = self.parameter_set.values(self.parameter_set.start())
                 made = self.make_tables(self.view(values), detail, compact=True)
                 self._tables[detail] = replace(made, surfaces=tuple(map(self._condensed, made.surfaces)))
-        if self._values_asked > MANY_VALUES:
-            with torch.no_grad():
-                late = (self._condensed(one, math.inf) for one in self._tables[detail].surfaces)
-                self._tables[detail] = replace(self._tables[detail], surfaces=tuple(late))
         return self._tables[detail]
 
-    def _condensed(self, surface: Surface, most: float = SOON_CONDENSED) -> Surface:
+    def _condensed(self, surface: Surface) -> Surface:
         """A surface of many pairs a row with its lobe sums tabulated over the exponent, where nothing
         reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
-        shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
-        reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
-        if not MOST_SLOTS < pairs < most / self.assembly.T or not shared or reshaped:
-            return surface
-        if not self.names or not hasattr(surface.model, "condense"):
+        if pairs <= MOST_SLOTS or not self._condensable(surface.material):
             return surface
         return replace(surface, table=surface.model.condense(table))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def _condensable(self, material: str) -> bool:
+        """Whether there is something to fit, and the material's lobe has one exponent, its own shape and a table."""
+        shared = f"{material}.n" in (*self.names, *self.parameter_set.fixed)
+        reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
+        return (
+            bool(self.names)
+            and shared
+            and not reshaped
+            and hasattr(self.assembly.models[material], "condense")
+        )
 
     def make_tables(self, view: View, detail: bool, *, compact: bool) -> Tables:
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
         allow."""
         a = self.assembly
         scatter = tuple((effect, effect.scatter(view, a.context)) for effect in a.stage("scatter"))
-        still = {} if compact or transformed() or not self._gridded else self._still_surfaces(detail)
+        still = {} if compact or not self._gridded else self._still_surfaces(detail)
         found = [
             still[key] if key in still else _surface(key, one, patches, compact)
             for key, one, patches in _sorted_patches(view, detail)
@@ -582,7 +688,7 @@ class LightCurve(nn.Module):
         """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
         of theta have in common."""
         if detail not in self._still:
-            with torch.no_grad():
+            with apart():
                 theta = self.parameter_set.start()
                 alone = self.view(self.parameter_set.values(theta))
                 both = self.view(self.parameter_set.values(theta.expand(2, -1)), 2)
@@ -700,10 +806,23 @@ def _surface(key: Key, view: View, patches: Sequence[Patch], compact: bool) -> S
     if table is None:
         return None
     component, material, sunlit, scale = key
+    return Surface(component, material, patches[0].model, table, _phase_angle(view), sunlit, scale)
+
+
+def _phase_angle(view: View) -> Tensor:
+    """Phase angle (T,) at mid-exposure, rad, or (B, T) where it differs within a batch."""
     phase = view.apart(torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2)
     middle = phase[phase.shape[0] // 2]
-    phase_angle = 2 * torch.acos((middle[0] if len(middle) == 1 else middle).clamp(max=1 - 1e-15))
-    return Surface(component, material, patches[0].model, table, phase_angle, sunlit, scale)
+    return 2 * torch.acos((middle[0] if len(middle) == 1 else middle).clamp(max=1 - 1e-15))
+
+
+def _put(piece: Brightness, rows: Tensor, batch: int) -> Brightness:
+    """Light of some rows of theta among those of all (B, ...), 0 elsewhere."""
+    flux = piece.flux.new_zeros(batch, *piece.flux.shape[1:]).index_copy(0, rows, piece.flux)
+    if piece.shares is None:
+        return replace(piece, flux=flux)
+    shares = piece.shares.new_zeros(batch, *piece.shares.shape[1:]).index_copy(0, rows, piece.shares)
+    return replace(piece, flux=flux, shares=shares)
 
 
 def _by_value(view: View, record: Record) -> Record:

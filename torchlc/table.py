@@ -15,7 +15,7 @@ from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.effects.base import Light, Patch, View
-from torchlc.tracing import transformed
+from torchlc.tracing import followed, transformed
 from torchlc.vectors import dot
 
 PAIRS_PER_CHUNK = 200_000
@@ -111,18 +111,22 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...]:
 
 def _sides(patches: Sequence[Patch], primary: bool) -> list[Sides]:
     """The facets of some patches, those of one plane or of opposite ones together: never two such are lit and
-    seen at once, and but for the weight they are alike."""
+    seen at once, and but for the weight they are alike.
+
+    Facets that a free number turns stay apart: they may lie in one plane now and have different slopes.
+    """
     groups: dict[int, list[Patch]] = {}
     found: list[Sides] = []
     for patch in patches:
-        if transformed() or patch.normal.ndim > 2:
+        turned = followed(patch.normal) or followed(patch.u)
+        if turned or transformed() or patch.normal.ndim > 2:
             found.append(Sides(patch.pose, patch.normal, patch.u, _cover(patch, primary), None))
         else:
             groups.setdefault(id(patch.pose), []).append(patch)
     for alike in groups.values():
         normal, ahead = _signed(torch.cat([patch.normal for patch in alike]))
         u, _ = _signed(torch.cat([patch.u for patch in alike]))
-        planes, member = torch.unique(torch.cat([normal, u], 1).detach(), dim=0, return_inverse=True)
+        planes, member = torch.unique(torch.cat([normal, u], 1), dim=0, return_inverse=True)
         covers = [_cover(patch, primary) for patch in alike]
         rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
         cover = torch.cat([one.expand(*rows, -1) for one in covers], -1)
@@ -163,7 +167,7 @@ def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
     front = _by_plane(view, sides.front)
     if sides.back is None:
         cover = front * (torch.minimum(cos_i, cos_r) > 0)
-    elif torch.equal(sides.front, sides.back):
+    elif not _sloped(sides) and torch.equal(sides.front, sides.back):
         cover = front * (cos_i * cos_r > 0)
     else:
         turned = front * (cos_i > 0) + _by_plane(view, sides.back) * (cos_i < 0)
@@ -174,6 +178,11 @@ def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
     if source.shape[1] * source.shape[2] > 1:  # else what all planes share stays as it is
         columns = torch.broadcast_tensors(*columns)
     return tuple(column.flatten(0, 2) for column in columns)
+
+
+def _sloped(sides: Sides) -> bool:
+    """Whether a free number changes what the two sides count, which may differ in slope where they are equal."""
+    return any(cover is not None and followed(cover) for cover in (sides.front, sides.back))
 
 
 def _facing(normal: Tensor, direction: Tensor) -> Tensor:

@@ -370,6 +370,11 @@ class Effect:
         """Whether a scene without a list of effects has it, if these data can carry it."""
         return self.known
 
+    def jumps(self, context: Context) -> str | None:
+        """What of it jumps where the geometry moves steadily, as a plural: its slope is that of a step, 0, and not
+        the true one; None if nothing does."""
+        return None
+
     def prepared(self, context: Context) -> Effect:
         """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
         ``nodes`` they need."""

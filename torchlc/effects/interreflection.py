@@ -38,6 +38,9 @@ class Interreflection(Effect):
     def missing(self, context):
         return None if facing_sides(context) else self.unable
 
+    def jumps(self, context):
+        return "shadows on second bounces"
+
     def scatter(self, view, context):
         rows = view.to_observer.shape[1]
         size = rows if traced() else ROWS_AT_ONCE

@@ -23,6 +23,10 @@ class SelfShadowing(Effect):
     stage = "surface"
     known = True
 
+    def jumps(self, context):
+        traced = [part.name for part in context.parts if part.hull is None]
+        return f"shadows on an object with {', '.join(traced)}, which rays trace," if traced else None
+
     def surface(self, patches, view, p, context):
         poses = [pose for pose in view.poses if pose is not None]
         rows = torch.broadcast_shapes(

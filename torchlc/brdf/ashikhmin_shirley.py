@@ -33,6 +33,9 @@ SORTED_FROM = 64
 STEPS_BETWEEN = 4
 GRID_STEPS = math.ceil(math.log1p(1e6) / GRID_STEP)
 """Of the grid in log(1 + n) on which condensed tables stand, up to n = 1e6."""
+FINER = 4
+"""Steps for one where a source has an extent: the slope in log(1 + n) jumps by as much as 1 at the exponent at which
+the extent stops a pair's lobe from narrowing, which costs a 16th of a step."""
 
 
 class AshikhminShirley(Brdf):
@@ -72,9 +75,10 @@ class AshikhminShirley(Brdf):
     @staticmethod
     def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The sums over K of an isotropic lobe as functions of log(1 + n), for cubic Hermite interpolation of
-        their logarithms (relative error 1e-7 per unit of n log(n.h)): a call then costs the same however many
-        facets, instants or lights there are. ``lobes`` (2 G, 2 T) has a row for the values and one for the
-        slopes at each of G exponents; the normal sums of all T and then the grazing ones.
+        their logarithms (relative error 1e-7 per unit of n log(n.h), 1.5e-3 where a source has an extent): a call
+        then costs the same however many facets, instants or lights there are. ``lobes`` (2 G, 2 T) has a row for
+        the values and one for the slopes at each of G exponents; the normal sums of all T and then the grazing
+        ones.
         """
         columns = range(0, table["diffuse"].shape[-1], COLUMNS_AT_ONCE)
         cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
@@ -130,21 +134,32 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     spread = table.get("spread")
     most = torch.full_like(log_half[:1], math.inf) if spread is None else 1 / spread.clamp(min=1e-12)
     widest = torch.addcmul(torch.log1p(most), most, log_half) if spread is not None else log_half
-    depth = torch.where(
-        idle, DEEP, log_half - torch.where(idle, -math.inf, log_half).amax(0).clamp(min=-1e300)
-    )
-    logs, slopes = [], []
-    for step, x in enumerate(
-        torch.arange(GRID_STEPS + 1, dtype=light.dtype, device=light.device) * GRID_STEP
-    ):
+    # a lobe that an extent keeps wide may outlast narrower ones nearer to their glint: it is left out by what is left of
+    # the brightest in the end
+    last = 1.0 if spread is None else most.clamp(max=1e6)
+    depth = torch.where(idle, -math.inf, last * log_half)
+    brightest = depth.amax(0).clamp(min=-1e300)
+    finer = 1 if spread is None else FINER
+    grid = torch.arange(finer * GRID_STEPS + 1, dtype=light.dtype, device=light.device) * (GRID_STEP / finer)
+    first_jump = float(torch.log1p(torch.where(idle, math.inf, most).min()))
+    smooth = finer * math.floor(min(first_jump / GRID_STEP, GRID_STEPS))
+    logs, slopes, steady = [], [], False
+    for step, x in enumerate(grid):
         n = torch.expm1(x)
-        if logs and bool(((n > most) | idle).all()):
+        if steady:
             logs.append(logs[-1])
             slopes.append(torch.zeros_like(logs[-1]))
             continue
-        if step % STEPS_BETWEEN == 0 and len(log_half) >= SORTED_FROM:
-            kept = max(1, int((torch.minimum(n, most) * depth > DEEP).any(1).sum()))
-            log_half, light, depth, idle = log_half[:kept], light[:, :kept], depth[:kept], idle[:kept]
+        if step % finer and step < smooth:
+            continue  # as good from its neighbours
+        if step % (finer * STEPS_BETWEEN) == 0 and len(log_half) >= SORTED_FROM:
+            depth = (
+                n * (log_half - brightest)
+                if spread is None
+                else torch.minimum(n, most) * log_half - brightest
+            )
+            kept = 1 + int(((depth > DEEP) & ~idle).any(1).nonzero().amax()) if not bool(idle.all()) else 1
+            log_half, light, idle = log_half[:kept], light[:, :kept], idle[:kept]
             if spread is not None:
                 most, widest = most[:kept], widest[:kept]
         exponent = torch.addcmul(x, n, log_half)
@@ -158,13 +173,31 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
         safe = torch.where(dark, 1.0, total)
         logs.append(torch.where(dark, -600.0, torch.log(safe)))
         slopes.append(torch.where(dark, 0.0, (shone * turning).sum(-2) / safe) * GRID_STEP)
-    return torch.stack([torch.stack(logs), torch.stack(slopes)], 1)
+        steady = bool(((n > most) | idle).all())
+    values, slopes = torch.stack(logs), torch.stack(slopes)
+    if finer > 1:
+        coarse = smooth // finer
+        between = _between(values[: coarse + 1], slopes[: coarse + 1])
+        values, slopes = torch.cat([between[0], values[coarse:]]), torch.cat([between[1], slopes[coarse:]])
+    return torch.stack([values, slopes / finer], 1)
+
+
+def _between(values: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """Values and slopes per whole step (N, 2, T) also at FINER - 1 places after each node but the last, by cubics:
+    ((N - 1) FINER, 2, T)."""
+    t = (torch.arange(FINER, dtype=values.dtype, device=values.device) / FINER).reshape(-1, 1, 1)
+    low, high, first, last = (one[:, None] for one in (values[:-1], values[1:], slopes[:-1], slopes[1:]))
+    step = t * t * (3 - 2 * t)
+    value = low + (high - low) * step + first * t * (1 - t) ** 2 + last * t * t * (t - 1)
+    slope = 6 * t * (1 - t) * (high - low) + first * (1 - t) * (1 - 3 * t) + last * t * (3 * t - 2)
+    return value.flatten(0, 1), slope.flatten(0, 1)
 
 
 def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor]:
     """The two lobe sums (..., T) of a condensed table at exponents n (...)."""
-    place = torch.log1p(n) / GRID_STEP
-    cell = place.detach().floor().clamp(0, GRID_STEPS - 1)
+    steps = table["lobes"].shape[0] // 2 - 1
+    place = torch.log1p(n) * (steps / (GRID_STEPS * GRID_STEP))
+    cell = place.detach().floor().clamp(0, steps - 1)
     t = place - cell
     h01 = t * t * (3 - 2 * t)
     weight = torch.stack([1 - h01, t * (1 - t) ** 2, h01, t * t * (t - 1)], -1)

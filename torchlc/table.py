@@ -248,12 +248,14 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
                 several = _about(view, patch, light, rows)
             else:
                 projections = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
-                several = [(*projections, _weight(view, patch, light, *projections[:2], rows))]
-            for *projections, given in several:
-                shape = projections[0].shape
+                cos_i, cos_r = projections[:2]
+                several = [(*projections, _weight(view, patch, light, cos_i, cos_r, rows))]
+            for cos_i, cos_r, along_u, along_v, square, given in several:
+                shape = cos_i.shape
                 weight = _by_row(given, shape)
                 lit = weight.nonzero()[:, 0]
-                angles = projected(*(_by_row(one, shape)[lit] for one in projections))
+                asked = (cos_i, cos_r, along_u, along_v, square)
+                angles = projected(*(_by_row(one, shape)[lit] for one in asked))
                 spread = []
                 if light.spread is not None:
                     spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
@@ -301,10 +303,10 @@ def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Te
     if visible is not None:
         share = visible[:, rows].mT.expand(*points.facet.shape[:2], -1, -1)
         weight = weight * share_near(points.apart2, surface.bump) * share.gather(2, points.facet)
-        projections = _projections(patch, source, observer)
+        cos_i, cos_r, *bisector = _projections(patch, source, observer)
         nearest = surface.nearest(source + observer)
         far = 1 - share_near(2 * (1 - (nearest @ patch.normal.mT).mT), surface.bump)
-        found.append((*projections, far * _weight(view, patch, light, *projections[:2], rows)))
+        found.append((cos_i, cos_r, *bisector, far * _weight(view, patch, light, cos_i, cos_r, rows)))
     return [(points.cos_i, points.cos_r, points.along_u, points.along_v, square, weight), *found]
 
 

@@ -26,8 +26,9 @@ from torchlc.vectors import dot
 
 NEAREST = 1e-3
 """Angle, rad, within which points are evenly spread: the width of the sharpest lobe, 1/sqrt(1e6)."""
-ONCE, TWICE = 16, 16
-"""Points on each side of h, along the arc of a surface curved about one axis, and along each of two arcs."""
+ONCE, FLARED, TWICE = 16, 22, 16
+"""Points on each side of h: along the arc of a cylinder, of a cone, which may be all of a turn, and along each of the two
+arcs of a surface curved about two axes."""
 NEAR_KINK = 0.15
 AFTER = 8
 """Points beyond the azimuth at which n.s = n.o, where laws that take the smaller of the two have a kink."""
@@ -85,7 +86,7 @@ class Band:
 
     @staticmethod
     def points_of(flared: bool) -> int:
-        return 2 * ONCE + AFTER + BEHIND * flared
+        return 2 * (FLARED if flared else ONCE) + AFTER + BEHIND * flared
 
     @property
     def bump(self) -> float:
@@ -120,7 +121,14 @@ class Band:
             torch.maximum(middle - half, other - other_half),
             torch.minimum(middle + half, other + other_half),
         )
-        arcs = [graded(low, high, ONCE, kink=self._as_bright(x, y, sun, observer, low, high))]
+        arcs = [
+            graded(
+                low,
+                high,
+                FLARED if self.flared else ONCE,
+                kink=self._as_bright(x, y, sun, observer, low, high),
+            )
+        ]
         if self.flared:  # two arcs of more than half a turn overlap at both ends
             other = other + torch.where(other >= middle, -2 * math.pi, 2 * math.pi)
             low, high = (
@@ -129,14 +137,15 @@ class Band:
             )
             arcs.append(evenly(low, high, BEHIND))
         offset, width = (torch.cat(one, -1) for one in zip(*arcs, strict=True))
-        cosines = [
+        cos_i, cos_r = (
             size[..., None] * torch.cos(offset - azimuth[..., None]) + rise[..., None]
             for azimuth, size, rise in sides
-        ]
+        )
         azimuth = (torch.atan2(y, x)[..., None] + offset).detach() / (2 * math.pi) * self.facets
         level = level[..., None]
         return Points(
-            *cosines,
+            cos_i,
+            cos_r,
             self.level * bisector[2][..., None] - self.rise * level * torch.cos(offset),
             level * torch.sin(offset),
             self.area * width / (2 * math.pi),

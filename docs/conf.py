@@ -13,7 +13,7 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnose import evidence, families, gate, refit, run, search, where
+from torchlc.diagnose import evidence, families, gate, run, search, where
 from torchlc.effects import registry
 from torchlc.listing import effects_listing
 
@@ -32,7 +32,6 @@ myst_substitutions = {
     "evidence_gain": f"{search.EVIDENCE_GAIN:g}",
     "excess_share": f"{100 * search.EXCESS_SHARE:g} %",
     "left_share": f"{100 * search.LEFT_SHARE:g} %",
-    "many_pairs": refit.MANY_PAIRS,
     "heldout_gain": f"{search.HELDOUT_GAIN:g}",
     "longest_tau": f"{evidence.LONGEST_TAU_MIN:g}",
     "most_effects": search.MOST_EFFECTS,

@@ -14,14 +14,11 @@ import numpy as np
 import pytest
 import torch
 
-import torchlc
-from tests.bad_input_cases import STATION, TLE
 from torchlc.assemble import assemble
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.gate import Battery, gate, log_tail, runs
 from torchlc.diagnose.plan import next_nights
 from torchlc.diagnose.refit import (
-    MANY_PAIRS,
     Hypothesis,
     Workbench,
     gaussian_prior,
@@ -29,7 +26,7 @@ from torchlc.diagnose.refit import (
     refit,
     values_of,
 )
-from torchlc.diagnose.run import Start, diagnose
+from torchlc.diagnose.run import diagnose
 from torchlc.diagnose.search import Found, candidate_entries, judged, released, stuck, unaided
 from torchlc.effects.base import Entry
 from torchlc.fit import find_modes, polish
@@ -396,71 +393,3 @@ def test_runs_of_a_mask() -> None:
 )
 def test_entries_read_as_they_are_written(text: str) -> None:
     assert str(Entry.parse(text)) == text
-
-
-ROCKET = f"""
-format = "torchlc-scene/1"
-name = "rocket body"
-
-[orbit]
-{TLE}{STATION}
-[attitude]
-mode = "inertial"
-spin_axis = [0.8, 0.6, -0.1]
-spin_rate = 7.3
-[[components]]
-name = "stage"
-shape = "cylinder"
-radius = 1.4
-length = 6.3
-axis = [0, 0, 1]
-centre = [0, 0, 0]
-material = "paint"
-[materials.paint]
-model = "ashikhmin-shirley"
-n = {{ value = 100.0, low = 1.0, high = 1e6, prior = "loguniform" }}
-r_spec = {{ value = 0.3, low = 0.0, high = 1.0 }}
-r_diff = {{ value = 0.3, low = 0.0, high = 1.0 }}
-[model]
-effects = ["exposure_smearing", "finite_sun"]
-"""
-
-
-@pytest.fixture(scope="module")
-def rocket(tmp_path_factory):
-    """Start of a diagnosis by the sharpness of the paint: 25 rows with exposures of a tumbling rocket body."""
-    folder = tmp_path_factory.mktemp("rocket")
-
-    def start(n: float) -> Start:
-        truth, scene = folder / "truth.toml", folder / "scene.toml"
-        truth.write_text(
-            ROCKET.replace("n = { value = 100.0", f"n = {{ value = {n}").replace('"exposure_smearing", ', "")
-        )
-        scene.write_text(ROCKET)
-        curve = torchlc.simulate(
-            truth, start="2020-10-17T15:00:00", hours=2.0, cadence=300.0, noise=0.02, seed=4
-        )
-        curve.write(folder / "recording.ecsv")
-        read, recording = torchlc.load(scene, folder / "recording.ecsv")
-        return Start(read, replace(recording, exptime=np.full(len(recording), 0.5)), 0)
-
-    return start
-
-
-def test_a_curved_body_with_blunt_lobes_is_cut_coarser_and_shines_the_same(rocket) -> None:
-    full = rocket(30.0)
-    coarse = full.coarser()
-    assert coarse is not None
-    assert coarse.bench.base.pairs < 0.3 * full.bench.base.pairs
-    at = linearised(coarse.likelihood, Hypothesis(), coarse.modes[0].theta)
-    assert full.agrees(at)
-    assert abs(coarse.modes[0].objective - full.modes[0].objective) < 0.1
-    sharp = at.theta.clone()
-    sharp[at.names.index("paint.n")] = 2e4  # each facet of the coarse body glints alone
-    assert not full.agrees(linearised(coarse.likelihood, Hypothesis(), sharp))
-
-
-def test_a_curved_body_with_sharp_lobes_keeps_its_facets(rocket) -> None:
-    full = rocket(4000.0)
-    assert full.bench.base.pairs > MANY_PAIRS * full.bench.base.T
-    assert full.coarser() is None

@@ -26,9 +26,13 @@ def component(name, shape, **keys):
     return SimpleNamespace(name=name, shape=shape, **(blank | keys))
 
 
+def shape_scene(*components, directory="."):
+    return SimpleNamespace(components=list(components), directory=Path(directory), source="scene.toml")
+
+
 def shape_of(*components, n=100.0, directory="."):
-    scene = SimpleNamespace(components=list(components), directory=Path(directory), source="scene.toml")
-    return Shape(scene, {"m": n})
+    """The shape of a material whose lobe, up to an exponent n, may be wider along u than along v."""
+    return Shape(shape_scene(*components, directory=directory), {"m": n})
 
 
 def sizes(*components):
@@ -138,16 +142,18 @@ def test_cylinder_side_follows_the_lambert_law(psi):
     assert abs(found - expected) < (2 * math.pi / 72) ** 2 / 12 * factor * math.pi
 
 
-def test_facets_are_never_fewer_than_the_lobe_needs():
-    for n, least in [(0.0, 64), (1e2, 64), (1e4, 629)]:
-        cylinder = shape_of(CYLINDER, n=n).parts[0]
-        assert cylinder.faces.count("side") >= least
-    assert (
-        shape_of(component("c", "cylinder", radius=1, length=1, facets=500)).parts[0].faces.count("side")
-        >= 500
-    )
-    capped = shape_of(CYLINDER, n=1e6)
-    assert "6284 facets around are wanted" in capped.warnings[0]
+def test_facets_follow_the_scene_and_an_uneven_lobe():
+    """A cylinder's are 64 or more whatever its lobe, and as many as the scene asks for; a sphere's 2 pi sqrt(n) where
+    the lobe is wider one way than the other."""
+    for n in (0.0, 1e2, 1e6):
+        assert shape_of(CYLINDER, n=n).parts[0].faces.count("side") == 72
+    finer = component("c", "cylinder", radius=1, length=1, facets=500)
+    assert shape_of(finer).parts[0].faces.count("side") >= 500
+    uneven, even = shape_of(SPHERE, n=1e4), Shape(shape_scene(SPHERE), {})
+    assert len(uneven.parts[0].faces) > 512**2 / math.pi
+    assert "629 facets around are wanted, 512 are used" in uneven.warnings[0]
+    assert len(even.parts[0].faces) < 1500
+    assert even.warnings == []
 
 
 def test_neighbouring_normals_of_a_sphere_are_closer_than_the_lobe_is_wide():

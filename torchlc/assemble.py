@@ -23,12 +23,12 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
-from torchlc.shape import Facets, Shape
+from torchlc.shape import Facets, Part, Shape
 from torchlc.spelling import did_you_mean
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
-"""Smooth shapes are cut finely enough for exponents up to here, or up to a smaller upper bound."""
+"""Lobes are expected to be as sharp as this, or as a smaller upper bound of the exponent."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
 COMPONENT_SIZES = (
@@ -81,10 +81,22 @@ class Assembly:
 
     @cached_property
     def pairs(self) -> int:
-        """Facet-row pairs of one evaluation, with the instants and lights that the effects bring; sizes the
+        """Pairs of facet, or of a point on a curved surface, and row of one evaluation, with the instants and lights that the effects bring; sizes the
         batches."""
-        facets = sum(len(part.faces) for part in self.shape.parts)
-        return facets * self.T * max(1, math.prod(effect.nodes for effect in self.effects))
+        surfaces = sum(self._slots(part) for part in self.shape.parts)
+        return surfaces * self.T * max(1, math.prod(effect.nodes for effect in self.effects))
+
+    def _slots(self, part: Part) -> int:
+        """Facets and points at which light of a part is summed; where parts shadow each other also the facets of
+        curved surfaces."""
+        faces = dict.fromkeys(zip(part.faces, part.materials, strict=True))
+        whole = [
+            face for face, material in faces if face in part.whole and not self.models[material].additive
+        ]
+        points = sum(part.whole[face] for face in whole)
+        hidden = [face for face in whole if self.stage("surface") and part.whole[face] > 1]
+        apart = (face not in whole or face in hidden for face in part.faces)
+        return points + sum(apart)
 
     @property
     def traced_pairs(self) -> int:
@@ -92,14 +104,17 @@ class Assembly:
         return self.T * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
 
     @cached_property
-    def patches(self) -> list[list[tuple[str, Tensor]]]:
-        """For each part, the materials on it and the facets (indices) of each."""
+    def patches(self) -> list[list[tuple[str, str | None, Tensor]]]:
+        """For each part, the materials on it, each of its surfaces that is one whole by its label (else None), and the
+        facets (indices) of each."""
         found = []
         for part in self.shape.parts:
-            names = np.array(part.materials)
-            groups = dict.fromkeys(part.materials)
+            labels = [face if face in part.whole else None for face in part.faces]
+            groups: dict[tuple[str, str | None], list[int]] = {}
+            for index, key in enumerate(zip(part.materials, labels, strict=True)):
+                groups.setdefault(key, []).append(index)
             found.append(
-                [(m, torch.as_tensor(np.flatnonzero(names == m), device=self.device)) for m in groups]
+                [(*key, torch.as_tensor(index, device=self.device)) for key, index in groups.items()]
             )
         return found
 
@@ -191,19 +206,18 @@ def assemble(
     *,
     base: Assembly | None = None,
     pinned: Mapping[str, float] | None = None,
-    sharpest: float = RESOLVED_N,
 ) -> Assembly:
     """Bring scene and recording together under a list of effects (default: the scene's own).
 
     An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends
     its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
-    them. Smooth shapes are cut finely enough for exponents up to ``sharpest``.
+    them.
     """
     if base is None:
         track = make_track(scene, recording)
         attitude = Attitude(scene, recording)
-        lobes = _finest_lobes(scene, sharpest)
-        shape = Shape(scene, lobes)
+        lobes = _finest_lobes(scene)
+        shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}
@@ -243,7 +257,14 @@ def _is_material(model: type[Brdf], short: str) -> bool:
     return short in model.shared or any(quantity.name == short for quantity in model.quantities)
 
 
-def _finest_lobes(scene: Scene, sharpest: float) -> dict[str, float]:
+def _uneven(scene: Scene, material: str) -> bool:
+    """Whether a material's lobe may be wider along u than along v."""
+    given, shared = scene.materials[material].parameters, MODELS[scene.materials[material].model].shared
+    widths = [[given[name] for name in long] for short, long in shared.items() if short not in given]
+    return any(isinstance(one, SceneFree) or one != several[0] for several in widths for one in several)
+
+
+def _finest_lobes(scene: Scene) -> dict[str, float]:
     finest = {}
     for name, material in scene.materials.items():
         bounds = [1.0]
@@ -251,12 +272,12 @@ def _finest_lobes(scene: Scene, sharpest: float) -> dict[str, float]:
             if key in ("n", "n_u", "n_v"):
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
-                    bounds.append(min(top, max(sharpest, number.value)))
+                    bounds.append(min(top, max(RESOLVED_N, number.value)))
                 else:
                     bounds.append(number)
             elif key in ("alpha", "m"):
                 width = number.value if isinstance(number, SceneFree) else number
-                bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
+                bounds.append(min(2 / max(width, 1e-3) ** 2, RESOLVED_N))
         finest[name] = max(bounds)
     return finest
 

@@ -23,6 +23,7 @@ from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import angle_between
 from torchlc.parameters import Prior
+from torchlc.shape import Band, Dome
 
 COVERED = 0.5
 """Share of a flat prior that lies in the 90 % interval of a posterior that says nothing, or hardly more than
@@ -85,6 +86,12 @@ def glints(view: View) -> dict[str, Glint | None]:
         directions = (to_sun, to_observer, half)
         if patch.pose is not None:
             directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0], one) for one in directions)
+        if isinstance(patch.surface, Band | Dome):
+            least, row = _closest_on(patch.surface, *directions[:2])
+            best = found[patch.material]
+            if math.isfinite(least) and (best is None or least < best.degrees):
+                found[patch.material] = Glint(least, row)
+            continue
         for normal in patch.normal.split(size):
             cos_i, cos_r, _ = (one @ normal.T for one in directions)
             angle = torch.rad2deg(angle_between(directions[2][:, None], normal[None]))
@@ -94,6 +101,22 @@ def glints(view: View) -> dict[str, Glint | None]:
             if math.isfinite(least) and (best is None or least < best.degrees):
                 found[patch.material] = Glint(least, int(angle.min(1).values.argmin()))
     return found
+
+
+def _closest_on(surface: Band | Dome, to_sun: Tensor, to_observer: Tensor) -> tuple[float, int]:
+    """The smallest angle, deg, between the bisector and a lit and seen normal of a curved surface, of directions (T, 3), and
+    its row; inf if there is none."""
+    least, row = math.inf, 0
+    size = max(1, FACETS_AT_ONCE // Dome.count)
+    for start in range(0, len(to_sun), size):
+        cut = slice(start, start + size)
+        points = surface.points(to_sun[cut], to_observer[cut])
+        there = (torch.minimum(points.cos_i, points.cos_r) > 0) & (points.area > 0)
+        tilt = torch.atan2(torch.hypot(points.along_u, points.along_v), points.cos_i + points.cos_r)
+        angle = torch.rad2deg(torch.where(there, tilt, math.inf)).amin(-1)
+        if float(angle.min()) < least:
+            least, row = float(angle.min()), start + int(angle.argmin())
+    return least, row
 
 
 def material_shares(model: LightCurve, theta: Tensor) -> dict[str, float]:

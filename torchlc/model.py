@@ -577,9 +577,10 @@ class LightCurve(nn.Module):
                 pose=poses[number],
                 part=number,
                 select=index,
+                surface=None if face is None else part.surface(face, values),
             )
             for number, (part, one) in enumerate(zip(a.shape.parts, view.facets, strict=True))
-            for material, index in a.patches[number]
+            for material, face, index in a.patches[number]
         )
         lights = view.lights
         for effect in a.stage("light"):

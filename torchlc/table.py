@@ -7,7 +7,7 @@ Letters: L lights, Q instants, T rows, F facets, K pairs of one row.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.effects.base import Light, Patch, View
+from torchlc.shape.curved import Band, Dome, Plane, Points, share_near
 from torchlc.tracing import followed, transformed
 from torchlc.vectors import dot
 
@@ -39,11 +40,13 @@ def pair_table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[s
     without a lobe are summed over facets a few rows at a time, so that a mesh needs little memory.
     """
     model = patches[0].model
+    if not model.additive:
+        patches = [_as_one(patch) for patch in patches]
     if not compact:
         return _tabulated(model, _gridded(view, patches))
     instants = view.to_observer.shape[0]
     lights = sum(light.irradiance.shape[0] for light in view.lights)
-    facets = sum(len(patch.area) for patch in patches)
+    facets = sum(_slots(patch) for patch in patches)
     size = max(1, PAIRS_PER_CHUNK // (instants * lights * facets))
     rows = range(0, view.to_observer.shape[1], size)
     if model.additive:
@@ -52,6 +55,40 @@ def pair_table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[s
     pieces = [_packed(view, patches, slice(start, start + size)) for start in rows]
     columns = joined(pieces, EMPTY)
     return _tabulated(model, _deduplicated(columns)) if len(columns[-1]) else None
+
+
+def _as_one(patch: Patch) -> Patch:
+    """A patch whose facets are pieces of one plane as one facet."""
+    if not isinstance(patch.surface, Plane):
+        return patch
+    visible, seen = (
+        None
+        if share is None
+        else (patch.area * share).sum(-1, keepdim=True) / patch.area.sum(-1, keepdim=True)
+        for share in (patch.visible, patch.seen)
+    )
+    area = patch.area.sum(-1, keepdim=True)
+    normal, u = patch.normal[..., :1, :], patch.u[..., :1, :]
+    return replace(patch, normal=normal, u=u, area=area, visible=visible, seen=seen, surface=None)
+
+
+def _slots(patch: Patch) -> int:
+    """Pairs with each direction and instant that a patch may have."""
+    match patch.surface:
+        case Band(flared=flared):
+            points = Band.points_of(flared)
+        case Dome():
+            points = Dome.count
+        case _:
+            return len(patch.area)
+    return points + (0 if patch.visible is None and patch.seen is None else len(patch.area))
+
+
+def _falling(patch: Patch, light: Light) -> Light:
+    """A light from as many directions as a patch needs."""
+    if light.fewer is None or not isinstance(patch.surface, Band | Dome):
+        return light
+    return light.fewer[patch.surface.axes - 1]
 
 
 def _summed(view: View, patches: Sequence[Patch], rows: slice) -> dict[str, Tensor]:
@@ -93,8 +130,16 @@ class Sides:
 def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...]:
     """The fields of :class:`Incidence`, the least variance of the lobe if a source has an extent, and the
     weight of all pairs, whether lit or not: (K, T), or (B, K, T) where the values of a batch differ."""
-    found = [
-        _of_sides(view, light, sides) for light in view.lights for sides in _sides(patches, light.primary)
+    curved = [
+        patch for patch in patches if isinstance(patch.surface, Band | Dome) and not patch.model.additive
+    ]
+    flat = [patch for patch in patches if not any(patch is one for one in curved)]
+    found = [_of_sides(view, light, sides) for light in view.lights for sides in _sides(flat, light.primary)]
+    found += [
+        _of_points(view, _falling(patch, light), pairs)
+        for patch in curved
+        for light in view.lights
+        for pairs in _about(view, patch, _falling(patch, light), slice(None))
     ]
     if len(found) == 1:
         joint = found[0]
@@ -207,17 +252,24 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
     for patch in patches:
         pose = None if patch.pose is None else patch.pose[..., rows, :, :]
         observer = _into(pose, view.to_observer[:, rows])
-        for light in view.lights:
-            cos_i, cos_r, *bisector = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
-            shape = cos_i.shape
-            weight = _by_row(_weight(view, patch, light, cos_i, cos_r, rows), shape)
-            lit = weight.nonzero()[:, 0]
-            angles = projected(*(_by_row(one, shape)[lit] for one in (cos_i, cos_r, *bisector)))
-            spread = []
-            if light.spread is not None:
-                spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
-            row = lit // (len(weight) // shape[-1])
-            found.append((row, *vars(angles).values(), *spread, weight[lit]))
+        for light in (_falling(patch, one) for one in view.lights):
+            if isinstance(patch.surface, Band | Dome):
+                several = _about(view, patch, light, rows)
+            else:
+                projections = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
+                cos_i, cos_r = projections[:2]
+                several = [(*projections, _weight(view, patch, light, cos_i, cos_r, rows))]
+            for cos_i, cos_r, along_u, along_v, square, given in several:
+                shape = cos_i.shape
+                weight = _by_row(given, shape)
+                lit = weight.nonzero()[:, 0]
+                asked = (cos_i, cos_r, along_u, along_v, square)
+                angles = projected(*(_by_row(one, shape)[lit] for one in asked))
+                spread = []
+                if light.spread is not None:
+                    spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
+                row = lit // (len(weight) // shape[-1])
+                found.append((row, *vars(angles).values(), *spread, weight[lit]))
     row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
     return slotted(row, columns, view.range_m[:, rows].shape[1], EMPTY)
 
@@ -235,6 +287,45 @@ def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor
     v = torch.linalg.cross(patch.normal, patch.u)
     pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
     return *((one @ axis.mT).mT for one, axis in pairs), dot(bisector, bisector)[..., None, :]
+
+
+def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Tensor, ...]]:
+    """The projections of :func:`_projections` and the weight of a curved patch, (L, Q, K, T) each: of points that follow
+    Sun and observer, and where others may hide facets also of these, which then share the light with the points."""
+    surface = patch.surface
+    assert isinstance(surface, Band | Dome)
+    pose = None if patch.pose is None else patch.pose[..., rows, :, :]
+    source = _into(pose, light.direction[:, :, rows])
+    observer = _into(pose, view.to_observer[:, rows])
+    visible = patch.visible if light.primary else patch.seen
+    options = {"mirrored": visible is None} if isinstance(surface, Dome) else {}
+    points = surface.points(source, observer, **options)
+    points = Points(*(one.movedim(-1, -2) for one in vars(points).values()))
+    square = dot(source + observer, source + observer)[..., None, :]
+    gain = (
+        light.irradiance[..., rows]
+        * view.nodes.weight.expand(view.range_m.shape)[:, rows]
+        / view.range_m[:, rows] ** 2
+    )[:, :, None]
+    weight = gain * points.area * (torch.minimum(points.cos_i, points.cos_r) > 0)
+    found = []
+    if visible is not None:
+        share = visible[:, rows].mT.expand(*points.facet.shape[:2], -1, -1)
+        weight = weight * share_near(points.apart2, surface.bump) * share.gather(2, points.facet)
+        cos_i, cos_r, *bisector = _projections(patch, source, observer)
+        nearest = surface.nearest(source + observer)
+        far = 1 - share_near(2 * (1 - (nearest @ patch.normal.mT).mT), surface.bump)
+        found.append((cos_i, cos_r, *bisector, far * _weight(view, patch, light, cos_i, cos_r, rows)))
+    return [(points.cos_i, points.cos_r, points.along_u, points.along_v, square, weight), *found]
+
+
+def _of_points(view: View, light: Light, pairs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """The columns of :func:`_gridded` of pairs (L, Q, K, T) in one light, (L K instants, B or 1, T) each."""
+    cos_i, cos_r, along_u, along_v, square, weight = pairs
+    angles = projected(cos_i, cos_r, along_u, along_v, square)
+    spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
+    columns = torch.broadcast_tensors(*vars(angles).values(), *spread, weight)
+    return tuple(view.apart(one.transpose(1, 2), 2).flatten(0, 2) for one in columns)
 
 
 def slotted(row: Tensor, columns: Sequence[Tensor], rows: int, empty: Sequence[float]) -> tuple[Tensor, ...]:

@@ -62,9 +62,11 @@ def test_nothing_without_a_lobe_needs_a_disc(tmp_path):
     np.testing.assert_allclose(flux(scene, recording, ["finite_sun"]), flux(scene, recording), rtol=5e-5)
 
 
-def test_few_directions_do_for_a_cylinder(tmp_path):
-    """Against 600 points of the disc one by one, as bright as they are, for the sharpest lobe that its facets are cut for."""
-    scene = still(CYLINDER, material("white", 1e4, 0.5, 0.2))
+@pytest.mark.parametrize("n", [1e4, 1e5, 1e6])
+def test_few_directions_do_for_a_cylinder(tmp_path, n):
+    """Against 600 points of the disc one by one, as bright as they are; 0.3 % is the rule's own error, of places all over the
+    glint's line of which the first row is one."""
+    scene = still(CYLINDER, material("white", n, 0.5, 0.2))
     to_sun, to_observer = unit(np.random.default_rng(11).normal(size=(2, 6, 3)))
     to_sun[0], to_observer[0] = unit([1.0, 0.2, 0.3]), unit([1.0, -0.4, -0.31])  # beside the glint's line
     found = flux(scene, seen_from(scene, tmp_path, to_sun, to_observer), ["finite_sun"])
@@ -76,4 +78,4 @@ def test_few_directions_do_for_a_cylinder(tmp_path):
         folder.mkdir()
         single = flux(scene, seen_from(scene, folder, points, np.tile(observer, (len(points), 1))))
         expected.append(float(weight @ np.asarray(single)))
-    np.testing.assert_allclose(np.asarray(found), expected, rtol=2e-3)
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=3e-3)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.assemble import RESOLVED_N, assemble
+from torchlc.assemble import assemble
 from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
@@ -17,7 +17,7 @@ from torchlc.diagnose.gate import Battery, Gate, gate
 from torchlc.diagnose.laws import under_other_laws
 from torchlc.diagnose.plan import Option, next_nights, sentence
 from torchlc.diagnose.probes import Probe, probe
-from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised, many_pairs
+from torchlc.diagnose.refit import Hypothesis, Refit, Workbench, linearised
 from torchlc.diagnose.result import Diagnosis
 from torchlc.diagnose.search import (
     EVIDENCE_GAIN,
@@ -57,9 +57,6 @@ SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain 
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 MOST_MODES = 3
-BLUNTER = 10.0
-LEAST_SHARP = 300.0
-"""Where facets are very many, smooth shapes are cut for exponents so many times those found, or for this one."""
 
 
 def diagnose(
@@ -81,10 +78,7 @@ def diagnose(
         if name not in registry():
             raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
     own = Start(scene, recording, seed)
-    coarse = own.coarser()
-    found = _under_one_law(coarse or own, quick=quick, effects=effects, progress=progress)
-    if coarse is not None and not own.agrees(found.final.refit):
-        found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
+    found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
     if quick or not _left_over(found):
         return found
     others = {law: Start(other, recording, seed) for law, other in under_other_laws(scene).items()}
@@ -122,40 +116,14 @@ def _left_over(found: Diagnosis) -> bool:
 
 
 class Start:
-    """A scene, a recording and the minima of the scene's own model, from which a diagnosis begins; smooth shapes cut
-    for exponents up to ``sharpest``."""
+    """A scene, a recording and the minima of the scene's own model, from which a diagnosis begins."""
 
-    def __init__(
-        self, scene: Scene, recording: Recording, seed: int, *, sharpest: float = RESOLVED_N
-    ) -> None:
+    def __init__(self, scene: Scene, recording: Recording, seed: int) -> None:
         self.began = time.monotonic()
         self.scene, self.recording, self.seed = scene, recording, seed
-        self.bench = Workbench(assemble(scene, recording, sharpest=sharpest), seed)
+        self.bench = Workbench(assemble(scene, recording), seed)
         self.likelihood = self.bench.likelihood(Hypothesis())
         self.modes, _, _ = find_modes(self.likelihood, starts=BASELINE_STARTS, adam_steps=60, seed=seed)
-
-    def coarser(self) -> Start | None:
-        """The same, smooth shapes cut for lobes that are sharper than those found by BLUNTER alone; None where facets
-        are few, or the lobes too sharp for it to make a difference."""
-        model = self.likelihood.model
-        names = model.parameter_set.names
-        columns = [k for k, name in enumerate(names) if name.rpartition(".")[2] in ("n", "n_u", "n_v")]
-        if not many_pairs(model) or not columns:
-            return None
-        found = max(float(mode.theta[columns].max()) for mode in self.modes[:MOST_MODES])
-        sharpest = max(BLUNTER * found, LEAST_SHARP)
-        if sharpest > RESOLVED_N / BLUNTER:
-            return None
-        coarse = Start(self.scene, self.recording, self.seed, sharpest=sharpest)
-        coarse.began = self.began
-        return coarse
-
-    def agrees(self, at: Refit) -> bool:
-        """Whether this start's shapes leave the residuals of a refit that was made with others: in all of them
-        together, less than one standard deviation of one."""
-        with torch.no_grad():
-            delta = self.bench.likelihood(at.hypothesis).residuals(at.theta[None]).delta[0]
-        return float(((delta - at.delta) / at.sigma).norm()) < 1.0
 
 
 def _under_one_law(

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from torchlc.attitude import Attitude
     from torchlc.orbit import State, Track
     from torchlc.shape import Facets, Part, Shape
+    from torchlc.shape import Surface as SurfaceShape
 
 Parameters = Mapping[str, Tensor]
 STAGES = (
@@ -78,7 +79,8 @@ class Light:
 
     ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a
     source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice
-    of points. ``scale`` names a parameter that multiplies it.
+    of points. ``scale`` names a parameter that multiplies it. ``fewer`` is the same light from fewer directions, as many as a
+    surface needs that is curved about one axis, and about two, whose normals spread it themselves.
     """
 
     direction: Tensor
@@ -86,6 +88,7 @@ class Light:
     primary: bool = True
     spread: Tensor | None = None
     scale: str | None = None
+    fewer: tuple[Light, Light] | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,8 @@ class Patch:
     ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest, with an axis B before if they differ
     within a batch; ``pose`` (Q, T, 3, 3) turns them into
     the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
-    seen, ``seen`` (Q, T, F) that is seen (None: 1).
+    seen, ``seen`` (Q, T, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
+    of, if they are.
     """
 
     component: str
@@ -110,6 +114,7 @@ class Patch:
     seen: Tensor | None = None
     part: int | None = None
     select: Tensor | None = None
+    surface: SurfaceShape | None = None
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,9 @@ LIMB_DARKENING = 0.6
 SPOKES = (5, 8, 10, 12)
 """Points of each ring, from the innermost."""
 FEW_SPOKES = (5,)
-"""For shapes of many facets, which are cut for lobes of n up to 1e4."""
+"""For meshes of many facets, and surfaces curved about two axes, which spread the disc themselves."""
+CURVED_ONCE_SPOKES = (5, 8)
+"""For surfaces curved about one axis."""
 
 
 @functools.cache
@@ -72,9 +74,16 @@ class FiniteSun(Effect):
         return self
 
     def light(self, lights, view, p, context):
-        points, weights = disc_nodes(view.to_sun, self.spokes)
         radius = SUN_RADIUS_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)
-        return tuple(_spread(one, points, weights, radius) if one.primary else one for one in lights)
+
+        def discs(light):
+            once, twice, plain = (
+                _spread(light, *disc_nodes(view.to_sun, spokes), radius)
+                for spokes in (CURVED_ONCE_SPOKES, FEW_SPOKES, self.spokes)
+            )
+            return replace(plain, fewer=(once, twice))
+
+        return tuple(discs(one) if one.primary else one for one in lights)
 
 
 def _spread(light: Light, points: Tensor, weights: Tensor, radius: Tensor) -> Light:

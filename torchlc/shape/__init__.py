@@ -13,33 +13,35 @@ from typing import Any
 import numpy as np
 
 from torchlc.errors import InputError
+from torchlc.shape.curved import Band, Dome, Plane, Surface
 from torchlc.shape.flat import Box, Plate
 from torchlc.shape.mesh import Mesh
 from torchlc.shape.part import Facets, Hull, Part, unit
 from torchlc.shape.smooth import Cone, Cylinder, Dish, Sphere
 from torchlc.shape.tracking import ALONG_AXIS, tracking_pose
 
-__all__ = ["Facets", "Hull", "Part", "Shape", "tracking_pose"]
+__all__ = ["Band", "Dome", "Facets", "Hull", "Part", "Plane", "Shape", "Surface", "tracking_pose"]
 
 SMOOTH: dict[str, Any] = {"cylinder": Cylinder, "cone": Cone, "dish": Dish, "sphere": Sphere}
 MOST_FACETS = 1_000_000
 LEAST_AROUND = 64
 MOST_AROUND = {"cylinder": 4096, "cone": 4096, "dish": 512, "sphere": 512}
+CURVED_TWICE = ("dish", "sphere")
 
 
 class Shape:
     """All parts of a scene's object, in the order of its components.
 
-    ``lobe_n`` gives the largest lobe exponent expected of each material, which sets how finely smooth shapes
-    are cut.
+    ``uneven_n`` gives the largest lobe exponent expected of each material with a different width along u and v: a dish or
+    sphere of such a material shines facet by facet, and is cut as finely as the lobe asks for.
     """
 
-    def __init__(self, scene: Any, lobe_n: Mapping[str, float]) -> None:
+    def __init__(self, scene: Any, uneven_n: Mapping[str, float]) -> None:
         self.warnings: list[str] = []
         parts: list[Part] = []
         facets = 0
         for component in scene.components:
-            parts.append(self._part(component, scene, lobe_n))
+            parts.append(self._part(component, scene, uneven_n))
             facets += len(parts[-1].faces)
             if facets > MOST_FACETS:
                 place, found = f"component {component.name!r}", f"more than {MOST_FACETS:,} facets in all"
@@ -52,7 +54,7 @@ class Shape:
                 )
         self.parts: tuple[Part, ...] = tuple(parts)
 
-    def _part(self, component: Any, scene: Any, lobe_n: Mapping[str, float]) -> Part:
+    def _part(self, component: Any, scene: Any, uneven_n: Mapping[str, float]) -> Part:
         match component.shape:
             case "box":
                 part: Part = Box(component)
@@ -61,7 +63,9 @@ class Shape:
             case "mesh":
                 part = Mesh(component, scene.directory)
             case smooth:
-                part = SMOOTH[smooth](component, self._around(component, lobe_n))
+                part = SMOOTH[smooth](component, self._around(component, uneven_n))
+                if smooth in CURVED_TWICE and component.material in uneven_n:
+                    part.whole = {}
         if component.tracks is not None:
             axis = unit(component.tracks.axis)
             if np.linalg.norm(np.cross(axis, part.front)) < ALONG_AXIS:
@@ -75,17 +79,18 @@ class Shape:
         self.warnings += part.warnings
         return part
 
-    def _around(self, component: Any, lobe_n: Mapping[str, float]) -> int:
-        """Facets around a smooth shape: what the lobe needs or the scene wants, if it can be done."""
+    def _around(self, component: Any, uneven_n: Mapping[str, float]) -> int:
+        """Facets around a smooth shape: what the scene wants, or an uneven lobe needs, if it can be done."""
+        n = uneven_n.get(component.material, 0.0) if component.shape in CURVED_TWICE else 0.0
         wanted = max(
             LEAST_AROUND,
-            math.ceil(2 * math.pi * math.sqrt(lobe_n.get(component.material, 0.0))),
+            math.ceil(2 * math.pi * math.sqrt(n)),
             getattr(component, "facets", None) or 0,
         )
         most = MOST_AROUND[component.shape]
         if wanted > most:
             self.warnings.append(
-                f"{component.name}: {wanted} facets around are wanted for its material, {most} are used; "
-                "narrow glints of it may come out as spikes"
+                f"{component.name}: {wanted} facets around are wanted, {most} are used"
+                + ("; narrow glints of it may come out as spikes" if n > 0 else "")
             )
         return min(wanted, most)

@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.shape.curved import Surface
+
 
 @dataclass(frozen=True)
 class Facets:
@@ -59,6 +61,8 @@ class Part(ABC):
     tracks_axis (3,): unit body axis about which it follows the Sun, or None. front (3,): what it turns to the
     Sun, at rest: a plate's normal, the axis of a shape that has one, a box's widest face, else its own +Z.
     hull: how it stands in the way of others if it is convex, else None (then visibility is traced by rays).
+    whole: labels of faces whose facets are pieces of one plane or of one curved surface, with the points at which its light
+    is summed.
     thin: it encloses nothing, and each facet has a twin that faces the other way.
     """
 
@@ -72,6 +76,7 @@ class Part(ABC):
         self.turn = turn_matrix([number(x) for x in component.rotation])
         self.faces: tuple[str, ...] = ()
         self.materials: tuple[str, ...] = ()
+        self.whole: Mapping[str, int] = {}
         self.warnings: list[str] = []
         self.tracks_axis: np.ndarray | None = None
         self.front = self.turn[:, 2]
@@ -95,6 +100,10 @@ class Part(ABC):
             area=rest.area,
             centroid=rest.centroid @ turn.mT + pivot,
         )
+
+    def surface(self, face: str, values: Mapping[str, Tensor]) -> Surface:
+        """What the facets of a label in `whole` are pieces of, in the body frame before any turn to the Sun."""
+        raise TypeError(f"{face} of a {self.kind} is no one surface")
 
     def sizes(self, values: Mapping[str, Tensor], *keys: str) -> list[Tensor]:
         return [values[f"{self.name}.{key}"] for key in keys]

@@ -1,9 +1,10 @@
-"""Smooth shapes, cut into facets: cylinder, cone, dish, sphere.
+"""Smooth shapes: cylinder, cone, dish, sphere.
 
-The normals of neighbouring facets are at most 2 pi/N apart, N at least 2 pi sqrt(n) of the lobe exponent n,
-so that a lobe, about 1/sqrt(n) rad wide, always covers several. Each facet has the area of the true surface
-it stands for and the true normal at its middle: areas are exact, and a smooth phase curve is a midpoint rule,
-off by less than (2 pi/N)^2/12 of its maximum: 8e-4 (0.9 mmag) at N = 64, 8e-6 at N = 628.
+A curved side shines at points that follow Sun and observer (:mod:`torchlc.shape.curved`), of lobes of any sharpness
+alike. It is also cut into facets, N of them a turn: of each what others hide of it is known, and laws without a
+lobe are summed over them. Each facet has the area of the true surface it stands for and the true normal at its
+middle: areas are exact, and a smooth phase curve is a midpoint rule, off by less than (2 pi/N)^2/12 of its maximum:
+8e-4 (0.9 mmag) at N = 64.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.shape.curved import Band, Dome, Plane, Surface
 from torchlc.shape.part import Facets, Hull, Part, frame_about, like, number, unit
 
 HULL_SIDES = 24  # sides of the prism that a cylinder or cone is when it stands in the way of others
@@ -43,10 +45,28 @@ class Cone(Part):
         caps = ["cap+"] * self._has_top + ["cap-"]
         self.faces = ("side",) * self._around + tuple(np.repeat(caps, HULL_SIDES // 2).tolist())
         self.materials = (component.material,) * len(self.faces)
+        flared = self.top_key != "radius"
+        self.whole = {
+            face: Band.points_of(flared) if face == "side" else 1 for face in dict.fromkeys(self.faces)
+        }
         ring = list(range(HULL_SIDES))
         after = [*ring[1:], 0]
         quads = [[a, b, b + HULL_SIDES, a + HULL_SIDES] for a, b in zip(ring, after, strict=True)]
         self.hull = Hull.of([*quads, ring[::-1], [k + HULL_SIDES for k in ring]])
+
+    def surface(self, face: str, values: Mapping[str, Tensor]) -> Surface:
+        if face != "side":
+            return Plane()
+        bottom, top, length = self.sizes(values, "radius", self.top_key, "length")
+        slant = torch.sqrt(length**2 + (bottom - top) ** 2)
+        return Band(
+            frame=like(self._frame @ self.turn.T, length),
+            level=length / slant,
+            rise=(bottom - top) / slant,
+            area=math.pi * (bottom + top) * slant,
+            facets=self._around,
+            flared=self.top_key != "radius",
+        )
 
     def _ring(self, count: int) -> np.ndarray:
         """Corners (count, 3) of a regular polygon about the axis with the girth of the unit circle."""
@@ -120,8 +140,10 @@ class Sphere(Part):
         super().__init__(component)
         bands = math.ceil(around / 2)
         self._patches = Patches.of(np.linspace(0.0, math.pi, bands + 1), lambda polar: around * np.sin(polar))
+        self._around = around
         self.faces = ("side",) * len(self._patches.polar)
         self.materials = (component.material,) * len(self.faces)
+        self.whole = dict.fromkeys(self.faces, Dome.count)
         corners, loops = icosphere(2)
         triangles = corners[loops]
         surface = (
@@ -152,6 +174,16 @@ class Sphere(Part):
             centroid=radius * normal,
         )
 
+    def surface(self, face: str, values: Mapping[str, Tensor]) -> Surface:
+        (radius,) = self.sizes(values, "radius")
+
+        def find(normal: list[Tensor]) -> Tensor:
+            x, y, z = normal
+            return self._patches.find(torch.atan2(torch.sqrt(x * x + y * y), z), torch.atan2(y, x))
+
+        frame = like(self.turn.T, radius)
+        return Dome(frame, None, radius**2, 0, self._around, find)
+
     def hull_corners(self, facets: Facets) -> Tensor:
         pivot = like(self.pivot, facets.centroid)
         radius = (facets.centroid[0] - pivot).norm()
@@ -176,9 +208,32 @@ class Dish(Part):
         bands = max(8, math.ceil(rim * around / (2 * math.pi)))
         reach = np.tan(np.linspace(0.0, rim, bands + 1)) / math.tan(rim)
         self._patches = Patches.of(reach, lambda fraction: around * fraction)
+        self._around = around
         count = len(self._patches.polar)
         self.faces = ("inside",) * count + ("outside",) * count
         self.materials = (component.material,) * (2 * count)
+        self.whole = dict.fromkeys(self.faces, Dome.count)
+
+    def surface(self, face: str, values: Mapping[str, Tensor]) -> Surface:
+        """On the paraboloid the normal leans from the axis by arctan(steep x) at the fraction x of the radius: to the
+        axis inside, and from it outside, where the opposite axis is the one it leans from."""
+        radius, depth = self.sizes(values, "radius", "depth")
+        steep = 2 * depth / radius
+        side = 1.0 if face == "inside" else -1.0
+
+        def find(normal: list[Tensor]) -> Tensor:
+            x, y, z = normal
+            fraction = torch.sqrt(x * x + y * y) / (steep.detach() * z.clamp(min=1e-3))
+            return self._patches.find(fraction, torch.atan2(-side * y, -side * x))
+
+        return Dome(
+            frame=like(np.array([[1.0], [1.0], [side]]) * (self._frame @ self.turn.T), radius),
+            rim=1 / torch.sqrt(1 + steep**2),
+            scale=(radius / steep) ** 2,
+            power=4,
+            around=self._around,
+            find=find,
+        )
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
         radius, depth = self.sizes(values, "radius", "depth")
@@ -234,6 +289,15 @@ class Patches:
             azimuth += list(2 * math.pi * (np.arange(count) + 0.5) / count)
             width += [2 * math.pi / count] * count
         return cls(np.array(edges), np.array(azimuth), np.array(width))
+
+    def find(self, coordinate: Tensor, azimuth: Tensor) -> Tensor:
+        """Which patch points (...) lie in; the outermost ring for a coordinate beyond it."""
+        starts, place = np.unique(self.edges[:, 0], return_index=True)
+        ring = torch.bucketize(coordinate, like(starts[1:], coordinate))
+        count = torch.as_tensor(np.diff([*place, len(self.polar)]), device=ring.device)[ring]
+        turn = azimuth / (2 * math.pi)
+        number = ((turn - turn.floor()) * count).long().clamp(max=count - 1)
+        return torch.as_tensor(place, device=ring.device)[ring] + number
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinate and azimuth (F, 4) of the corners, counter-clockwise about (coordinate, azimuth)."""

@@ -62,7 +62,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         effect.entry
         for effect in model.effects
         if effect.stage in GEOMETRY_STAGES
-        and effect.nodes == 1
+        and not effect.spans_exposure
         and effect.stage not in ("light", "surface", "scatter")
     ]
     bare = LightCurve(

@@ -21,6 +21,7 @@ from torchlc.assemble import COMPONENT_SIZES, Assembly, assemble
 from torchlc.effects.base import (
     GEOMETRY_STAGES,
     Brightness,
+    Columns,
     Effect,
     Light,
     Nodes,
@@ -63,6 +64,10 @@ costs as much as light at about as many of them."""
 MANY_VALUES = 60
 GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
+DARKEST = 1e-36
+"""Phi of the object's light below which there is none: one photon a square metre in some million years (the Sun sends
+4e21 in a second), 63 mag. What is left of a lobe far from its glint, 1e-260 say, is no brightness but the tail of a
+formula."""
 VALUES_AT_ONCE = 2**17
 """Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
 is in the cache when the next reads it, and memory does not grow with the batch."""
@@ -71,11 +76,12 @@ is in the cache when the next reads it, and memory does not grow with the batch.
 @dataclass(frozen=True)
 class Tables:
     """What the material stage needs: a surface per component and material, and effects that scatter further
-    light."""
+    light. ``columns`` says which rows and instants the tables hold side by side; None: the rows."""
 
     surfaces: tuple[Surface, ...]
     scatter: tuple[tuple[Effect, Scatter], ...]
     sky: Sky
+    columns: Columns | None = None
 
 
 Record = TypeVar("Record", State, Nodes)
@@ -348,11 +354,13 @@ class LightCurve(nn.Module):
         turn apart, by cubics through four of them; offsets beyond the outermost are taken there."""
         nodes, step = self._clock_nodes(shares or self.assembly.needs_shares)
         half = NODES // 2
-        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / step
-        place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
+        columns = nodes[0].columns
+        row = torch.arange(self.assembly.T) if columns is None else columns.row
+        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s", row) / step
+        place = place.expand(len(flat), len(row)).clamp(-half, half) + half
         first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
-        column = torch.arange(self.assembly.T)
+        column = torch.arange(len(row))
         surfaces = []
         for number, surface in enumerate(nodes[0].surfaces):
             table = {}
@@ -454,12 +462,12 @@ class LightCurve(nn.Module):
         """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to
         surface, of values (), or (B,) for a ``batch`` of B."""
         a = self.assembly
-        context = a.context
+        context, row = a.optics, a.instant_row
         view = self._places(values, batch)
         each = _per_instant(values, view.nodes, batch)
         poses = view.poses
         for effect in a.stage("pointing"):
-            poses = effect.pointing(poses, a.own(effect, each), context)
+            poses = effect.pointing(poses, a.own(effect, each, row), context)
         view = replace(view, poses=poses)
         patches = tuple(
             Patch(
@@ -479,10 +487,10 @@ class LightCurve(nn.Module):
         )
         lights = view.lights
         for effect in a.stage("light"):
-            lights = effect.light(lights, view, a.own(effect, each), context)
+            lights = effect.light(lights, view, a.own(effect, each, row), context)
         view = replace(view, lights=lights)
         for effect in a.stage("surface"):
-            patches = effect.surface(patches, view, a.own(effect, values), context)
+            patches = effect.surface(patches, view, a.own(effect, values, row), context)
         return replace(view, patches=patches)
 
     def _places(self, values: Mapping[str, Tensor], batch: int) -> View:
@@ -493,22 +501,22 @@ class LightCurve(nn.Module):
         late = moving <= {effect.name for effect in a.effects if effect.stage in LATE} and not several
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
-        context = a.context
-        zero = torch.zeros(batch if several else 1, a.T, dtype=a.dtype, device=a.device)
+        context, row = a.optics, a.instant_row
+        zero = torch.zeros(batch if several else 1, a.N, dtype=a.dtype, device=a.device)
         nodes = Nodes(zero, torch.ones_like(zero[:, :1]))
         for effect in a.stage("clock"):
-            nodes = effect.clock(nodes, a.own(effect, _per_instant(values, nodes, batch)), context)
+            nodes = effect.clock(nodes, a.own(effect, _per_instant(values, nodes, batch), row), context)
         values = _per_instant(values, nodes, batch)
         request = Request(nodes.offset, nodes.offset, zero[0, :1])
         for effect in a.stage("orbit"):
-            request = effect.orbit(request, a.own(effect, values), context)
-        state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
+            request = effect.orbit(request, a.own(effect, values, row), context)
+        state = context.track.at(request.observer_offset, request.object_offset, request.ahead)
         turned = a.attitude_values(values)
         for effect in a.stage("spin"):
-            turned = effect.spin(turned, a.own(effect, values), context)
+            turned = effect.spin(turned, a.own(effect, values, row), context)
         rotation = a.attitude.rotation(state, turned)
         for effect in a.stage("attitude"):
-            rotation = effect.attitude(rotation, state, a.own(effect, values), context)
+            rotation = effect.attitude(rotation, state, a.own(effect, values, row), context)
         range_km = torch.linalg.vector_norm(state.observer, dim=-1)
         to_sun = torch.einsum("...ij,...i->...j", rotation, unit(state.sun))
         to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
@@ -567,16 +575,23 @@ class LightCurve(nn.Module):
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
         allow."""
         a = self.assembly
-        scatter = tuple((effect, effect.scatter(view, a.context)) for effect in a.stage("scatter"))
+        columns = a.columns if compact else a.apart
+        middle = view if a.instants is None else view.at(a.instants.middle)
+        scatter = tuple(
+            (effect, effect.scatter(middle if effect.at_middle else view, a.optics))
+            for effect in a.stage("scatter")
+        )
         still = {} if compact or transformed() or not self._gridded else self._still_surfaces(detail)
         found = [
-            still[key] if key in still else _surface(key, one, patches, compact)
+            still[key] if key in still else _surface(key, one, patches, compact, columns)
             for key, one, patches in _sorted_patches(view, detail)
         ]
         surfaces = tuple(surface for surface in found if surface is not None)
-        return Tables(
-            surfaces, scatter, Sky(_by_value(view, view.state), _by_value(view, view.nodes), compact)
-        )
+        instants = a.instants
+        if columns is not None and instants is not None and len(columns.row) < len(columns.of):
+            view, instants = view.at(columns.instant), instants.at(columns.instant)
+        state, nodes = (_by_value(view, record) for record in (view.state, view.nodes))
+        return Tables(surfaces, scatter, Sky(state, nodes, compact, instants), columns)
 
     def _still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
         """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
@@ -588,7 +603,7 @@ class LightCurve(nn.Module):
                 both = self.view(self.parameter_set.values(theta.expand(2, -1)), 2)
                 moving = {key for key, one, patches in _sorted_patches(both, detail) if _moves(one, patches)}
                 made = {
-                    key: _surface(key, one, patches, compact=True)
+                    key: _surface(key, one, patches, True, self.assembly.apart)
                     for key, one, patches in _sorted_patches(alone, detail)
                     if key not in moving
                 }
@@ -600,53 +615,69 @@ class LightCurve(nn.Module):
     def shine(self, tables: Tables, values: Mapping[str, Tensor], shares: bool = False) -> Brightness:
         """Facet sum (eqs. 8-10) of prepared tables for values of any batch shape, then the detector stage."""
         a = self.assembly
+        columns = tables.columns
+        row = None if columns is None else columns.row
         sunlight: Tensor | None = None
         for effect in a.stage("shade"):
-            factor = effect.shade(tables.sky, a.own(effect, values), a.context)
+            factor = effect.shade(tables.sky, a.own(effect, values, row), a.context)
             if factor.ndim:
                 sunlight = factor if sunlight is None else sunlight * factor
+        by_column: dict[str, Tensor] = {}
         by_component: dict[str, Tensor] = {}
 
-        def add(component: str, light: Tensor, sunlit: bool) -> None:
-            light = light * sunlight if sunlit and sunlight is not None else light
-            old = by_component.get(component)
-            by_component[component] = light if old is None else old + light
+        def add(sums: dict[str, Tensor], component: str, light: Tensor) -> None:
+            old = sums.get(component)
+            sums[component] = light if old is None else old + light
 
         for surface in tables.surfaces:
-            specular, diffuse = self.reflect(surface, values)
+            specular, diffuse = self.reflect(surface, values, row)
             light = specular + diffuse
             if surface.scale is not None:
-                light = light * a.rows(values, surface.scale)
-            add(surface.component, light, surface.sunlit)
-
-        def reflector(surface: Surface) -> tuple[Tensor, Tensor]:
-            return self.reflect(surface, {name: value[..., None] for name, value in values.items()})
-
+                light = light * a.rows(values, surface.scale, row)
+            lit = surface.sunlit and sunlight is not None
+            add(by_column, surface.component, light * sunlight if lit else light)
         for effect, scatter in tables.scatter:
-            for component, light in scatter.light(reflector, a.own(effect, values)).items():
-                add(component, light, True)
+            rows = None if effect.at_middle else a.instant_row
+
+            def reflector(surface: Surface, rows: Tensor | None = rows) -> tuple[Tensor, Tensor]:
+                return self.reflect(surface, {name: value[..., None] for name, value in values.items()}, rows)
+
+            for component, light in scatter.light(reflector, a.own(effect, values, rows)).items():
+                if effect.at_middle or columns is None:
+                    mean = sunlight if columns is None or sunlight is None else _summed(sunlight * columns.weight, row, a.T)
+                    add(by_component, component, light if mean is None else light * mean)
+                else:
+                    light = light if len(columns.row) == len(columns.of) else _summed(light, columns.of, len(columns.row))
+                    add(by_column, component, light if sunlight is None else light * sunlight)
+        for component, light in by_column.items():
+            add(by_component, component, light if row is None else _summed(light, row, a.T))
         if not by_component:
             any_value = next(iter(values.values()), a.sun_magnitude)
             by_component = {"": torch.zeros(*any_value.shape, a.T, dtype=a.dtype, device=a.device)}
         total = reduce(torch.add, by_component.values())
+        lit = total > DARKEST
+        total = torch.where(lit, total, 0.0)
         found = None
         if shares or a.needs_shares:
             zeros = torch.zeros_like(total)
             stacked = torch.stack([by_component.get(name, zeros) + zeros for name in a.components], -2)
-            found = stacked / torch.where(total > 0, total, 1.0)[..., None, :]
+            found = torch.where(lit[..., None, :], stacked / torch.where(lit, total, 1.0)[..., None, :], 0.0)
         brightness = Brightness(total, found, a.components)
         for effect in a.stage("detector"):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
 
-    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Lobe and diffuse flux (..., T) of one surface, through the effects of its material."""
+    def reflect(
+        self, surface: Surface, values: Mapping[str, Tensor], row: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Lobe and diffuse flux (..., T) of one surface, through the effects of its material; (..., C) of columns
+        that belong to the rows ``row`` (C,)."""
         a = self.assembly
         own = a.material_values(surface.material, surface.model, values)
         reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
-                reflect = effect.material(reflect, surface, own, a.own(effect, values))
+                reflect = effect.material(reflect, surface, own, a.own(effect, values, row))
         return reflect(own)
 
     def noise(self, theta: Tensor) -> Noise:
@@ -694,15 +725,27 @@ def _moves(view: View, patches: Sequence[Patch]) -> bool:
     return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
 
 
-def _surface(key: Key, view: View, patches: Sequence[Patch], compact: bool) -> Surface | None:
+def _summed(light: Tensor, row: Tensor | None, rows: int) -> Tensor:
+    """Light of columns (..., C) that belong to rows ``row`` (C,), by row (..., T)."""
+    if row is None:
+        return light
+    light = light.expand(*light.shape[:-1], len(row))
+    return light.new_zeros(*light.shape[:-1], rows).index_add(-1, row, light)
+
+
+def _surface(
+    key: Key, view: View, patches: Sequence[Patch], compact: bool, columns: Columns | None
+) -> Surface | None:
     """Patches of one material with their table; None if they are never lit and seen."""
-    table = pair_table(view, patches, compact)
+    table = pair_table(view, patches, compact, columns)
     if table is None:
         return None
     component, material, sunlit, scale = key
     phase = view.apart(torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2)
     middle = phase[phase.shape[0] // 2]
-    phase_angle = 2 * torch.acos((middle[0] if len(middle) == 1 else middle).clamp(max=1 - 1e-15))
+    middle = middle[0] if len(middle) == 1 else middle
+    middle = middle if columns is None else middle[..., columns.instant]
+    phase_angle = 2 * torch.acos(middle.clamp(max=1 - 1e-15))
     return Surface(component, material, patches[0].model, table, phase_angle, sunlit, scale)
 
 

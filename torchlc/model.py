@@ -644,10 +644,18 @@ class LightCurve(nn.Module):
 
             for component, light in scatter.light(reflector, a.own(effect, values, rows)).items():
                 if effect.at_middle or columns is None:
-                    mean = sunlight if columns is None or sunlight is None else _summed(sunlight * columns.weight, row, a.T)
+                    mean = (
+                        sunlight
+                        if columns is None or sunlight is None
+                        else _summed(sunlight * columns.weight, row, a.T)
+                    )
                     add(by_component, component, light if mean is None else light * mean)
                 else:
-                    light = light if len(columns.row) == len(columns.of) else _summed(light, columns.of, len(columns.row))
+                    light = (
+                        light
+                        if len(columns.row) == len(columns.of)
+                        else _summed(light, columns.of, len(columns.row))
+                    )
                     add(by_column, component, light if sunlight is None else light * sunlight)
         for component, light in by_column.items():
             add(by_component, component, light if row is None else _summed(light, row, a.T))

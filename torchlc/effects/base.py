@@ -68,7 +68,7 @@ class Instants:
 
     ``row`` (N,) that an instant belongs to; ``place`` (N,) in the exposure, -1/2 to 1/2; ``weight`` (N,), its share of
     the exposure. Each is a Gauss-Legendre node of a ``panel`` (N,), a part of the exposure; ``span`` (P,) is how
-    much of the exposure each panel takes.
+    much of the exposure each panel takes. There are ``rows``, of which some may have none.
     """
 
     row: Tensor
@@ -76,18 +76,21 @@ class Instants:
     weight: Tensor
     panel: Tensor
     span: Tensor
+    rows: int | None = None
 
     @property
     def middle(self) -> Tensor:
-        """The instant nearest to mid-exposure of each row, (T,)."""
+        """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
         order = np.lexsort((self.place.abs().numpy(), self.row.numpy()))
-        _, first = np.unique(self.row.numpy()[order], return_index=True)
-        return torch.as_tensor(order[first])
+        rows, first = np.unique(self.row.numpy()[order], return_index=True)
+        found = torch.zeros(int(rows[-1]) + 1 if self.rows is None else self.rows, dtype=torch.long)
+        found[torch.as_tensor(rows)] = torch.as_tensor(order[first])
+        return found
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""
         picked = (one[instants] for one in (self.row, self.place, self.weight, self.panel))
-        return Instants(*picked, self.span)
+        return Instants(*picked, self.span, self.rows)
 
 
 @dataclass(frozen=True)
@@ -344,7 +347,9 @@ class Context:
         return any(
             effect.stage in stages
             and not effect.linear
-            and any(self.bounds[effect.full_name(one.name)] != (one.off, one.off) for one in effect.quantities)
+            and any(
+                self.bounds[effect.full_name(one.name)] != (one.off, one.off) for one in effect.quantities
+            )
             for effect in self.effects
             if not effect.spans_exposure
         )
@@ -495,6 +500,10 @@ class Effect:
         """Of a shade: how much of its whole range the factor on sunlight may change within ``reach`` (T,) s about the
         stamps, at most, (T,); 0 where it stays the same whatever the parameters are."""
         return torch.ones_like(reach)
+
+    def limits(self, p: Parameters, context: Context) -> Sequence[str]:
+        """What its approximations amount to at these values, a sentence each, where that is worth telling."""
+        return ()
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:

@@ -31,6 +31,10 @@ integral (the transform of a Gumbel density falls as exp(-pi^2 / step))."""
 WRIGHT_STEPS = 6
 ABOVE_HEIGHTS = 12.0
 """Scale heights above h0 at which 6e-6 of the light is lost."""
+AIR_KM = 8.0
+"""Scale height of the air near the ground; 6 to 7 km in the stratosphere."""
+LEAST_LEFT, TOLD_MAG = 0.05, 0.05
+"""Share of sunlight above which a hard edge is compared with a soft one, and the difference that is told."""
 CELLS = 4
 """Cells for averaging over an exposure while the limb crosses the Sun's disc, with CELL_NODES Gauss-Legendre times each."""
 CELL_NODES = 4
@@ -89,9 +93,9 @@ def sunlit_fraction(position: Tensor, sun: Tensor, h0_km: Tensor) -> Tensor:
     # = edge(y)
     across = y * limb.radius[..., None]
     earth_ = earth[..., None]
-    edge = (
-        torch.sqrt((earth_**2 - across**2).clamp(min=0)) - limb.separation[..., None]
-    ) / limb.radius[..., None]
+    edge = (torch.sqrt((earth_**2 - across**2).clamp(min=0)) - limb.separation[..., None]) / limb.radius[
+        ..., None
+    ]
     half = torch.sqrt(1 - y * y)
     share = _chord_share((edge / half).clamp(-1, 1), half)
     seen = (w * share).sum(-1)
@@ -260,7 +264,9 @@ class EarthShadow(Effect):
         self.moved = context.turned("clock", "orbit")
         exposure = torch.zeros_like(context.seconds)
         if any(effect.spans_exposure for effect in context.effects):
-            exposure = torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
+            exposure = (
+                torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
+            )
         self.lit, self.dark, self.crossed = self._stands(context, exposure)
         return self
 
@@ -282,6 +288,25 @@ class EarthShadow(Effect):
         lit = low.amin(0) > self.highest + margin
         dark = ~lit & (high.amax(0) < self.lowest - margin)
         return lit, dark, crossed
+
+    def limits(self, p, context):
+        if self.soft:
+            return ()
+        state = context.track.at(0.0, 0.0, 0.0)
+        assert state.position is not None
+        hard = sunlit_fraction(state.position, state.sun, p["h0"])
+        scale = torch.full_like(p["h0"], AIR_KM)
+        # where half of the light is left, both edges are at one height
+        soft = softened_fraction(state.position, state.sun, p["h0"] + AIR_KM * math.log(math.log(2)), scale)
+        partly = (hard > LEAST_LEFT) & (soft > LEAST_LEFT)
+        change = torch.where(partly, 2.5 * torch.log10(torch.where(partly, soft / hard, 1.0)).abs(), 0.0)
+        wrong = change > TOLD_MAG
+        if not bool(wrong.any()):
+            return ()
+        return (
+            f"earth_shadow: the air's edge is taken as hard; one that is {AIR_KM:g} km soft changes {int(wrong.sum())} rows in the "
+            f"penumbra by up to {float(change.max()):.2g} mag. Set earth_shadow.scale_height = {AIR_KM:g} for it",
+        )
 
     def change(self, context, reach):
         lit, dark, crossed = self._stands(context, reach)
@@ -324,7 +349,11 @@ class EarthShadow(Effect):
 
         def number(name: str) -> Tensor:
             value = p[name]
-            value = value[..., column] if value.shape[-1] > 1 else value.reshape(*value.shape[:-1], *(1,) * column.ndim)
+            value = (
+                value[..., column]
+                if value.shape[-1] > 1
+                else value.reshape(*value.shape[:-1], *(1,) * column.ndim)
+            )
             return value.unsqueeze(-1 - column.ndim)
 
         h0 = number("h0")
@@ -336,7 +365,11 @@ class EarthShadow(Effect):
         soft = softened_fraction(
             position, sun, level, safe, number("refraction") if self.bends else None, self.strips
         )
-        return soft if self.always_soft else torch.where(scale >= SOFTEST_HARD_KM, soft, sunlit_fraction(position, sun, h0))
+        return (
+            soft
+            if self.always_soft
+            else torch.where(scale >= SOFTEST_HARD_KM, soft, sunlit_fraction(position, sun, h0))
+        )
 
 
 def _groups(
@@ -347,9 +380,7 @@ def _groups(
     index = torch.nonzero(edge)[:, 0]
     if instants is None:
         return [(index, None)] if len(index) else []
-    panel, _, count = torch.unique_consecutive(
-        instants.panel[index], return_inverse=True, return_counts=True
-    )
+    panel, _, count = torch.unique_consecutive(instants.panel[index], return_inverse=True, return_counts=True)
     ends = count.cumsum(0)
     groups: list[tuple[Tensor, tuple[Tensor, Tensor] | None]] = []
     discs = crossed[instants.row[index[ends - 1]]] * instants.span[panel]

@@ -84,10 +84,24 @@ class ExposureSmearing(Effect):
         return self
 
     def instants(self, context):
-        return None if len(self.divided.row) == len(context.seconds) else self.divided
+        return None if self._whole else self.divided
+
+    @property
+    def _whole(self) -> bool:
+        """Whether every exposure is as well as its middle."""
+        return bool((torch.bincount(self.divided.row, minlength=self.panels.rows) == 1).all())
+
+    @property
+    def capped(self) -> tuple[int, int] | None:
+        """Instants that there are and that are needed, where memory does not allow all."""
+        return (
+            (len(self.divided.row), self.panels.wanted)
+            if len(self.divided.row) < self.panels.wanted
+            else None
+        )
 
     def clock(self, nodes, p, context):
-        if len(self.divided.row) == self.panels.rows:
+        if self._whole:
             return nodes
         exposure = p["s"] if context.exptime is None else context.exptime.to(nodes.offset)
         place, weight = (one.to(nodes.offset) for one in (self.divided.place, self.divided.weight))
@@ -124,7 +138,7 @@ def _divided(panels: Panels, exposure: Tensor) -> Instants:
         index = (ends[chosen] - count)[:, None] + torch.arange(count)
         place[index] = panels.start[chosen, None] - 0.5 + panels.length[chosen, None] * nodes
         weight[index] = panels.length[chosen, None] * weights
-    return Instants(panels.row[number], place, weight, number, panels.length)
+    return Instants(panels.row[number], place, weight, number, panels.length, panels.rows)
 
 
 def instants_for(widths: Tensor) -> Tensor:
@@ -166,18 +180,14 @@ def _panels(context: Context, exposure: Tensor) -> Panels:
 
 
 def _finer(panels: Panels, rows: Tensor) -> Panels:
-    """Each panel of the rows that are marked (T,) in two, with an instant more in each; one instant for the others."""
+    """Each panel of the rows that are marked (T,) in two, with an instant more in each; none for the others."""
     kept = rows[panels.row]
     row, start, length, count = (
-        one[kept].repeat_interleave(2) for one in (panels.row, panels.start, 0.5 * panels.length, panels.count + 1)
+        one[kept].repeat_interleave(2)
+        for one in (panels.row, panels.start, 0.5 * panels.length, panels.count + 1)
     )
     start[1::2] += length[1::2]
-    others = torch.nonzero(~rows)[:, 0]
-    row, count = torch.cat([row, others]), torch.cat([count, torch.ones_like(others)])
-    start = torch.cat([start, start.new_zeros(len(others))])
-    length = torch.cat([length, length.new_ones(len(others))])
-    order = torch.as_tensor(np.lexsort((start.numpy(), row.numpy())))
-    return Panels(row[order], start[order], length[order], count[order], panels.wanted, panels.rows)
+    return Panels(row, start, length, count, panels.wanted, panels.rows)
 
 
 def _capped(context: Context, panels: Panels) -> Panels:
@@ -208,7 +218,10 @@ def _joined(context: Context, rows: Tensor, exposure: Tensor, level: int, more: 
     start = torch.arange(leaves, dtype=exposure.dtype) / leaves
     place = (start + 0.5 / leaves - 0.5).expand(len(rows), leaves)
     paths, widths = _paths(
-        context, rows.repeat_interleave(leaves), (place * exposure[:, None]).flatten(), (exposure / leaves).repeat_interleave(leaves)
+        context,
+        rows.repeat_interleave(leaves),
+        (place * exposure[:, None]).flatten(),
+        (exposure / leaves).repeat_interleave(leaves),
     )
     path, width = (one.unflatten(-1, (-1, leaves)) for one in (paths, widths.here(paths)))
     cost = instants_for((path / width).amax(0)) + more[:, None]
@@ -229,7 +242,12 @@ def _joined(context: Context, rows: Tensor, exposure: Tensor, level: int, more: 
         number, which = torch.nonzero(taken, as_tuple=True)
         length = 2.0 ** (height - level)
         found.append(
-            (rows[number], which * length, torch.full_like(exposure[number], length), levels[height][number, which])
+            (
+                rows[number],
+                which * length,
+                torch.full_like(exposure[number], length),
+                levels[height][number, which],
+            )
         )
         open_ = (open_ & ~taken).repeat_interleave(2, -1)
     row, begin, length, count = (torch.cat(column) for column in zip(*found, strict=True))
@@ -271,7 +289,9 @@ def _some_paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) 
     times = torch.cat([place - step / 2, place + step / 2])
     state = track.at(times, times, 0.0)
     steady = all(
-        context.bounds[name][0] == context.bounds[name][1] for name in context.bounds if name.startswith("attitude.")
+        context.bounds[name][0] == context.bounds[name][1]
+        for name in context.bounds
+        if name.startswith("attitude.")
     ) and not context.turned(*GEOMETRY_STAGES)
     rotations = [context.attitude.rotation(state, values) for values in _attitudes(context)]
     sun, observer = normalize(state.sun, dim=-1), normalize(state.observer, dim=-1)

@@ -28,7 +28,9 @@ LEAST_STRIPS, MOST_STRIPS = 64, 640
 STRIP_HEIGHTS = 1.5
 """Scale heights from strip to strip of the Sun's disc: a sum of a smooth function of that step is within 1e-5 of its
 integral (the transform of a Gumbel density falls as exp(-pi^2 / step))."""
-WRIGHT_STEPS = 6
+WRIGHT_STEPS, NEWTON_STEPS = 6, 2
+MOST_CURVED = 0.5
+"""Largest curvature of a ray over the Earth's that is followed: of rays 6 km under the ground."""
 ABOVE_HEIGHTS = 12.0
 """Scale heights above h0 at which 6e-6 of the light is lost."""
 AIR_KM = 8.0
@@ -113,10 +115,8 @@ def softened_fraction(
     """Sunlight (...) over that outside the shadow, past air whose optical depth along a ray that grazes at height z is
     exp(-(z - ``h0_km``) / ``scale_height_km``).
 
-    With ``refraction``, 1 for air of the Earth's density, the ray that grazes at z is bent by nu sqrt(2 pi R / H) exp(-z / H),
-    reaches the object's distance D lower by D times that, and is spread by as much as neighbours are bent apart
-    (Baum & Code 1953): with w e^w = (D nu sqrt(2 pi R / H) / H) e^(-g / H) of the straight ray's height g, z = g + H w and
-    the light is exp(-tau(z)) / (1 + w), times (R + z) / (R + g) for the limb's curvature.
+    With ``refraction``, 1 for air of the Earth's density, rays are those of n = 1 + nu exp(-(r - R) / H), see
+    :func:`refracted`.
 
     The disc is cut into strips across the line of centres. In a strip the limb's curvature counts by its mean. Neglects
     that the ground ends the rays below z = 0, where tau is 12 at h0 = 20 and H = 8 km, light from the opposite limb,
@@ -136,18 +136,42 @@ def softened_fraction(
     apart = safe + 0.5 * square * radius**2 / torch.tan(safe)
     straight = distance * torch.sin(apart) - EARTH_RADIUS_KM
     h0, scale = h0_km[..., None], scale_height_km[..., None]
-    height, spread = straight, torch.ones_like(straight)
-    if refraction is not None:
-        bent = refraction[..., None] * REFRACTIVITY * torch.sqrt(2 * math.pi * EARTH_RADIUS_KM / scale)
-        reach = distance * torch.cos(apart)
-        w = wright_omega(torch.log((reach * bent / scale).clamp(min=1e-30)) - straight / scale)
-        height = straight + scale * w
-        focus = (EARTH_RADIUS_KM + height) / (EARTH_RADIUS_KM + straight).clamp(min=0.1 * EARTH_RADIUS_KM)
-        spread = focus / (1 + w)
-    depth = torch.exp((-(height - h0) / scale).clamp(max=50.0))
-    light = torch.where(lower, torch.exp(-depth) * spread, (along > 0.25 * math.pi).to(straight))
+    if refraction is None:
+        light = torch.exp(-torch.exp((-(straight - h0) / scale).clamp(max=50.0)))
+    else:
+        light = refracted(straight, distance * torch.cos(apart), h0, scale, refraction[..., None])
+    light = torch.where(lower, light, (along > 0.25 * math.pi).to(light))
     seen = (weight * light).sum(-1)
     return torch.where(limb.day, torch.ones_like(seen), seen)
+
+
+def refracted(straight: Tensor, reach: Tensor, h0: Tensor, scale: Tensor, refraction: Tensor) -> Tensor:
+    """Light (...) of a point source over that without air, for an object ``reach`` km behind the limb whose straight ray passes
+    at the height ``straight``, km.
+
+    With e = exp(-z / H) of the height z where the bent ray passes and kappa = nu R e / H, its curvature over the Earth's: it
+    comes in nu R e above z, is bent by nu sqrt(2 pi R / H) e / sqrt(1 - kappa), reaches the object by ``reach`` times that
+    lower, meets exp(-(z - h0) / H) / sqrt(1 - kappa) of optical depth, and is spread as neighbours are moved apart (Baum & Code
+    1953), less what the limb's curvature gathers. Without kappa z follows from Wright's omega; Newton's method adds it.
+    """
+    air = refraction * REFRACTIVITY * EARTH_RADIUS_KM
+    bent = reach * refraction * REFRACTIVITY * torch.sqrt(2 * math.pi * EARTH_RADIUS_KM / scale)
+    a = torch.log(((bent - air) / scale).clamp(min=1e-30)) - straight / scale
+    height = straight + scale * wright_omega(a)
+    for _ in range(NEWTON_STEPS):
+        thin = torch.exp((-height / scale).clamp(max=50.0))
+        kappa = (air / scale * thin).clamp(max=MOST_CURVED)
+        longer = torch.rsqrt(1 - kappa)
+        off = height + (air - bent * longer) * thin - straight
+        slope = 1 + (bent * longer * (1 + 0.5 * kappa / (1 - kappa)) - air) * thin / scale
+        height = height - off / slope
+    thin = torch.exp((-height / scale).clamp(max=50.0))
+    kappa = (air / scale * thin).clamp(max=MOST_CURVED)
+    longer = torch.rsqrt(1 - kappa)
+    slope = 1 + (bent * longer * (1 + 0.5 * kappa / (1 - kappa)) - air) * thin / scale
+    focus = (EARTH_RADIUS_KM + height) / (EARTH_RADIUS_KM + straight).clamp(min=0.1 * EARTH_RADIUS_KM)
+    depth = torch.exp((-(height - h0) / scale).clamp(max=50.0)) * longer
+    return torch.exp(-depth) * focus * (1 - kappa) / slope
 
 
 def wright_omega(a: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
+from torchlc.insight import limits
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
@@ -157,7 +158,12 @@ def fit(
             fit=found,
             posterior=posterior,
             seconds=seconds,
-            warnings=[*found.model.warnings, *found.warnings, *warnings],
+            warnings=[
+                *found.model.warnings,
+                *found.warnings,
+                *limits(found.model, found.theta),
+                *warnings,
+            ],
             seed=seed,
             provenance=provenance(scene, rows, seed, command),
         )

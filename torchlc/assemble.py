@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from torchlc.attitude import Attitude
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
 from torchlc.effects import GEOMETRY_STAGES, every, registry
-from torchlc.effects.base import Context, Effect, Entry
+from torchlc.effects.base import Columns, Context, Effect, Entry, Instants
 from torchlc.errors import InputError
 from torchlc.orbit import Track, make_track
 from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
@@ -61,12 +61,43 @@ class Assembly:
     sun_magnitude: Tensor
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]]
     warnings: tuple[str, ...]
+    optics: Context
+    instants: Instants | None = None
+    pinned: Mapping[str, float] = field(default_factory=dict)
     dtype: torch.dtype = torch.float64
     device: str = "cpu"
 
     @property
     def T(self) -> int:
         return len(self.context.seconds)
+
+    @property
+    def N(self) -> int:
+        """Instants at which the geometry is worked out: those of ``optics``, at least one a row."""
+        return len(self.optics.seconds)
+
+    @property
+    def instant_row(self) -> Tensor | None:
+        """The row of each instant, (N,); None if they are the rows."""
+        return None if self.instants is None else self.instants.row
+
+    @cached_property
+    def apart(self) -> Columns | None:
+        """Every instant as a column of the tables; None if rows have one."""
+        if self.instants is None:
+            return None
+        return Columns.joined(self.instants, torch.ones(self.T, dtype=torch.bool))
+
+    @cached_property
+    def columns(self) -> Columns | None:
+        """Columns of tables made for good: instants stay apart where the share of sunlight changes within the
+        exposure."""
+        if self.instants is None:
+            return None
+        apart = torch.zeros(self.T, dtype=torch.bool)
+        for effect in self.stage("shade"):
+            apart |= effect.change(self.context, exposures(self.context)) > 0
+        return Columns.joined(self.instants, apart)
 
     @property
     def components(self) -> list[str]:
@@ -84,7 +115,7 @@ class Assembly:
         """Pairs of facet, or of a point on a curved surface, and row of one evaluation, with the instants and lights that the effects bring; sizes the
         batches."""
         surfaces = sum(self._slots(part) for part in self.shape.parts)
-        return surfaces * self.T * max(1, math.prod(effect.nodes for effect in self.effects))
+        return surfaces * self.N * max(1, math.prod(effect.nodes for effect in self.effects))
 
     def _slots(self, part: Part) -> int:
         """Facets and points at which light of a part is summed; where parts shadow each other also the facets of
@@ -101,7 +132,7 @@ class Assembly:
     @property
     def traced_pairs(self) -> int:
         """Facet-row pairs of the parts that are traced by rays."""
-        return self.T * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
+        return self.N * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
 
     @cached_property
     def patches(self) -> list[list[tuple[str, str | None, Tensor]]]:
@@ -162,26 +193,31 @@ class Assembly:
     def stage(self, name: str) -> list[Effect]:
         return [effect for effect in self.effects if effect.stage == name]
 
-    def own(self, effect: Effect, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """An effect's parameters by short name, each (..., 1) or (..., T)."""
+    def own(
+        self, effect: Effect, values: Mapping[str, Tensor], row: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """An effect's parameters by short name, each (..., 1) or (..., T), or for the rows ``row`` (N,) asked for."""
         return {
-            quantity.name: self.rows(values, effect.full_name(quantity.name))
+            quantity.name: self.rows(values, effect.full_name(quantity.name), row)
             for quantity in effect.quantities
         }
 
-    def rows(self, values: Mapping[str, Tensor], name: str) -> Tensor:
-        """A parameter (..., 1), or (..., T) if it has a value for each curve, station or night."""
+    def rows(self, values: Mapping[str, Tensor], name: str, row: Tensor | None = None) -> Tensor:
+        """A parameter (..., 1), or (..., T) if it has a value for each curve, station or night; (..., N) for the rows
+        ``row`` (N,) asked for."""
         if name in values:
             return values[name][..., None]
         for index, ids in self.row_index.values():
             keys = [f"{name}[{one}]" for one in ids]
             if keys and all(key in values for key in keys):
+                index = index if row is None else index[row]
                 return torch.stack(torch.broadcast_tensors(*[values[key] for key in keys]), -1)[..., index]
         raise KeyError(name)
 
     def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """``values`` with the attitude's numbers by full name as `rows` gives them."""
-        return {**values, **{name: self.rows(values, name) for name in self.attitude.numbers}}
+        """``values`` with the attitude's numbers by full name as `rows` gives them for every instant."""
+        numbers = {name: self.rows(values, name, self.instant_row) for name in self.attitude.numbers}
+        return {**values, **numbers}
 
     def material_values(
         self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
@@ -206,17 +242,18 @@ def assemble(
     *,
     base: Assembly | None = None,
     pinned: Mapping[str, float] | None = None,
+    finer: Tensor | None = None,
 ) -> Assembly:
     """Bring scene and recording together under a list of effects (default: the scene's own).
 
     An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends
     its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
-    them.
+    them. ``finer`` (T,) marks rows whose exposures are divided twice as finely as they need.
     """
     if base is None:
         track = make_track(scene, recording)
         attitude = Attitude(scene, recording)
-        lobes = _finest_lobes(scene)
+        lobes = _finest_lobes(scene, RESOLVED_N)
         shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
@@ -232,10 +269,13 @@ def assemble(
         "night": (context.night, recording.night_ids),
     }
     wanted = scene.model.effects if effects is None else list(effects)
-    chosen = _effects(wanted, scene, context)
+    context = replace(context, finer=finer)
+    chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
     models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters = _parameters(scene, chosen, models, row_index, pinned or {})
+    divided = [one for effect in chosen if (one := effect.instants(context)) is not None]
+    instants = divided[0] if divided else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -250,7 +290,15 @@ def assemble(
         torch.as_tensor(sun, dtype=torch.float64),
         row_index,
         tuple(dict.fromkeys(notes)),
+        context if instants is None else context.at_rows(instants.row),
+        instants,
+        pinned or {},
     )
+
+
+def exposures(context: Context) -> Tensor:
+    """The longest time that each exposure may take, (T,), s: as recorded, else the cadence."""
+    return torch.full_like(context.seconds, context.cadence) if context.exptime is None else context.exptime
 
 
 def _is_material(model: type[Brdf], short: str) -> bool:
@@ -264,7 +312,8 @@ def _uneven(scene: Scene, material: str) -> bool:
     return any(isinstance(one, SceneFree) or one != several[0] for several in widths for one in several)
 
 
-def _finest_lobes(scene: Scene) -> dict[str, float]:
+def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
+    """The largest exponent of each material's lobe: of a free one the upper bound, up to ``sharpest``."""
     finest = {}
     for name, material in scene.materials.items():
         bounds = [1.0]
@@ -272,12 +321,12 @@ def _finest_lobes(scene: Scene) -> dict[str, float]:
             if key in ("n", "n_u", "n_v"):
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
-                    bounds.append(min(top, max(RESOLVED_N, number.value)))
+                    bounds.append(min(top, max(sharpest, number.value)))
                 else:
                     bounds.append(number)
             elif key in ("alpha", "m"):
                 width = number.value if isinstance(number, SceneFree) else number
-                bounds.append(min(2 / max(width, 1e-3) ** 2, RESOLVED_N))
+                bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
         finest[name] = max(bounds)
     return finest
 
@@ -319,6 +368,7 @@ def _context(
         shape=shape,
         rest=_at_rest(scene, shape),
         lobes=lobes,
+        lobe_bounds=_finest_lobes(scene),
         materials=list(scene.materials),
         models=dict(models),
         mode=scene.attitude.mode,
@@ -332,7 +382,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
     known = registry()
     if wanted is None:
         standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
-        return tuple(effect.prepared(context) for effect in standard if effect.missing(context) is None)
+        return tuple(effect for effect in standard if effect.missing(context) is None)
     found: list[Effect] = []
     for entry in wanted:
         parsed = Entry.parse(entry)
@@ -352,11 +402,51 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             reason = effect.missing(context)
             if reason is not None:
                 raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
-            effect = effect.prepared(context)
             effect.by, effect.width = parsed.per, parsed.width
             found.append(effect)
     order = list(every())
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
+
+
+def _prepared(
+    effects: Sequence[Effect], scene: Scene, context: Context, pinned: Mapping[str, float]
+) -> tuple[tuple[Effect, ...], Context]:
+    """The effects made ready for these data, and the context that knows of them and of their numbers' bounds."""
+    given = scene.model.parameters
+    bounds: dict[str, tuple[float, float]] = {}
+
+    def bound(name: str, number: Number | None, quantity: Quantity) -> None:
+        if name in pinned:
+            bounds[name] = (pinned[name], pinned[name])
+        elif isinstance(number, SceneFree):
+            prior = _prior(number, quantity)
+            bounds[name] = (_end(prior, -1.0), _end(prior, 1.0))
+        elif number is not None or quantity.unless_set is not None:
+            value = float(quantity.unless_set if number is None else number)
+            bounds[name] = (value, value)
+        else:
+            bounds[name] = (quantity.low, quantity.high)
+
+    for name, number in scene.numbers().items():
+        if name.startswith("attitude."):
+            bound(name, number, Quantity(name, "", -math.inf, math.inf, ""))
+    for effect in effects:
+        for quantity in effect.quantities:
+            name = effect.full_name(quantity.name)
+            number = None if effect.by else given.get(name, given.get(f"{effect.name}.{quantity.name}"))
+            bound(name, number, quantity)
+    context = replace(context, bounds=bounds, effects=effects)
+    # how finely exposures are divided depends on what the others do
+    others = [effect if effect.spans_exposure else effect.prepared(context) for effect in effects]
+    context = replace(context, effects=others)
+    ready = tuple(effect.prepared(context) if effect.spans_exposure else effect for effect in others)
+    return ready, replace(context, effects=ready)
+
+
+def _end(prior: Prior, side: float) -> float:
+    """The lower (side -1) or upper (1) end of a prior, five standard deviations away where it has none."""
+    end = prior.low if side < 0 else prior.high
+    return end if math.isfinite(end) else prior.centre + side * 5 * prior.sigma
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
@@ -407,6 +497,8 @@ def _parameters(
     def add(name: str, number: Number | None, quantity: Quantity) -> None:
         if name in pinned:
             fixed[name] = pinned[name]
+        elif number is None and quantity.unless_set is not None:
+            fixed[name] = quantity.unless_set
         elif number is None:
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical

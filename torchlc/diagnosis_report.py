@@ -78,7 +78,7 @@ def render_diagnosis(diagnosis: Diagnosis, made: Mapping[str, Any]) -> str:
 def warnings(diagnosis: Diagnosis) -> list[str]:
     """What a reader should know of scene and recording, each once."""
     model, _ = _final(diagnosis)
-    return list(dict.fromkeys([*left_out(model.recording), *model.warnings]))
+    return list(dict.fromkeys([*left_out(model.recording), *model.warnings, *diagnosis.limits]))
 
 
 def context(diagnosis: Diagnosis) -> dict[str, Any]:

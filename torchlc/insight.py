@@ -19,8 +19,9 @@ from torch import Tensor
 from torchlc.assemble import COMPONENT_SIZES, assemble
 from torchlc.effects import GEOMETRY_STAGES
 from torchlc.effects.base import View
+from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
+from torchlc.model import DARKEST, LightCurve
 from torchlc.orbit import angle_between
 from torchlc.parameters import Prior
 from torchlc.shape import Band, Dome
@@ -41,6 +42,11 @@ of the rows.
 FAR_GLINT_DEG = 10.0
 """A closest glint beyond this, or beyond two lobe widths, is a reason not to know a lobe."""
 PRIOR_DRAWS = 4000
+TOLD_MAG = 0.002
+"""Change of an exposure's light by twice the instants that is told."""
+LOOKED_AT = 400
+FAINTEST_LOOKED_AT = 0.01
+"""Share of the median row's light below which an exposure is not looked at."""
 FACETS_AT_ONCE = 2_000_000
 SCALES = ("albedo", "r_spec", "r_diff")
 
@@ -63,7 +69,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         effect.entry
         for effect in model.effects
         if effect.stage in GEOMETRY_STAGES
-        and effect.nodes == 1
+        and not effect.spans_exposure
         and effect.stage not in ("light", "surface", "scatter")
     ]
     bare = LightCurve(
@@ -73,6 +79,54 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
     )
     with torch.no_grad():
         return bare.view(model.values(theta))
+
+
+def limits(model: LightCurve, theta: Tensor) -> list[str]:
+    """What the model's approximations amount to at natural values theta (P,), where that is worth telling: what each effect
+    says of itself, and what exposures lose by the number of their instants.
+    """
+    with torch.no_grad():
+        values = model.values(theta)
+        told = [
+            text
+            for effect in model.effects
+            for text in effect.limits(model.assembly.own(effect, values), model.assembly.context)
+        ]
+        return told + _exposures(model, theta)
+
+
+def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
+    """The sentence that twice the instants change the light of some exposures. The rows looked at are LOOKED_AT, those that
+    have most instants first."""
+    effect = next((effect for effect in model.effects if effect.spans_exposure), None)
+    if not isinstance(effect, ExposureSmearing):
+        return []
+    flux = model.brightness(theta[None]).flux[0]
+    lit = flux > FAINTEST_LOOKED_AT * flux[flux > 0].median() if bool((flux > 0).any()) else flux > 0
+    instants = torch.bincount(effect.divided.row, minlength=len(flux))
+    candidates = torch.nonzero(lit)[:, 0]
+    if not len(candidates):
+        return []
+    most = candidates[torch.argsort(instants[candidates], descending=True)[: LOOKED_AT // 2]]
+    even = candidates[torch.linspace(0, len(candidates) - 1, LOOKED_AT // 2).round().long()]
+    looked = torch.zeros_like(lit)
+    looked[torch.cat([most, even])] = True
+    a = model.assembly
+    entries = [one.entry for one in model.effects]
+    finer = assemble(a.scene, a.recording, entries, base=a, pinned=a.pinned, finer=looked)
+    again = LightCurve(a.scene, a.recording, assembly=finer).brightness(theta[None]).flux[0]
+    change = 2.5 * torch.log10(flux[looked] / again[looked].clamp(min=DARKEST)).abs()
+    wrong = change > TOLD_MAG
+    if not bool(wrong.any()):
+        return []
+    said = (
+        f"exposure_smearing: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
+        f"{TOLD_MAG} mag, up to {float(change.max()):.2g} mag ({float(change.square().mean().sqrt()):.2g} mag rms)"
+    )
+    if effect.capped is not None:
+        have, needed = effect.capped
+        said += f": memory allows {have:,} of {needed:,} instants; take fewer rows at once, or coarser shapes"
+    return [said]
 
 
 def glints(view: View) -> dict[str, Glint | None]:

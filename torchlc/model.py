@@ -21,7 +21,9 @@ from torchlc.assemble import COMPONENT_SIZES, Assembly, assemble
 from torchlc.effects.base import (
     GEOMETRY_STAGES,
     Brightness,
+    Columns,
     Effect,
+    Instants,
     Light,
     Nodes,
     Noise,
@@ -66,6 +68,10 @@ CLOCK_MAG = 2e-4
 clock offset are out by at most; see :class:`Evaluation`."""
 GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
+DARKEST = 1e-36
+"""Phi of the object's light below which there is none: one photon a square metre in some million years (the Sun sends
+4e21 in a second), 63 mag. What is left of a lobe far from its glint, 1e-260 say, is no brightness but the tail of a
+formula."""
 VALUES_AT_ONCE = 2**17
 """Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
 is in the cache when the next reads it, and memory does not grow with the batch."""
@@ -90,11 +96,12 @@ class Evaluation:
 @dataclass(frozen=True)
 class Tables:
     """What the material stage needs: a surface per component and material, and effects that scatter further
-    light."""
+    light. ``columns`` says which rows and instants the tables hold side by side; None: the rows."""
 
     surfaces: tuple[Surface, ...]
     scatter: tuple[tuple[Effect, Scatter], ...]
     sky: Sky
+    columns: Columns | None = None
 
 
 Record = TypeVar("Record", State, Nodes)
@@ -427,14 +434,16 @@ class LightCurve(nn.Module):
         those at the very offset."""
         nodes, step = self._clock_nodes(shares or self.assembly.needs_shares)
         half = NODES // 2
+        columns = nodes[0].columns
+        row = torch.arange(self.assembly.T) if columns is None else columns.row
         values = self.parameter_set.values(flat)
-        place = self.assembly.rows(values, "time_offset.s") / step
-        place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
+        place = self.assembly.rows(values, "time_offset.s", row) / step
+        place = place.expand(len(flat), len(row)).clamp(-half, half) + half
         first_node = (place.detach().floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
-        column = torch.arange(self.assembly.T)
+        column = torch.arange(len(row))
         view = self._places(values, len(flat))
-        phase_angle = _phase_angle(view)
+        phase_angle = _phase_angle(view, columns)
         surfaces = []
         for number, surface in enumerate(nodes[0].surfaces):
             table = {}
@@ -445,8 +454,8 @@ class LightCurve(nn.Module):
                     start=torch.zeros_like(place),
                 )
             surfaces.append(replace(surface, table=table, phase_angle=phase_angle))
-        sky = Sky(_by_value(view, view.state), _by_value(view, view.nodes), False)
-        return self._shone(Tables(tuple(surfaces), (), sky), flat, shares)
+        sky = _sky(view, columns, self.assembly.instants, fixed=False)
+        return self._shone(Tables(tuple(surfaces), (), sky, columns), flat, shares)
 
     @cached_property
     def _clock_step(self) -> float:
@@ -558,12 +567,12 @@ class LightCurve(nn.Module):
         """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to
         surface, of values (), or (B,) for a ``batch`` of B."""
         a = self.assembly
-        context = a.context
+        context, row = a.optics, a.instant_row
         view = self._places(values, batch)
         each = _per_instant(values, view.nodes, batch)
         poses = view.poses
         for effect in a.stage("pointing"):
-            poses = effect.pointing(poses, a.own(effect, each), context)
+            poses = effect.pointing(poses, a.own(effect, each, row), context)
         view = replace(view, poses=poses)
         patches = tuple(
             Patch(
@@ -584,10 +593,10 @@ class LightCurve(nn.Module):
         )
         lights = view.lights
         for effect in a.stage("light"):
-            lights = effect.light(lights, view, a.own(effect, each), context)
+            lights = effect.light(lights, view, a.own(effect, each, row), context)
         view = replace(view, lights=lights)
         for effect in a.stage("surface"):
-            patches = effect.surface(patches, view, a.own(effect, values), context)
+            patches = effect.surface(patches, view, a.own(effect, values, row), context)
         return replace(view, patches=patches)
 
     def _places(self, values: Mapping[str, Tensor], batch: int) -> View:
@@ -597,22 +606,22 @@ class LightCurve(nn.Module):
         late = LATE.issuperset(a.moving.values()) and not several
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
-        context = a.context
-        zero = torch.zeros(batch if several else 1, a.T, dtype=a.dtype, device=a.device)
+        context, row = a.optics, a.instant_row
+        zero = torch.zeros(batch if several else 1, a.N, dtype=a.dtype, device=a.device)
         nodes = Nodes(zero, torch.ones_like(zero[:, :1]))
         for effect in a.stage("clock"):
-            nodes = effect.clock(nodes, a.own(effect, _per_instant(values, nodes, batch)), context)
+            nodes = effect.clock(nodes, a.own(effect, _per_instant(values, nodes, batch), row), context)
         values = _per_instant(values, nodes, batch)
         request = Request(nodes.offset, nodes.offset, zero[0, :1])
         for effect in a.stage("orbit"):
-            request = effect.orbit(request, a.own(effect, values), context)
-        state = a.track.at(request.observer_offset, request.object_offset, request.ahead)
+            request = effect.orbit(request, a.own(effect, values, row), context)
+        state = context.track.at(request.observer_offset, request.object_offset, request.ahead)
         turned = a.attitude_values(values)
         for effect in a.stage("spin"):
-            turned = effect.spin(turned, a.own(effect, values), context)
+            turned = effect.spin(turned, a.own(effect, values, row), context)
         rotation = a.attitude.rotation(state, turned)
         for effect in a.stage("attitude"):
-            rotation = effect.attitude(rotation, state, a.own(effect, values), context)
+            rotation = effect.attitude(rotation, state, a.own(effect, values, row), context)
         range_km = torch.linalg.vector_norm(state.observer, dim=-1)
         to_sun = torch.einsum("...ij,...i->...j", rotation, unit(state.sun))
         to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
@@ -674,16 +683,19 @@ class LightCurve(nn.Module):
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
         allow."""
         a = self.assembly
-        scatter = tuple((effect, effect.scatter(view, a.context)) for effect in a.stage("scatter"))
+        columns = a.columns if compact else a.apart
+        middle = view if a.instants is None else view.at(a.instants.middle)
+        scatter = tuple(
+            (effect, effect.scatter(middle if effect.at_middle else view, a.optics))
+            for effect in a.stage("scatter")
+        )
         still = {} if compact or not self._gridded else self._still_surfaces(detail)
         found = [
-            still[key] if key in still else _surface(key, one, patches, compact)
+            still[key] if key in still else _surface(key, one, patches, compact, columns)
             for key, one, patches in _sorted_patches(view, detail)
         ]
         surfaces = tuple(surface for surface in found if surface is not None)
-        return Tables(
-            surfaces, scatter, Sky(_by_value(view, view.state), _by_value(view, view.nodes), compact)
-        )
+        return Tables(surfaces, scatter, _sky(view, columns, a.instants, fixed=compact), columns)
 
     def _still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
         """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
@@ -695,7 +707,7 @@ class LightCurve(nn.Module):
                 both = self.view(self.parameter_set.values(theta.expand(2, -1)), 2)
                 moving = {key for key, one, patches in _sorted_patches(both, detail) if _moves(one, patches)}
                 made = {
-                    key: _surface(key, one, patches, compact=True)
+                    key: _surface(key, one, patches, True, self.assembly.apart)
                     for key, one, patches in _sorted_patches(alone, detail)
                     if key not in moving
                 }
@@ -707,53 +719,77 @@ class LightCurve(nn.Module):
     def shine(self, tables: Tables, values: Mapping[str, Tensor], shares: bool = False) -> Brightness:
         """Facet sum (eqs. 8-10) of prepared tables for values of any batch shape, then the detector stage."""
         a = self.assembly
+        columns = tables.columns
+        row = None if columns is None else columns.row
         sunlight: Tensor | None = None
         for effect in a.stage("shade"):
-            factor = effect.shade(tables.sky, a.own(effect, values), a.context)
+            factor = effect.shade(tables.sky, a.own(effect, values, row), a.context)
             if factor.ndim:
                 sunlight = factor if sunlight is None else sunlight * factor
+        by_column: dict[str, Tensor] = {}
         by_component: dict[str, Tensor] = {}
 
-        def add(component: str, light: Tensor, sunlit: bool) -> None:
-            light = light * sunlight if sunlit and sunlight is not None else light
-            old = by_component.get(component)
-            by_component[component] = light if old is None else old + light
+        def add(sums: dict[str, Tensor], component: str, light: Tensor) -> None:
+            old = sums.get(component)
+            sums[component] = light if old is None else old + light
 
         for surface in tables.surfaces:
-            specular, diffuse = self.reflect(surface, values)
+            specular, diffuse = self.reflect(surface, values, row)
             light = specular + diffuse
             if surface.scale is not None:
-                light = light * a.rows(values, surface.scale)
-            add(surface.component, light, surface.sunlit)
-
-        def reflector(surface: Surface) -> tuple[Tensor, Tensor]:
-            return self.reflect(surface, {name: value[..., None] for name, value in values.items()})
-
+                light = light * a.rows(values, surface.scale, row)
+            lit = surface.sunlit and sunlight is not None
+            add(by_column, surface.component, light * sunlight if lit else light)
         for effect, scatter in tables.scatter:
-            for component, light in scatter.light(reflector, a.own(effect, values)).items():
-                add(component, light, True)
+            rows = None if effect.at_middle else a.instant_row
+
+            def reflector(surface: Surface, rows: Tensor | None = rows) -> tuple[Tensor, Tensor]:
+                return self.reflect(surface, {name: value[..., None] for name, value in values.items()}, rows)
+
+            for component, light in scatter.light(reflector, a.own(effect, values, rows)).items():
+                if effect.at_middle or columns is None:
+                    mean = (
+                        sunlight
+                        if columns is None or sunlight is None
+                        else _summed(sunlight * columns.weight, row, a.T)
+                    )
+                    add(by_component, component, light if mean is None else light * mean)
+                else:
+                    light = (
+                        light
+                        if len(columns.row) == len(columns.of)
+                        else _summed(light, columns.of, len(columns.row))
+                    )
+                    add(by_column, component, light if sunlight is None else light * sunlight)
+        for component, light in by_column.items():
+            add(by_component, component, light if row is None else _summed(light, row, a.T))
         if not by_component:
             any_value = next(iter(values.values()), a.sun_magnitude)
             by_component = {"": torch.zeros(*any_value.shape, a.T, dtype=a.dtype, device=a.device)}
         total = reduce(torch.add, by_component.values())
+        lit = total > DARKEST
+        total = torch.where(lit, total, 0.0)
         found = None
         if shares or a.needs_shares:
             zeros = torch.zeros_like(total)
             stacked = torch.stack([by_component.get(name, zeros) + zeros for name in a.components], -2)
-            found = stacked / torch.where(total > 0, total, 1.0)[..., None, :]
+            found = torch.where(lit[..., None, :], stacked / torch.where(lit, total, 1.0)[..., None, :], 0.0)
         brightness = Brightness(total, found, a.components)
         for effect in a.stage("detector"):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
 
-    def reflect(self, surface: Surface, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Lobe and diffuse flux (..., T) of one surface, through the effects of its material."""
+    def reflect(
+        self, surface: Surface, values: Mapping[str, Tensor], row: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Lobe and diffuse flux (..., T) of one surface, through the effects of its material; (..., C) of columns
+        that belong to the rows ``row`` (C,)."""
         a = self.assembly
         own = a.material_values(surface.material, surface.model, values)
         reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
-                reflect = effect.material(reflect, surface, own, a.own(effect, values))
+                reflect = effect.material(reflect, surface, own, a.own(effect, values, row))
         return reflect(own)
 
     def noise(self, theta: Tensor) -> Noise:
@@ -801,20 +837,31 @@ def _moves(view: View, patches: Sequence[Patch]) -> bool:
     return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
 
 
-def _surface(key: Key, view: View, patches: Sequence[Patch], compact: bool) -> Surface | None:
+def _summed(light: Tensor, row: Tensor | None, rows: int) -> Tensor:
+    """Light of columns (..., C) that belong to rows ``row`` (C,), by row (..., T)."""
+    if row is None:
+        return light
+    light = light.expand(*light.shape[:-1], len(row))
+    return light.new_zeros(*light.shape[:-1], rows).index_add(-1, row, light)
+
+
+def _surface(
+    key: Key, view: View, patches: Sequence[Patch], compact: bool, columns: Columns | None
+) -> Surface | None:
     """Patches of one material with their table; None if they are never lit and seen."""
-    table = pair_table(view, patches, compact)
+    table = pair_table(view, patches, compact, columns)
     if table is None:
         return None
     component, material, sunlit, scale = key
-    return Surface(component, material, patches[0].model, table, _phase_angle(view), sunlit, scale)
+    return Surface(component, material, patches[0].model, table, _phase_angle(view, columns), sunlit, scale)
 
 
-def _phase_angle(view: View) -> Tensor:
-    """Phase angle (T,) at mid-exposure, rad, or (B, T) where it differs within a batch."""
+def _phase_angle(view: View, columns: Columns | None) -> Tensor:
+    """Phase angle (T,) at mid-exposure, rad, or (B, T) where it differs within a batch; (..., C) of ``columns``."""
     phase = view.apart(torch.linalg.vector_norm(view.to_sun + view.to_observer, dim=-1) / 2)
     middle = phase[phase.shape[0] // 2]
-    return 2 * torch.acos((middle[0] if len(middle) == 1 else middle).clamp(max=1 - 1e-15))
+    middle = middle[0] if len(middle) == 1 else middle
+    return 2 * torch.acos((middle if columns is None else middle[..., columns.instant]).clamp(max=1 - 1e-15))
 
 
 def _put(piece: Brightness, rows: Tensor, batch: int) -> Brightness:
@@ -824,6 +871,13 @@ def _put(piece: Brightness, rows: Tensor, batch: int) -> Brightness:
         return replace(piece, flux=flux)
     shares = piece.shares.new_zeros(batch, *piece.shares.shape[1:]).index_copy(0, rows, piece.shares)
     return replace(piece, flux=flux, shares=shares)
+
+
+def _sky(view: View, columns: Columns | None, instants: Instants | None, *, fixed: bool) -> Sky:
+    """What the shade stage sees of a view, at the instants that stand for ``columns``."""
+    if columns is not None and instants is not None and len(columns.row) < len(columns.of):
+        view, instants = view.at(columns.instant), instants.at(columns.instant)
+    return Sky(_by_value(view, view.state), _by_value(view, view.nodes), fixed, instants)
 
 
 def _by_value(view: View, record: Record) -> Record:

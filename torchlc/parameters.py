@@ -26,7 +26,7 @@ class Quantity:
 
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
     ``typical`` the size worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is
-    the default, with ``mean`` and ``sigma``.
+    the default, with ``mean`` and ``sigma``. What has a value ``unless_set`` keeps it where the scene says nothing.
     """
 
     name: str
@@ -39,6 +39,7 @@ class Quantity:
     prior: str = "uniform"
     mean: float | None = None
     sigma: float | None = None
+    unless_set: float | None = None
 
 
 @dataclass(frozen=True)

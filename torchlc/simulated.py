@@ -17,7 +17,7 @@ from astropy.table import MaskedColumn, Table
 from torch import Tensor
 
 from torchlc.effects.earth_shadow import sunlit_fraction
-from torchlc.insight import bare_view
+from torchlc.insight import bare_view, limits
 from torchlc.likelihood import MAG_PER_LN, matern32
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
@@ -187,7 +187,7 @@ def simulated_curve(
         recording=recording if noise is None else quoted,
         columns=columns | _geometry(model, theta),
         shares=dict(zip(brightness.components, shares, strict=True)),
-        warnings=[*left_out(recording), *model.assembly.warnings],
+        warnings=[*left_out(recording), *model.assembly.warnings, *limits(model, theta)],
         seed=seed,
     )
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
-from torchlc.effects.base import Light, Patch, View
+from torchlc.effects.base import Columns, Light, Patch, View
 from torchlc.shape.curved import Band, Dome, Plane, Points, share_near
 from torchlc.tracing import followed, transformed
 from torchlc.vectors import dot
@@ -30,31 +30,37 @@ EMPTY = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 alike, for either may end)."""
 
 
-def pair_table(view: View, patches: Sequence[Patch], compact: bool) -> Mapping[str, Tensor] | None:
+def pair_table(
+    view: View, patches: Sequence[Patch], compact: bool, columns: Columns | None = None
+) -> Mapping[str, Tensor] | None:
     """The material's table of all facets, lights and instants of some patches of one material; None if none
     is lit and seen.
 
     The weight of a pair is area x visible fraction x irradiance x share of the exposure / range^2 if lit
     and seen and 0 elsewhere. Where the values of a batch differ tables have an axis B before the others. With ``compact`` only the pairs that are lit and seen are worked out, in as
     few slots as the busiest row needs, and equal pairs (wings that share a normal) are counted once. Models
-    without a lobe are summed over facets a few rows at a time, so that a mesh needs little memory.
+    without a lobe are summed over facets a few rows at a time, so that a mesh needs little memory. ``columns`` says
+    which of the instants along the axis T share a column of such a table (None: each has its own).
     """
     model = patches[0].model
     if not model.additive:
         patches = [_as_one(patch) for patch in patches]
     if not compact:
         return _tabulated(model, _gridded(view, patches))
+    if columns is None:
+        own = torch.arange(view.to_observer.shape[1])
+        columns = Columns(own, own, own, own)
     instants = view.to_observer.shape[0]
     lights = sum(light.irradiance.shape[0] for light in view.lights)
     facets = sum(_slots(patch) for patch in patches)
     size = max(1, PAIRS_PER_CHUNK // (instants * lights * facets))
-    rows = range(0, view.to_observer.shape[1], size)
+    cuts = _cuts(columns, size)
     if model.additive:
-        sums = [_summed(view, patches, slice(start, start + size)) for start in rows]
+        sums = [_summed(view, patches, rows, columns.of[rows]) for rows in cuts]
         return {name: torch.cat([table[name] for table in sums], -1) for name in sums[0]}
-    pieces = [_packed(view, patches, slice(start, start + size)) for start in rows]
-    columns = joined(pieces, EMPTY)
-    return _tabulated(model, _deduplicated(columns)) if len(columns[-1]) else None
+    pieces = [_packed(view, patches, rows, columns.of[rows]) for rows in cuts]
+    pairs = joined(pieces, EMPTY)
+    return _tabulated(model, _deduplicated(pairs)) if len(pairs[-1]) else None
 
 
 def _as_one(patch: Patch) -> Patch:
@@ -91,8 +97,22 @@ def _falling(patch: Patch, light: Light) -> Light:
     return light.fewer[patch.surface.axes - 1]
 
 
-def _summed(view: View, patches: Sequence[Patch], rows: slice) -> dict[str, Tensor]:
-    """The table of a model without a lobe, which asks for the cosines alone, of a few rows."""
+def _cuts(columns: Columns, size: int) -> list[slice]:
+    """Pieces of about ``size`` instants, none of which cuts a column in two."""
+    cuts, start = [], 0
+    ends = torch.cumsum(torch.bincount(columns.of), 0)
+    while start < len(columns.of):
+        fits = int(torch.searchsorted(ends, start + size, right=True))
+        last = columns.of[start] if fits <= int(columns.of[start]) else fits - 1
+        end = int(ends[last])
+        cuts.append(slice(start, end))
+        start = end
+    return cuts
+
+
+def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> dict[str, Tensor]:
+    """The table of a model without a lobe, which asks for the cosines alone, of a few rows, each of which
+    belongs to a ``column`` (rows,)."""
     model = patches[0].model
     total: dict[str, Tensor] = {}
     for patch in patches:
@@ -107,7 +127,14 @@ def _summed(view: View, patches: Sequence[Patch], rows: slice) -> dict[str, Tens
             angles = Incidence(cos_i.reshape(shape), cos_r.expand_as(weight).reshape(shape), one, one, one)
             for name, table in model.tabulate(angles, weight.reshape(shape)).items():
                 total[name] = total[name] + table if name in total else table
-    return total
+    column = column - column[0]
+    count = int(column[-1]) + 1
+    if count == len(column):
+        return total
+    return {
+        name: table.new_zeros(*table.shape[:-1], count).index_add(-1, column, table)
+        for name, table in total.items()
+    }
 
 
 def _tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tensor]:
@@ -245,9 +272,10 @@ def _by_plane(view: View, cover: Tensor) -> Tensor:
     return cover[:, None, None, ..., None] if cover.ndim == 2 else cover[:, None, None, None, None]
 
 
-def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, ...]:
+def _packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> tuple[Tensor, ...]:
     """The columns of :func:`_gridded` for a few rows, without the pairs of no weight: (slots of the busiest
-    row, rows)."""
+    column, columns), each row being of a ``column`` (rows,)."""
+    column = column - column[0]
     found: list[tuple[Tensor, ...]] = []
     for patch in patches:
         pose = None if patch.pose is None else patch.pose[..., rows, :, :]
@@ -270,8 +298,8 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice) -> tuple[Tensor, 
                     spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
                 row = lit // (len(weight) // shape[-1])
                 found.append((row, *vars(angles).values(), *spread, weight[lit]))
-    row, *columns = (torch.cat(column) for column in zip(*found, strict=True))
-    return slotted(row, columns, view.range_m[:, rows].shape[1], EMPTY)
+    row, *columns = (torch.cat(values) for values in zip(*found, strict=True))
+    return slotted(column[row], columns, int(column[-1]) + 1, EMPTY)
 
 
 def _by_row(pairs: Tensor, shape: torch.Size) -> Tensor:

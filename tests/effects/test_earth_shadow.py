@@ -7,12 +7,23 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.special import wrightomega
 
 from tests.effects.cases import AU_KM, unit
-from tests.paper_orbits import ORBIT_1, ORBIT_2, recording, tle_scene
-from torchlc.effects.earth_shadow import sunlit_fraction
+from tests.effects.passes import LOW_PASS, TUMBLING, orbiting, rows
+from tests.paper_orbits import LOW, ORBIT_1, ORBIT_2, recording, tle_scene
+from torchlc.api import simulate
+from torchlc.effects.earth_shadow import softened_fraction, sunlit_fraction, wright_omega
+from torchlc.model import LightCurve
 from torchlc.orbit import make_track
 
+FREE = """
+"earth_shadow.scale_height" = { value = 8.0, low = 0.0, high = 20.0 }
+"earth_shadow.refraction" = { value = 0.9, low = 0.0, high = 1.5 }
+"earth_shadow.wavelength" = { value = 600.0, low = 300.0, high = 1100.0 }
+"""
+SCENE = orbiting(TUMBLING, tle=LOW, parameters=FREE)
+"""With all numbers of the shadow free: the contract of effects holds their gradients against finite differences."""
 EQUATORIAL_KM, FLATTENING, SUN_RADIUS_KM = 6378.137, 1 / 298.257223563, 695_700.0
 POINTS = 40_000
 
@@ -139,3 +150,143 @@ def test_eclipses_of_the_papers_orbits(orbit, umbra, penumbra, close_s):
     found = [hours[fraction < 1e-4], hours[fraction < 1 - 1e-4]]
     for times, expected in zip(found, (umbra, penumbra), strict=True):
         np.testing.assert_allclose(times[[0, -1]], expected, atol=close_s / 3600)
+
+
+NU, SEA_LEVEL_KM = 2.78e-4, EQUATORIAL_KM
+"""Refractivity at the ground of the exponential atmosphere that rays are traced through."""
+
+
+def traced(impact_km: np.ndarray, h0_km: float, scale_km: float, nu: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bending, rad, and transmission of rays of given impact parameters b through n = 1 + nu exp(-(r - R) / H) and an
+    absorption that is proportional to the density, by Bouguer's law: the integrals along the ray over s, r = r0 + s^2.
+
+    The absorption gives a straight ray that passes at h0 an optical depth of 1 (its path is as long as sqrt(2 pi R H)).
+    """
+    s, weight = np.polynomial.legendre.leggauss(400)
+    s = 0.5 * (s + 1) * math.sqrt(25 * scale_km)
+    weight = 0.5 * weight * math.sqrt(25 * scale_km)
+    k0 = math.exp(h0_km / scale_km) / math.sqrt(2 * math.pi * SEA_LEVEL_KM * scale_km)
+
+    def index(r):
+        return 1 + nu * np.exp(-(r - SEA_LEVEL_KM) / scale_km)
+
+    perigee = impact_km.copy()
+    for _ in range(60):  # r n(r) = b
+        perigee = impact_km / index(perigee)
+    r = perigee[:, None] + s**2
+    n = index(r)
+    slope = -nu / scale_km * np.exp(-(r - SEA_LEVEL_KM) / scale_km)
+    # n^2 r^2 - b^2, over s^2, without its cancellation
+    inside = (n * r + impact_km[:, None]) * (n * r - impact_km[:, None]) / s**2
+    bending = -2 * impact_km * (2 * weight * slope / (n * np.sqrt(inside))).sum(-1)
+    density = np.exp(-(r - SEA_LEVEL_KM) / scale_km)
+    depth = 2 * k0 * (2 * weight * density * n * r / np.sqrt(inside)).sum(-1)
+    return bending, np.exp(-depth)
+
+
+def by_elements(radius_km: float, angle: np.ndarray, h0_km: float, scale_km: float, nu: float) -> np.ndarray:
+    """Sunlight over that without the Earth, for the Sun's centre at ``angle`` (N,), rad, from the Earth's centre as seen
+    from ``radius_km``: element by element of the disc, each with the ray that reaches the object from it."""
+    heights = np.concatenate(
+        [np.linspace(0, 60, 6000), np.linspace(60.01, 0.99 * radius_km - SEA_LEVEL_KM, 4000)]
+    )
+    impact = SEA_LEVEL_KM + heights[heights < 0.99 * radius_km - SEA_LEVEL_KM]
+    bending, passed = traced(impact, h0_km, scale_km, nu)
+    # the outgoing ray passes the centre at b as the incoming one did, turned by the bending
+    straight = np.arcsin(impact / radius_km) - bending
+    x, y = radius_km * np.cos(straight), radius_km * np.sin(straight)
+    # light on a ring b db falls on a ring y dy at the object's depth x, where y = (b - x sin(bending)) / cos(bending)
+    turn = np.gradient(bending, impact, edge_order=2)
+    sine, cosine = np.sin(bending), np.cos(bending)
+    moved = ((1 - x * cosine * turn) * cosine + (impact - x * sine) * sine * turn) / cosine**2
+    light = passed * impact / (y * moved)
+    k = np.arange(20_000) + 0.5
+    r, around = np.sqrt(k / 20_000), k * math.pi * (3 - math.sqrt(5))
+    weight = 1 - 0.6 * (1 - np.sqrt(1 - r**2))
+    size = SUN_RADIUS_KM / AU_KM
+    found = []
+    for centre in angle:
+        along, across = centre + size * r * np.cos(around), size * r * np.sin(around)
+        element = np.interp(np.arccos(np.cos(along) * np.cos(across)), straight, light, left=0.0, right=1.0)
+        found.append((weight * element).sum() / weight.sum())
+    return np.array(found)
+
+
+def entering(radius_km: float, heights_km: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+    """Places and directions to the Sun for straight rays from its centre that pass the equator at some heights, and
+    the angles between Sun and Earth."""
+    angle = math.asin(EQUATORIAL_KM / radius_km) + heights_km / math.sqrt(radius_km**2 - EQUATORIAL_KM**2)
+    place = radius_km * np.stack([-np.cos(angle), np.sin(angle), 0 * angle], -1)
+    return torch.as_tensor(place), torch.tensor([AU_KM, 0.0, 0.0]).expand(len(angle), 3).double(), angle
+
+
+@pytest.mark.parametrize("radius_km", [6778.0, 7500.0, 26_560.0, 42_164.0])
+@pytest.mark.parametrize(("scale_km", "h0_km"), [(8.0, 20.0), (6.5, 30.0)])
+@pytest.mark.parametrize("nu", [0.0, NU])
+def test_soft_edge_is_that_of_rays_through_an_exponential_atmosphere(radius_km, scale_km, h0_km, nu):
+    """Down to a hundredth of the light within 0.005 mag, to a thousandth within 0.02: the optical depth along a ray is taken
+    as exp(-(z - h0) / H), which is right to H / R, 1e-3 of a depth of up to 7."""
+    place, sun, angle = entering(radius_km, np.linspace(-60.0 if nu else -20.0, 120.0, 46))
+    expected = by_elements(radius_km, angle, h0_km, scale_km, nu)
+    h0, scale = (torch.full((len(angle),), one).double() for one in (h0_km, scale_km))
+    bends = torch.ones_like(h0) if nu else None
+    found = softened_fraction(place, sun, h0, scale, bends, 128).numpy()
+    for least, tolerance in ((1e-2, 5e-3), (1e-3, 2e-2)):
+        seen = expected > least
+        assert seen.sum() > 15
+        assert np.abs(2.5 * np.log10(found[seen] / expected[seen])).max() < tolerance
+    assert found[expected < 1e-6].max(initial=0.0) < 1e-5
+
+
+def test_light_is_bent_into_the_umbra():
+    """In the middle of the umbra of the Moon's distance the Sun's light comes from all around the limb; at GEO, half a degree
+    inside the geometric edge, a 40 km high ray is bent by 0.008 deg: nothing comes there but through lower air."""
+    place, sun, angle = entering(42_164.0, np.array([-300.0, -200.0, -100.0]))
+    h0, scale = torch.full((3,), 15.0).double(), torch.full((3,), 8.0).double()
+    hard = sunlit_fraction(place, sun, h0)
+    bent = softened_fraction(place, sun, h0, scale, torch.ones_like(h0), 128)
+    expected = by_elements(42_164.0, angle, 15.0, 8.0, NU)
+    assert hard[0] == 0
+    assert bent[0] > 1e-4
+    # the umbra is lit by a hundredth of the Sun's disc, spread hundredfold
+    np.testing.assert_allclose(bent.numpy(), expected, rtol=2e-2)
+
+
+def test_wright_omega_is_scipys():
+    a = torch.cat([torch.linspace(-60, 60, 2001), torch.logspace(1, 4, 50)]).double()
+    np.testing.assert_allclose(wright_omega(a).numpy(), wrightomega(a.numpy()), rtol=1e-13)
+
+
+def test_reddening_is_rayleighs():
+    """Optical depth goes as the fourth power of 1/wavelength: in blue light h0 lies where the depth at 550 nm is
+    (440/550)^4."""
+    scene = orbiting(tle=LOW, parameters='"earth_shadow.h0" = 20.0\n"earth_shadow.scale_height" = 8.0\n')
+    higher = 20.0 + 8.0 * math.log((550 / 440) ** 4)
+    blue = orbiting(
+        tle=LOW,
+        parameters='"earth_shadow.h0" = 20.0\n"earth_shadow.scale_height" = 8.0\n"earth_shadow.wavelength" = 440.0\n',
+    )
+    raised = orbiting(
+        tle=LOW, parameters=f'"earth_shadow.h0" = {higher}\n"earth_shadow.scale_height" = 8.0\n'
+    )
+    grid = rows(scene, LOW_PASS, 0.16, 6.0)
+    green, found, expected = (
+        LightCurve(one, grid, effects=["earth_shadow"])().detach() for one in (scene, blue, raised)
+    )
+    torch.testing.assert_close(found, expected, rtol=1e-12, atol=0)
+    partly = torch.isfinite(found) & (green < found - 1e-3)
+    assert partly.sum() >= 3  # blue light goes first
+
+
+def test_a_hard_edge_where_the_air_is_soft_is_told():
+    """In a low orbit by its size, at GEO, where the Sun's disc is 390 km of air, not at all."""
+    low = simulate(_shadowed(LOW), start=LOW_PASS, hours=0.16, cadence=2.0)
+    assert any("0." in text and "scale_height" in text for text in low.warnings)
+    high = simulate(_shadowed(ORBIT_1), start="2020-10-10T15:00:00", hours=2.0, cadence=20.0)
+    assert 0 < np.isfinite(high.mag).sum() < len(high.mag)
+    assert not any("scale_height" in text for text in high.warnings)
+
+
+def _shadowed(tle):
+    scene = orbiting(tle=tle, parameters='"earth_shadow.h0" = 20.0\n')
+    return scene.model_copy(update={"model": scene.model.model_copy(update={"effects": ["earth_shadow"]})})

@@ -20,6 +20,8 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
     with torch.no_grad():
         values = model.values(theta)
         view = model.view(values)
+        if model.assembly.instants is not None:
+            view = view.at(model.assembly.instants.middle)
         flux = model.brightness(theta).flux
     context = model.assembly.context
     middle = view.to_sun.shape[0] // 2

@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import torch
@@ -20,6 +21,7 @@ from torchlc.diagnose.rivals import told
 from torchlc.diagnose.search import Found
 from torchlc.diagnose.where import Where, as_json
 from torchlc.effects.base import Entry
+from torchlc.insight import limits
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
 
@@ -115,6 +117,11 @@ class Diagnosis:
         }
         return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
 
+    @cached_property
+    def limits(self) -> list[str]:
+        """What the approximations of the final model amount to, where that is worth telling."""
+        return limits(self.final.refit.model, self.final.refit.theta)
+
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
         recording = self.baseline.refit.model.recording
@@ -138,6 +145,7 @@ class Diagnosis:
                 "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
                 "remaining": self.remaining(),
                 "doubt": self.doubt,
+                "limits": self.limits,
                 "next_observation": self.next_observation,
                 "sets": told(self.others, self.final, self.baseline),
                 "nights": [vars(night) for night in self.nights[:8]],

@@ -28,9 +28,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -60,6 +61,63 @@ class Nodes:
 
     offset: Tensor
     weight: Tensor
+
+
+@dataclass(frozen=True)
+class Instants:
+    """Which instants N of each exposure are worked out, those of a row one after the other: more where light changes.
+
+    ``row`` (N,) that an instant belongs to; ``place`` (N,) in the exposure, -1/2 to 1/2; ``weight`` (N,), its share of
+    the exposure. Each is a Gauss-Legendre node of a ``panel`` (N,), a part of the exposure; ``span`` (P,) is how
+    much of the exposure each panel takes. There are ``rows``, of which some may have none.
+    """
+
+    row: Tensor
+    place: Tensor
+    weight: Tensor
+    panel: Tensor
+    span: Tensor
+    rows: int | None = None
+
+    @property
+    def middle(self) -> Tensor:
+        """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
+        order = np.lexsort((self.place.abs().numpy(), self.row.numpy()))
+        rows, first = np.unique(self.row.numpy()[order], return_index=True)
+        found = torch.zeros(int(rows[-1]) + 1 if self.rows is None else self.rows, dtype=torch.long)
+        found[torch.as_tensor(rows)] = torch.as_tensor(order[first])
+        return found
+
+    def at(self, instants: Tensor) -> Instants:
+        """Some of the instants (K,)."""
+        picked = (one[instants] for one in (self.row, self.place, self.weight, self.panel))
+        return Instants(*picked, self.span, self.rows)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the tables hold side by side, C columns: a whole exposure where the light that falls on the object stays
+    the same within it, else an instant of it.
+
+    ``of`` (N,) is the column of each instant; ``row`` (C,) its row, ``weight`` (C,) its share of the exposure,
+    ``instant`` (C,) one of its instants.
+    """
+
+    of: Tensor
+    row: Tensor
+    weight: Tensor
+    instant: Tensor
+
+    @classmethod
+    def joined(cls, instants: Instants, apart: Tensor) -> Columns:
+        """The instants of a row as one column, unless they are kept ``apart`` (T,)."""
+        row = instants.row
+        starts = torch.ones_like(row, dtype=torch.bool)
+        starts[1:] = (row[1:] != row[:-1]) | apart[row[1:]]
+        of = starts.long().cumsum(0) - 1
+        instant = torch.nonzero(starts)[:, 0]
+        weight = instants.weight.new_zeros(len(instant)).index_add(0, of, instants.weight)
+        return cls(of, row[instant], weight, instant)
 
 
 @dataclass(frozen=True)
@@ -137,6 +195,33 @@ class View:
     patches: tuple[Patch, ...] = ()
     batch: int = 1
 
+    def at(self, instants: Tensor) -> View:
+        """The view of some of the instants (K,) along the axis T, each of which stands for its whole row."""
+
+        def picked(record: Any) -> Any:
+            columns = {one.name: getattr(record, one.name) for one in fields(record)}
+            ends = {"position": 2, "velocity": 2, "sun": 2, "observer": 2, "direction": 2}
+            return replace(
+                record,
+                **{
+                    name: value.index_select(value.ndim - ends.get(name, 1), instants)
+                    for name, value in columns.items()
+                    if isinstance(value, Tensor) and value.shape[-ends.get(name, 1)] > 1
+                },
+            )
+
+        return replace(
+            self,
+            nodes=Nodes(self.nodes.offset[:, instants], torch.ones_like(self.nodes.offset[:, :1])),
+            state=picked(self.state),
+            rotation=self.rotation[:, instants],
+            to_sun=self.to_sun[:, instants],
+            to_observer=self.to_observer[:, instants],
+            range_m=self.range_m[:, instants],
+            poses=tuple(None if pose is None else pose[:, instants] for pose in self.poses),
+            lights=tuple(map(picked, self.lights)),
+        )
+
     def apart(self, tensor: Tensor, axis: int = 0) -> Tensor:
         """``tensor`` with its axis Q as two: instants, and the values of the batch or 1."""
         size = tensor.shape[axis]
@@ -160,12 +245,13 @@ class Surface:
 
 @dataclass(frozen=True)
 class Sky:
-    """What the shade stage sees: positions at every instant, their weights, and ``fixed`` if no free
-    parameter moves them."""
+    """What the shade stage sees: positions in every column of the tables, their weights, ``fixed`` if no free
+    parameter moves them, and the ``instants`` that the columns are, where exposures have several."""
 
     state: State
     nodes: Nodes
     fixed: bool
+    instants: Instants | None = None
 
 
 @dataclass(frozen=True)
@@ -229,7 +315,10 @@ class Context:
     etc. index.
 
     ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's
-    lobe that has to be resolved; ``errors`` is false if they are fitted.
+    lobe that has to be resolved, ``lobe_bounds`` the largest that it may have; ``errors`` is false if they are
+    fitted. ``bounds`` gives the least and largest value of every number of the attitude and of the model's
+    ``effects`` (one, twice, if it is fixed). ``finer`` (T,) marks rows whose exposures are worked out at twice as many
+    instants as they need, to see what that changes.
     """
 
     seconds: Tensor
@@ -253,6 +342,31 @@ class Context:
     kind: str
     errors: bool
     memory: Memory = field(default_factory=lambda: Memory())
+    lobe_bounds: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    effects: Sequence[Effect] = ()
+    finer: Tensor | None = None
+
+    def turned(self, *stages: str) -> bool:
+        """Whether a number of an effect of these stages, free or not 0, turns or moves what they make."""
+        return any(
+            effect.stage in stages
+            and not effect.linear
+            and any(
+                self.bounds[effect.full_name(one.name)] != (one.off, one.off) for one in effect.quantities
+            )
+            for effect in self.effects
+            if not effect.spans_exposure
+        )
+
+    def at_rows(self, rows: Tensor) -> Context:
+        """The context of some rows (N,), which may repeat."""
+        per_row = {
+            one.name: value[rows]
+            for one in fields(self)
+            if isinstance(value := getattr(self, one.name), Tensor)
+        }
+        return replace(self, **per_row, track=self.track.at_rows(rows))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -331,7 +445,8 @@ class Effect:
     reflection model of a surface that it adds; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
     the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its
-    targets cannot be one."""
+    targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
+    scatter that is worked out for mid-exposure alone."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -350,6 +465,8 @@ class Effect:
     divisible: ClassVar[bool] = False
     by: str | None = None
     width: float | None = None
+    spans_exposure: ClassVar[bool] = False
+    at_middle: ClassVar[bool] = False
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:
@@ -384,6 +501,19 @@ class Effect:
         """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
         ``nodes`` they need."""
         return self
+
+    def instants(self, context: Context) -> Instants | None:
+        """Of a clock: the instants at which each exposure is worked out; None if it is one each."""
+        return None
+
+    def change(self, context: Context, reach: Tensor) -> Tensor:
+        """Of a shade: how much of its whole range the factor on sunlight may change within ``reach`` (T,) s about the
+        stamps, at most, (T,); 0 where it stays the same whatever the parameters are."""
+        return torch.ones_like(reach)
+
+    def limits(self, p: Parameters, context: Context) -> Sequence[str]:
+        """What its approximations amount to at these values, a sentence each, where that is worth telling."""
+        return ()
 
     @classmethod
     def targets(cls, context: Context) -> Sequence[str | None]:

@@ -2,16 +2,82 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Effect, Sky
+from torchlc.effects.base import Effect, Instants
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 from torchlc.tracing import traced
 
 EARTH_RADIUS_KM = 6378.137
 FLATTENING = 1 / 298.257223563
+REFRACTIVITY = 2.78e-4
+"""n - 1 of air at sea level, 15 C, 550 nm (Ciddor 1996)."""
+GREEN_NM = 550.0
+RAYLEIGH_POWER = 4.0
+SOFTEST_HARD_KM = 1.0
+"""Scale height below which the edge is taken as hard: in a low orbit its mean lies 0.6 km higher, 0.1 s of an entry."""
+LEAST_STRIPS, MOST_STRIPS = 64, 640
+STRIP_HEIGHTS = 1.5
+"""Scale heights from strip to strip of the Sun's disc: a sum of a smooth function of that step is within 1e-5 of its
+integral (the transform of a Gumbel density falls as exp(-pi^2 / step))."""
+WRIGHT_STEPS, NEWTON_STEPS = 6, 2
+MOST_CURVED = 0.5
+"""Largest curvature of a ray over the Earth's that is followed: of rays 6 km under the ground."""
+ABOVE_HEIGHTS = 12.0
+"""Scale heights above h0 at which 6e-6 of the light is lost."""
+AIR_KM = 8.0
+"""Scale height of the air near the ground; 6 to 7 km in the stratosphere."""
+LEAST_LEFT, TOLD_MAG = 0.05, 0.05
+"""Share of sunlight above which a hard edge is compared with a soft one, and the difference that is told."""
+CELLS = 4
+"""Cells for averaging over an exposure while the limb crosses the Sun's disc, with CELL_NODES Gauss-Legendre times each."""
+CELL_NODES = 4
+MOST_CELLS = 200
+
+
+@dataclass(frozen=True)
+class Limb:
+    """The limb as an object sees it, (...): the Earth's ``distance`` from its centre, km, and the Sun's ``separation`` from
+    the centre and ``radius``, rad, along the line of centres; ``day`` where the Sun stands on the object's side. The
+    ellipsoid is made a sphere by stretching z."""
+
+    distance: Tensor
+    separation: Tensor
+    radius: Tensor
+    day: Tensor
+
+    @classmethod
+    def seen(cls, position: Tensor, sun: Tensor) -> Limb:
+        """Of an object at ``position`` (..., 3) km with ``sun`` (..., 3) km from it to the Sun."""
+        stretch = torch.ones(3, dtype=position.dtype, device=position.device)
+        stretch[2] = 1 / (1 - FLATTENING)
+        r = position * stretch
+        towards = sun * stretch
+        distance_sun = torch.linalg.vector_norm(towards, dim=-1)
+        cross = torch.linalg.vector_norm(torch.linalg.cross(towards, -r), dim=-1)
+        return cls(
+            torch.linalg.vector_norm(r, dim=-1),
+            torch.atan2(cross, -(towards * r).sum(-1)),
+            SUN_RADIUS_KM / distance_sun * _stretch_across(position, sun, stretch),
+            (towards * r).sum(-1) > 0,
+        )
+
+    def heights(self) -> tuple[Tensor, Tensor]:
+        """Heights, km, (...), at which straight rays from the lowest and the highest point of the Sun's disc pass the limb."""
+        low, high = (self.separation + side * self.radius for side in (-1.0, 1.0))
+        passed = torch.where(self.day, math.inf, 0.0)
+        return (
+            self.distance * torch.sin(low.clamp(0.0, 0.5 * math.pi)) - EARTH_RADIUS_KM + passed,
+            self.distance * torch.sin(high.clamp(max=0.5 * math.pi)) - EARTH_RADIUS_KM + passed,
+        )
 
 
 def sunlit_fraction(position: Tensor, sun: Tensor, h0_km: Tensor) -> Tensor:
@@ -21,27 +87,101 @@ def sunlit_fraction(position: Tensor, sun: Tensor, h0_km: Tensor) -> Tensor:
 
     The covered part is integrated over 48 chords of the disc parallel to the line of centres.
     """
+    limb = Limb.seen(position, sun)
     equatorial = EARTH_RADIUS_KM + h0_km
-    stretch = torch.ones(3, dtype=position.dtype, device=position.device)
-    stretch[2] = 1 / (1 - FLATTENING)
-    r = position * stretch
-    towards = sun * stretch
-    distance_sun = torch.linalg.vector_norm(towards, dim=-1)
-    distance = torch.linalg.vector_norm(r, dim=-1)
-    cross = torch.linalg.vector_norm(torch.linalg.cross(towards, -r), dim=-1)
-    separation = torch.atan2(cross, -(towards * r).sum(-1))
-    earth = torch.asin((equatorial / distance).clamp(max=1 - 1e-12))
-    radius = SUN_RADIUS_KM / distance_sun * _stretch_across(position, sun, stretch)
+    earth = torch.asin((equatorial / limb.distance).clamp(max=1 - 1e-12))
     y, w = _chords(position)
     # the Sun's disc in its own radii: x along the line of centres, away from the Earth; the limb stands at x
     # = edge(y)
-    across = y * radius[..., None]
+    across = y * limb.radius[..., None]
     earth_ = earth[..., None]
-    edge = (torch.sqrt((earth_**2 - across**2).clamp(min=0)) - separation[..., None]) / radius[..., None]
+    edge = (torch.sqrt((earth_**2 - across**2).clamp(min=0)) - limb.separation[..., None]) / limb.radius[
+        ..., None
+    ]
     half = torch.sqrt(1 - y * y)
     share = _chord_share((edge / half).clamp(-1, 1), half)
     seen = (w * share).sum(-1)
-    return torch.where((towards * r).sum(-1) > 0, torch.ones_like(seen), seen)
+    return torch.where(limb.day, torch.ones_like(seen), seen)
+
+
+def softened_fraction(
+    position: Tensor,
+    sun: Tensor,
+    h0_km: Tensor,
+    scale_height_km: Tensor,
+    refraction: Tensor | None = None,
+    strips: int = LEAST_STRIPS,
+) -> Tensor:
+    """Sunlight (...) over that outside the shadow, past air whose optical depth along a ray that grazes at height z is
+    exp(-(z - ``h0_km``) / ``scale_height_km``).
+
+    With ``refraction``, 1 for air of the Earth's density, rays are those of n = 1 + nu exp(-(r - R) / H), see
+    :func:`refracted`.
+
+    The disc is cut into strips across the line of centres. In a strip the limb's curvature counts by its mean. Neglects
+    that the ground ends the rays below z = 0, where tau is 12 at h0 = 20 and H = 8 km, light from the opposite limb,
+    and the change of H with height: see docs/physics/neglected.md for sizes.
+    """
+    limb = Limb.seen(position, sun)
+    angle = (torch.arange(strips, dtype=position.dtype, device=position.device) + 0.5) * (math.pi / strips)
+    x, half = -torch.cos(angle), torch.sin(angle)
+    flat, curved = (1 - LIMB_DARKENING) * 2 * half, LIMB_DARKENING * (math.pi / 2) * half**2
+    weight = (flat + curved) * half
+    weight = weight / weight.sum()
+    square = (flat * half**2 / 3 + curved * half**2 / 4) / (flat + curved)
+    radius, distance = limb.radius[..., None], limb.distance[..., None]
+    along = limb.separation[..., None] + x * radius
+    lower = (along > 1e-9) & (along < 0.5 * math.pi - 1e-9)
+    safe = torch.where(lower, along, 0.25 * math.pi)
+    apart = safe + 0.5 * square * radius**2 / torch.tan(safe)
+    straight = distance * torch.sin(apart) - EARTH_RADIUS_KM
+    h0, scale = h0_km[..., None], scale_height_km[..., None]
+    if refraction is None:
+        light = torch.exp(-torch.exp((-(straight - h0) / scale).clamp(max=50.0)))
+    else:
+        light = refracted(straight, distance * torch.cos(apart), h0, scale, refraction[..., None])
+    light = torch.where(lower, light, (along > 0.25 * math.pi).to(light))
+    seen = (weight * light).sum(-1)
+    return torch.where(limb.day, torch.ones_like(seen), seen)
+
+
+def refracted(straight: Tensor, reach: Tensor, h0: Tensor, scale: Tensor, refraction: Tensor) -> Tensor:
+    """Light (...) of a point source over that without air, for an object ``reach`` km behind the limb whose straight ray passes
+    at the height ``straight``, km.
+
+    With e = exp(-z / H) of the height z where the bent ray passes and kappa = nu R e / H, its curvature over the Earth's: it
+    comes in nu R e above z, is bent by nu sqrt(2 pi R / H) e / sqrt(1 - kappa), reaches the object by ``reach`` times that
+    lower, meets exp(-(z - h0) / H) / sqrt(1 - kappa) of optical depth, and is spread as neighbours are moved apart (Baum & Code
+    1953), less what the limb's curvature gathers. Without kappa z follows from Wright's omega; Newton's method adds it.
+    """
+    air = refraction * REFRACTIVITY * EARTH_RADIUS_KM
+    bent = reach * refraction * REFRACTIVITY * torch.sqrt(2 * math.pi * EARTH_RADIUS_KM / scale)
+    a = torch.log(((bent - air) / scale).clamp(min=1e-30)) - straight / scale
+    height = straight + scale * wright_omega(a)
+    for _ in range(NEWTON_STEPS):
+        thin = torch.exp((-height / scale).clamp(max=50.0))
+        kappa = (air / scale * thin).clamp(max=MOST_CURVED)
+        longer = torch.rsqrt(1 - kappa)
+        off = height + (air - bent * longer) * thin - straight
+        slope = 1 + (bent * longer * (1 + 0.5 * kappa / (1 - kappa)) - air) * thin / scale
+        height = height - off / slope
+    thin = torch.exp((-height / scale).clamp(max=50.0))
+    kappa = (air / scale * thin).clamp(max=MOST_CURVED)
+    longer = torch.rsqrt(1 - kappa)
+    slope = 1 + (bent * longer * (1 + 0.5 * kappa / (1 - kappa)) - air) * thin / scale
+    focus = (EARTH_RADIUS_KM + height) / (EARTH_RADIUS_KM + straight).clamp(min=0.1 * EARTH_RADIUS_KM)
+    depth = torch.exp((-(height - h0) / scale).clamp(max=50.0)) * longer
+    return torch.exp(-depth) * focus * (1 - kappa) / slope
+
+
+def wright_omega(a: Tensor) -> Tensor:
+    """w (...) with w + ln w = a (...), by Newton's method for ln w, which is convex and started from its upper side."""
+    low = a <= 1
+    v = torch.where(low, a, torch.log(torch.where(low, 1.0, a)))
+    for _ in range(WRIGHT_STEPS):
+        w = torch.exp(v)
+        v = v - (w + v - a) / (w + 1)
+    return torch.exp(v)
 
 
 def _stretch_across(position: Tensor, sun: Tensor, stretch: Tensor) -> Tensor:
@@ -83,7 +223,13 @@ class EarthShadow(Effect):
     """Umbra and penumbra of the oblate Earth raised by h0 of opaque air: total, for up to 72 min at GEO near
     the equinoxes.
 
-    Neglects light refracted into the umbra (below 1e-3 of sunlight) and the softness of the air's edge, 8 km.
+    The edge of the air is hard unless the scene sets scale_height, in low orbits about 8 km: optical depth then falls as
+    exp(-(z - h0) / scale_height) with the height z at which a ray passes, h0 being where it is 1. A hard edge is within
+    0.01 mag of that at GEO where a tenth of the light is left, and up to 0.6 mag off in low orbits. refraction = 1 adds the
+    bending and spreading of light, up to 1.1 deg into the umbra. In light of another wavelength h0 lies higher or
+    lower by 4 scale heights times ln(550 nm / wavelength), as Rayleigh's law has it. Within an exposure the share of sunlight
+    is averaged under a polynomial of the rest of the light. Neglects the change of scale_height with
+    height, clouds and ozone, and twilight.
     """
 
     name = "earth_shadow"
@@ -94,37 +240,199 @@ class EarthShadow(Effect):
             "h0", "km", 0.0, 60.0, "height of the opaque air over the Earth", typical=20.0,
             prior="normal", mean=20.0, sigma=15.0,
         ),
+        Quantity(
+            "scale_height", "km", 0.0, 20.0, "scale height of the air at its edge; below 1 a hard edge",
+            typical=8.0, prior="normal", mean=8.0, sigma=1.0, unless_set=0.0,
+        ),
+        Quantity(
+            "refraction", "", 0.0, 1.5, "bending by the air over that of the Earth's; needs scale_height", typical=1.0,
+            prior="normal", mean=1.0, sigma=0.1, unless_set=0.0,
+        ),
+        Quantity(
+            "wavelength", "nm", 300.0, 1100.0, "of the light, for h0 is that at 550 nm; needs scale_height", typical=550.0,
+            unless_set=550.0,
+        ),
     )  # fmt: skip
-
-    def __init__(self, target=None):
-        super().__init__(target)
-        self._near: tuple[Sky, Tensor] | None = None
 
     def missing(self, context):
         return None if context.track.supports("position") else "the recording gives no geocentric position"
 
+    def prepared(self, context):
+        low, high = (
+            [context.bounds[self.full_name(one)][side] for one in ("h0", "scale_height", "refraction")]
+            for side in (0, 1)
+        )
+        reddest, bluest = (
+            RAYLEIGH_POWER * high[1] * math.log(GREEN_NM / one)
+            for one in reversed(context.bounds[self.full_name("wavelength")])
+        )
+        self.soft, self.always_soft = high[1] >= SOFTEST_HARD_KM, low[1] >= SOFTEST_HARD_KM
+        self.bends = self.soft and high[2] > 0
+        softest = high[1] if self.soft else 0.0
+        self.lowest, self.highest = low[0], high[0]
+        if self.soft:
+            self.lowest = low[0] + min(reddest, 0.0) - 4 * softest
+            self.highest = high[0] + max(bluest, 0.0) + ABOVE_HEIGHTS * softest
+        state = context.track.at(0.0, 0.0, 0.0)
+        assert state.position is not None
+        farthest = float(torch.linalg.vector_norm(state.position, dim=-1).max())
+        if self.bends:
+            scale = max(low[1], SOFTEST_HARD_KM)
+            bent = high[2] * REFRACTIVITY * math.sqrt(2 * math.pi * EARTH_RADIUS_KM / scale)
+            below = max(self.lowest, -scale)
+            self.lowest = below - farthest * bent * math.exp(-below / scale)
+            self.highest = max(self.highest, softest * math.log(1e5 * max(farthest * bent / scale, 1.0)))
+        sun_km = farthest * SUN_RADIUS_KM / float(torch.linalg.vector_norm(state.sun, dim=-1).min())
+        step = STRIP_HEIGHTS * max(low[1], SOFTEST_HARD_KM)
+        self.strips = min(max(LEAST_STRIPS, math.ceil(math.pi * sun_km / step)), MOST_STRIPS)
+        self.moved = context.turned("clock", "orbit")
+        exposure = torch.zeros_like(context.seconds)
+        if any(effect.spans_exposure for effect in context.effects):
+            exposure = (
+                torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
+            )
+        self.lit, self.dark, self.crossed = self._stands(context, exposure)
+        return self
+
+    def _stands(self, context, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows (T,) that are in full sunlight and in the umbra throughout ``reach`` (T,) s, whatever the parameters are; and
+        how much of the Sun's disc (T,) the limb crosses meanwhile."""
+        place = torch.tensor([-0.5, 0.0, 0.5], dtype=reach.dtype)[:, None] * reach
+        state = context.track.at(place, place, 0.0)
+        assert state.position is not None
+        low, high = Limb.seen(state.position, state.sun).heights()
+        disc = torch.where(torch.isfinite(low), high - low, 1.0)
+        moved = torch.where(torch.isfinite(low), low, high.clamp(max=1e6))
+        crossed = ((moved.amax(0) - moved.amin(0)) / disc.amin(0)).clamp(max=1e3)
+        # a straight line between three times, hence the margin
+        margin = 1.0 + 0.2 * crossed * disc.amax(0)
+        if self.moved:
+            nothing = torch.zeros_like(reach, dtype=torch.bool)
+            return nothing, nothing, crossed
+        lit = low.amin(0) > self.highest + margin
+        dark = ~lit & (high.amax(0) < self.lowest - margin)
+        return lit, dark, crossed
+
+    def limits(self, p, context):
+        if self.soft:
+            return ()
+        state = context.track.at(0.0, 0.0, 0.0)
+        assert state.position is not None
+        hard = sunlit_fraction(state.position, state.sun, p["h0"])
+        scale = torch.full_like(p["h0"], AIR_KM)
+        # where half of the light is left, both edges are at one height
+        soft = softened_fraction(state.position, state.sun, p["h0"] + AIR_KM * math.log(math.log(2)), scale)
+        partly = (hard > LEAST_LEFT) & (soft > LEAST_LEFT)
+        change = torch.where(partly, 2.5 * torch.log10(torch.where(partly, soft / hard, 1.0)).abs(), 0.0)
+        wrong = change > TOLD_MAG
+        if not bool(wrong.any()):
+            return ()
+        return (
+            f"earth_shadow: the air's edge is taken as hard; one that is {AIR_KM:g} km soft changes {int(wrong.sum())} rows in the "
+            f"penumbra by up to {float(change.max()):.2g} mag. Set earth_shadow.scale_height = {AIR_KM:g} for it",
+        )
+
+    def change(self, context, reach):
+        lit, dark, crossed = self._stands(context, reach)
+        return torch.where(lit | dark, 0.0, crossed)
+
     def shade(self, sky, p, context):
+        instants = sky.instants
         position, sun, weight = sky.state.position, sky.state.sun, sky.nodes.weight
         assert position is not None  # see `missing`
-        if not sky.fixed:
-            seen = sunlit_fraction(position, sun, p["h0"][..., None, :])
-            return (weight * seen).sum(-2)
-        if self._near is None or self._near[0] is not sky:
-            self._near = (sky, _near_shadow(position, sun))
-        near = self._near[1]
-        if not len(near):
+        row = torch.arange(len(self.lit)) if instants is None else instants.row
+        lit, dark = self.lit[row], self.dark[row]
+        columns = len(row)
+        if bool(lit.all()):
             return torch.ones_like(p["h0"]) if traced() else torch.ones(())
-        factor = p["h0"].new_ones(*p["h0"].shape[:-1], position.shape[-2])
-        seen = sunlit_fraction(position[:, near], sun[:, near], p["h0"][..., None, :])
-        factor[..., near] = (weight.expand(position.shape[:-1])[:, near] * seen).sum(-2)
-        return factor
+        weight = weight.expand(*weight.shape[:-1], columns)
+        seen = partial(self._seen, p)
+        found: list[tuple[Tensor, Tensor]] = []
+        for index, rule in _groups(instants, ~(lit | dark), self.crossed):
+            if rule is None:
+                light = seen(position[..., index, :], sun[..., index, :], index)
+                share = weight[..., index] / weight[..., index].sum(-2, keepdim=True)
+                found.append((index, (share * light).sum(-2)))
+                continue
+            # a row's panel at a time: from its q instants to M finer ones and back
+            to_fine, back = (one.to(position) for one in rule)
+            fine = [torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)]
+            light = seen(*fine, index[:, :1].expand(-1, len(to_fine)))
+            mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
+            found.append((index.flatten(), mean.mean(-2)))
+        shape = torch.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])
+        factor = torch.where(dark, 0.0, p["h0"].new_ones(columns)).expand(*shape, columns)
+        if not found:
+            return factor
+        index = torch.cat([one for one, _ in found])
+        light = torch.cat([one.expand(*shape, -1) for _, one in found], -1)
+        return factor.index_copy(-1, index, light)
+
+    def _seen(self, p, position: Tensor, sun: Tensor, column: Tensor) -> Tensor:
+        """Share of sunlight (..., Q, n) at places (Q, n, 3) of ``column`` (n,)."""
+
+        def number(name: str) -> Tensor:
+            value = p[name]
+            value = (
+                value[..., column]
+                if value.shape[-1] > 1
+                else value.reshape(*value.shape[:-1], *(1,) * column.ndim)
+            )
+            return value.unsqueeze(-1 - column.ndim)
+
+        h0 = number("h0")
+        if not self.soft:
+            return sunlit_fraction(position, sun, h0)
+        scale = number("scale_height")
+        safe = scale.clamp(min=SOFTEST_HARD_KM)
+        level = h0 + RAYLEIGH_POWER * safe * torch.log(GREEN_NM / number("wavelength"))
+        soft = softened_fraction(
+            position, sun, level, safe, number("refraction") if self.bends else None, self.strips
+        )
+        return (
+            soft
+            if self.always_soft
+            else torch.where(scale >= SOFTEST_HARD_KM, soft, sunlit_fraction(position, sun, h0))
+        )
 
 
-def _near_shadow(position: Tensor, sun: Tensor) -> Tensor:
-    """Indices of the rows that a shadow with any h0 could touch: the Sun within half a degree of the raised
-    limb."""
-    cosine = -(position * sun).sum(-1) / (
-        torch.linalg.vector_norm(position, dim=-1) * torch.linalg.vector_norm(sun, dim=-1)
-    )
-    limb = torch.asin(((EARTH_RADIUS_KM + 60.0) / torch.linalg.vector_norm(position, dim=-1)).clamp(max=1.0))
-    return torch.nonzero((torch.acos(cosine.clamp(-1, 1)) < limb + 0.0175).any(0))[:, 0]
+def _groups(
+    instants: Instants | None, edge: Tensor, crossed: Tensor
+) -> Sequence[tuple[Tensor, tuple[Tensor, Tensor] | None]]:
+    """Columns at the shadow's edge: those (n,) that stand for themselves, without a rule, and panels (n, q) of as many
+    instants, with the matrices of :func:`_averaging`."""
+    index = torch.nonzero(edge)[:, 0]
+    if instants is None:
+        return [(index, None)] if len(index) else []
+    panel, _, count = torch.unique_consecutive(instants.panel[index], return_inverse=True, return_counts=True)
+    ends = count.cumsum(0)
+    groups: list[tuple[Tensor, tuple[Tensor, Tensor] | None]] = []
+    discs = crossed[instants.row[index[ends - 1]]] * instants.span[panel]
+    cells = (CELLS * discs).ceil().long().clamp(1, MOST_CELLS)
+    # powers of two, so that few groups are needed
+    cells = 2 ** torch.log2(cells.double()).ceil().long()
+    for q in torch.unique(count).tolist():
+        for number in torch.unique(cells[count == q]).tolist() if q > 1 else [1]:
+            chosen = torch.nonzero((count == q) & ((cells == number) | (q == 1)))[:, 0]
+            members = index[(ends[chosen] - q)[:, None] + torch.arange(q)]
+            groups.append((members[:, 0], None) if q == 1 else (members, _averaging(q, number)))
+    return groups
+
+
+@cache
+def _averaging(count: int, cells: int) -> tuple[Tensor, Tensor]:
+    """(M, count), which takes values at Gauss-Legendre nodes of a panel to M finer times by the polynomial through them; and
+    (count, M), which takes a share of light at these times to one at each node: the node's polynomial averaged under it.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    x, w = np.polynomial.legendre.leggauss(CELL_NODES)
+    start = np.linspace(-1, 1, cells + 1)[:-1]
+    fine = (start[:, None] + (1 + x) / cells).ravel()
+    share = np.tile(0.5 * w / cells, cells)
+    powers = np.arange(count)
+    # Legendre polynomials are orthogonal on these nodes, so that no system has to be solved
+    at_nodes = np.polynomial.legendre.legvander(nodes, count - 1)
+    at_fine = np.polynomial.legendre.legvander(fine, count - 1)
+    to_fine = (at_fine * (powers + 0.5)) @ (at_nodes.T * weights)
+    back = (to_fine * share[:, None]).T / (0.5 * weights[:, None])
+    return torch.as_tensor(to_fine), torch.as_tensor(back)

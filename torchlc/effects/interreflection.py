@@ -27,6 +27,7 @@ class Interreflection(Effect):
 
     name = "interreflection"
     stage = "scatter"
+    at_middle = True
     unable = "no two parts have facets that face each other"
     quantities = (
         Quantity(

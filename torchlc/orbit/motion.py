@@ -7,6 +7,9 @@ data, not parameters.
 
 from __future__ import annotations
 
+import copy
+from typing import ClassVar, Self
+
 import torch
 from torch import Tensor, nn
 
@@ -16,7 +19,19 @@ KEPLER_ITERATIONS = 8
 
 
 class Motion(nn.Module):
-    """Base: ``forward(offset (..., T)) -> position, velocity (..., T, 3)``."""
+    """Base: ``forward(offset (..., T)) -> position, velocity (..., T, 3)``. ``shared`` names the buffers that are not
+    one entry a row."""
+
+    shared: ClassVar[tuple[str, ...]] = ()
+
+    def at_rows(self, rows: Tensor) -> Self:
+        """The motion about the stamps of some rows (N,), which may repeat."""
+        taken = copy.copy(self)
+        taken._buffers = {
+            name: buffer if name in self.shared or buffer is None else buffer[rows]
+            for name, buffer in self._buffers.items()
+        }
+        return taken
 
     def _keep(self, **tensors: Tensor) -> None:
         for name, tensor in tensors.items():
@@ -112,6 +127,7 @@ class Piecewise(Motion):
     cells ``cell[t] + first`` and ``cell[t] + last``.
     """
 
+    shared = ("coefficients",)
     coefficients: Tensor
     cell: Tensor
     start: Tensor

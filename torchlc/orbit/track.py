@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,18 @@ class Track(nn.Module):
     def supports(self, what: str) -> bool:
         """Are "position", "velocity", "elevation" known; are "time_offset", "along_track" possible?"""
         return what in self._known
+
+    def at_rows(self, rows: Tensor) -> Track:
+        """The track of some rows (N,), which may repeat."""
+        taken = copy.copy(self)
+        taken._buffers = {
+            name: None if buffer is None else buffer[rows] for name, buffer in self._buffers.items()
+        }
+        taken._modules = {
+            name: motion.at_rows(rows) if isinstance(motion, Motion) else motion
+            for name, motion in self._modules.items()
+        }
+        return taken
 
     def at(
         self, observer_offset: Tensor | float, object_offset: Tensor | float, ahead: Tensor | float

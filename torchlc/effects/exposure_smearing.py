@@ -27,7 +27,7 @@ class ExposureSmearing(Effect):
     As many Gauss-Legendre instants as the sharpest lobe asks of the row that turns most: 1 while the half
     vector moves by less than a twentieth of the lobe's width 1/sqrt(n), 2 or 3 up to one width, then one
     for each. Within 0.002 mag for n up to 1e4, or up to a sharper one that is fixed. Where s alone is free,
-    batches interpolate light over it (3e-4 mag at most). Neglects turns that
+    light is interpolated over it (5e-4 mag at most). Neglects turns that
     only other effects bring (wobble), and what falls between the instants where n is fitted beyond 1e4, or
     where the caps on instants and memory are met.
     """

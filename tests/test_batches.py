@@ -14,7 +14,7 @@ import torchlc
 from tests.effects.cases import seen_from, still, unit
 from tests.effects.test_finite_sun import CYLINDER
 from torchlc.likelihood import compiled
-from torchlc.model import MANY_VALUES, VALUES_AT_ONCE
+from torchlc.model import VALUES_AT_ONCE
 
 DEMO = Path(torchlc.__file__).parent / "demo"
 
@@ -92,7 +92,7 @@ def test_geometries_of_a_batch_are_those_of_each(effects):
     torch.testing.assert_close(together, facets, rtol=1e-11, atol=1e-11 * float(facets.max()))
 
 
-def test_lobes_of_a_curved_shape_are_tabulated_once_many_values_are_asked(tmp_path):
+def test_lobes_of_a_curved_shape_are_tabulated(tmp_path):
     """Light of a cylinder under a Sun with a disc, from each pair of facet and direction, and from the table: the same."""
     free = '[materials.white]\nn = { value = 50.0, low = 1.0, high = 1e5, prior = "loguniform" }\n'
     scene = still(CYLINDER, free + "r_spec = { value = 0.3, low = 0.0, high = 1.0 }\nr_diff = 0.2\n")
@@ -100,8 +100,7 @@ def test_lobes_of_a_curved_shape_are_tabulated_once_many_values_are_asked(tmp_pa
     model = torchlc.LightCurve(scene, seen_from(scene, tmp_path, *directions), effects=["finite_sun"])
     theta = torch.tensor([[n, 0.4] for n in (3.0, 80.0, 2e3, 6e4)], dtype=torch.float64)
     with torch.no_grad():
-        summed = model(theta)
-        assert "lobes" not in model.tables().surfaces[0].table
-        model(theta.repeat(MANY_VALUES, 1))
-        assert "lobes" in model.tables().surfaces[0].table
+        assert model.evaluation.tabulated == ("white",)
+        pairs = model.make_tables(model.view(model.values(theta[0])), False, compact=True)
+        summed = model.magnitude(model.shine(pairs, model.values(theta)), theta)
         torch.testing.assert_close(model(theta), summed, rtol=0, atol=2e-6)

@@ -62,7 +62,7 @@ MOST_SLOTS = 12
 384 facets under a Sun with a disc, the tabulation costs as much as the table of pairs that it replaces, or as 130
 calls that sum them."""
 TABULATED_MAG = 1.5e-3
-STEPPED_MAG = 1e-3
+STEPPED_MAG = 5e-4
 CLOCK_MAG = 2e-4
 """What a lobe tabulated over its exponent, light interpolated over an exposure time, and tables interpolated over a
 clock offset are out by at most; see :class:`Evaluation`."""

@@ -374,8 +374,13 @@ class Context:
 
     @property
     def many_facets(self) -> bool:
-        """True for curved shapes and meshes, whose facets smooth an extended source themselves."""
-        return sum(len(part.faces) for part in self.parts) > MANY_FACETS
+        """True for meshes, whose facets smooth an extended source themselves."""
+        return sum(face not in part.whole for part in self.parts for face in part.faces) > MANY_FACETS
+
+    @property
+    def curved(self) -> bool:
+        """True if a surface is curved, so that each light on it is summed over many points."""
+        return any(points > 1 for part in self.parts for points in part.whole.values())
 
 
 Reflect = Callable[[Mapping[str, Tensor]], tuple[Tensor, Tensor]]

@@ -16,7 +16,7 @@ EARTH_RADIUS_KM = 6371.0
 LEAST, MOST = 12, 20
 """Tiles along each side of the Earth's disc."""
 MOST_ON_MANY = 8
-"""Tiles along each side for shapes of many facets."""
+"""Tiles along each side for curved shapes and meshes of many facets."""
 SMOOTH = 0.6
 """Least width of a lobe, as a standard deviation in widths of a tile."""
 
@@ -96,7 +96,7 @@ class Earthshine(Effect):
 
     0.06 to 0.5 % of sunlight at GEO, up to 25 % in low orbit. Of 144 tiles, or as many as the sharpest lobe asks
     for, at most 400: within 1 % for n up to 300 in low orbit and 20,000 at GEO. A sharper mirror that faces down
-    shows the Earth's image no sharper than half a tile. Shapes of more than 100 facets get 64 tiles: within 1 % for n up to
+    shows the Earth's image no sharper than half a tile. Curved shapes and meshes of more than 100 facets get 64 tiles: within 1 % for n up to
     1000 and 1e-4 of all light for n = 1e4 on a cylinder in high orbit. Neglected: clouds, seas and their glint (a factor 2 in albedo),
     the flattening (0.3 %), twilight, what other parts hide of the Earth, moonlight (1e-5 of sunlight).
     """
@@ -120,7 +120,7 @@ class Earthshine(Effect):
         assert position is not None
         height = torch.linalg.vector_norm(position, dim=-1).min() / EARTH_RADIUS_KM
         self.across = tiles_across(math.asin(min(1.0, 1 / float(height))), max(context.lobes.values()))
-        if context.many_facets:
+        if context.many_facets or context.curved:
             self.across = min(self.across, MOST_ON_MANY)
         self.nodes = self.across**2
         return self

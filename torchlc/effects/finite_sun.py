@@ -52,8 +52,9 @@ class FiniteSun(Effect):
     the Sun.
 
     Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5; the rule is within 0.2 % up to n = 1e6, to 1e-3
-    of the peak. Shapes of more than 100 facets get 5 directions: within 3e-5 for n = 1e4 on a cylinder, 0.6 % for 1e5, which
-    its facets do not resolve. Neglects the softening of shadow edges, 9 mm at 2 m.
+    of the peak. A side of a cylinder or cone, which spreads the disc along its arc, gets 13 of its own (0.3 % at n = 1e6), a
+    sphere or dish 5, and so do meshes of more than 100 facets (0.6 % at n = 1e5). Neglects the softening of shadow edges,
+    9 mm at 2 m.
     """
 
     name = "finite_sun"

@@ -590,8 +590,8 @@ class LightCurve(nn.Module):
         instants = a.instants
         if columns is not None and instants is not None and len(columns.row) < len(columns.of):
             view, instants = view.at(columns.instant), instants.at(columns.instant)
-        state, nodes = (_by_value(view, record) for record in (view.state, view.nodes))
-        return Tables(surfaces, scatter, Sky(state, nodes, compact, instants), columns)
+        sky = Sky(_by_value(view, view.state), _by_value(view, view.nodes), compact, instants)
+        return Tables(surfaces, scatter, sky, columns)
 
     def _still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
         """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
@@ -634,8 +634,9 @@ class LightCurve(nn.Module):
             light = specular + diffuse
             if surface.scale is not None:
                 light = light * a.rows(values, surface.scale, row)
-            lit = surface.sunlit and sunlight is not None
-            add(by_column, surface.component, light * sunlight if lit else light)
+            if surface.sunlit and sunlight is not None:
+                light = light * sunlight
+            add(by_column, surface.component, light)
         for effect, scatter in tables.scatter:
             rows = None if effect.at_middle else a.instant_row
 

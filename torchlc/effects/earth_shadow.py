@@ -356,8 +356,10 @@ class EarthShadow(Effect):
                 continue
             # a row's panel at a time: from its q instants to M finer ones and back
             to_fine, back = (one.to(position) for one in rule)
-            fine = [torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)]
-            light = seen(*fine, index[:, :1].expand(-1, len(to_fine)))
+            place, towards = (
+                torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)
+            )
+            light = seen(place, towards, index[:, :1].expand(-1, len(to_fine)))
             mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
             found.append((index.flatten(), mean.mean(-2)))
         shape = torch.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])

@@ -196,6 +196,8 @@ def bounds(one: dict[str, Any]) -> str:
 
 
 def prior(one: dict[str, Any]) -> str:
+    if one["unless_set"] is not None:
+        return f"fixed at {one['unless_set']:g} unless set"
     mean, sigma = one["mean"] or 0.0, one["sigma"]
     if one["prior"] in ("normal", "lognormal"):
         return f"{one['prior']}({mean:g}, {sigma:g})"

@@ -421,9 +421,10 @@ def _prepared(
         elif isinstance(number, SceneFree):
             prior = _prior(number, quantity)
             bounds[name] = (_end(prior, -1.0), _end(prior, 1.0))
-        elif number is not None or quantity.unless_set is not None:
-            value = float(quantity.unless_set if number is None else number)
-            bounds[name] = (value, value)
+        elif number is not None:
+            bounds[name] = (float(number), float(number))
+        elif quantity.unless_set is not None:
+            bounds[name] = (quantity.unless_set, quantity.unless_set)
         else:
             bounds[name] = (quantity.low, quantity.high)
 

@@ -55,6 +55,7 @@ def _told(quantity: Quantity) -> dict[str, Any]:
         "prior": quantity.prior,
         "mean": finite(quantity.mean),
         "sigma": finite(quantity.sigma),
+        "unless_set": finite(quantity.unless_set),
         "meaning": quantity.meaning,
     }
 
@@ -140,6 +141,8 @@ def reflectance_lines(found: ReflectanceFit, dropped: Mapping[str, int]) -> list
 
 
 def _prior(told: dict[str, Any]) -> str:
+    if told["unless_set"] is not None:
+        return f"{told['unless_set']:g} unless the scene sets it"
     short = {"normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N"}[
         told["prior"]
     ]

@@ -738,8 +738,9 @@ class LightCurve(nn.Module):
             light = specular + diffuse
             if surface.scale is not None:
                 light = light * a.rows(values, surface.scale, row)
-            lit = surface.sunlit and sunlight is not None
-            add(by_column, surface.component, light * sunlight if lit else light)
+            if surface.sunlit and sunlight is not None:
+                light = light * sunlight
+            add(by_column, surface.component, light)
         for effect, scatter in tables.scatter:
             rows = None if effect.at_middle else a.instant_row
 

@@ -224,14 +224,14 @@ def entering(radius_km: float, heights_km: np.ndarray) -> tuple[torch.Tensor, to
 @pytest.mark.parametrize(("scale_km", "h0_km"), [(8.0, 20.0), (6.5, 30.0)])
 @pytest.mark.parametrize("nu", [0.0, NU])
 def test_soft_edge_is_that_of_rays_through_an_exponential_atmosphere(radius_km, scale_km, h0_km, nu):
-    """Down to a hundredth of the light within 0.005 mag, to a thousandth within 0.02: the optical depth along a ray is taken
-    as exp(-(z - h0) / H), which is right to H / R, 1e-3 of a depth of up to 7."""
+    """Down to a hundredth of the light within 0.01 mag, to a thousandth within 0.02: the optical depth along a ray is taken
+    as exp(-(z - h0) / H), but the ray's path grows as sqrt(R + z), at z = 30 km by 0.2 % of a depth of 5."""
     place, sun, angle = entering(radius_km, np.linspace(-60.0 if nu else -20.0, 120.0, 46))
     expected = by_elements(radius_km, angle, h0_km, scale_km, nu)
     h0, scale = (torch.full((len(angle),), one).double() for one in (h0_km, scale_km))
     bends = torch.ones_like(h0) if nu else None
     found = softened_fraction(place, sun, h0, scale, bends, 128).numpy()
-    for least, tolerance in ((1e-2, 5e-3), (1e-3, 2e-2)):
+    for least, tolerance in ((1e-2, 1e-2), (1e-3, 2e-2)):
         seen = expected > least
         assert seen.sum() > 15
         assert np.abs(2.5 * np.log10(found[seen] / expected[seen])).max() < tolerance
@@ -290,3 +290,18 @@ def test_a_hard_edge_where_the_air_is_soft_is_told():
 def _shadowed(tle):
     scene = orbiting(tle=tle, parameters='"earth_shadow.h0" = 20.0\n')
     return scene.model_copy(update={"model": scene.model.model_copy(update={"effects": ["earth_shadow"]})})
+
+
+@pytest.mark.parametrize(("radius_km", "least", "most"), [(6778.0, 0.5, 0.8), (42_164.0, 0.0, 0.01)])
+def test_the_best_hard_edge_is_as_far_off_as_the_docs_say(radius_km, least, most):
+    """Largest error while more than 5 % of the light is left, against rays through an exponential atmosphere: 0.7 mag in a
+    low orbit, below a hundredth at GEO, where the default therefore does."""
+    reach = 260.0 if radius_km > 4e4 else 60.0
+    place, sun, angle = entering(radius_km, np.linspace(-reach, reach + 60.0, 120))
+    expected = by_elements(radius_km, angle, 20.0, 8.0, 0.0)
+    seen = expected > 0.05
+    errors = []
+    for h0 in np.arange(8.0, 40.0, 0.5):
+        hard = sunlit_fraction(place, sun, torch.full((len(angle),), h0).double()).numpy()
+        errors.append(np.abs(2.5 * np.log10(np.maximum(hard[seen], 1e-9) / expected[seen])).max())
+    assert least < min(errors) < most

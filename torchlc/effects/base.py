@@ -90,8 +90,13 @@ class Instants:
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""
-        picked = (one[instants] for one in (self.row, self.place, self.weight, self.panel))
-        return Instants(*picked, self.span, self.rows)
+        return replace(
+            self,
+            row=self.row[instants],
+            place=self.place[instants],
+            weight=self.weight[instants],
+            panel=self.panel[instants],
+        )
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,7 @@ class EarthShadow(Effect):
 
     The edge of the air is hard unless the scene sets scale_height, in low orbits about 8 km: optical depth then falls as
     exp(-(z - h0) / scale_height) with the height z at which a ray passes, h0 being where it is 1. A hard edge is within
-    0.01 mag of that at GEO where a tenth of the light is left, and up to 0.6 mag off in low orbits. refraction = 1 adds the
+    0.007 mag of that at GEO where a twentieth of the light is left, and up to 0.7 mag off in low orbits. refraction = 1 adds the
     bending and spreading of light, up to 1.1 deg into the umbra. In light of another wavelength h0 lies higher or
     lower by 4 scale heights times ln(550 nm / wavelength), as Rayleigh's law has it. Within an exposure the share of sunlight
     is averaged under a polynomial of the rest of the light. Neglects the change of scale_height with
@@ -356,8 +356,10 @@ class EarthShadow(Effect):
                 continue
             # a row's panel at a time: from its q instants to M finer ones and back
             to_fine, back = (one.to(position) for one in rule)
-            fine = [torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)]
-            light = seen(*fine, index[:, :1].expand(-1, len(to_fine)))
+            place, towards = (
+                torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)
+            )
+            light = seen(place, towards, index[:, :1].expand(-1, len(to_fine)))
             mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
             found.append((index.flatten(), mean.mean(-2)))
         shape = torch.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])

@@ -31,6 +31,7 @@ RESOLVED_N = 1e4
 """Smooth shapes are cut finely enough for exponents up to here, or up to a smaller upper bound."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
+POLE_LATITUDE = Quantity("attitude.pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 COMPONENT_SIZES = (
     "size_x",
     "size_y",
@@ -203,7 +204,7 @@ def assemble(
     chosen = _effects(wanted, scene, context)
     models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
-    parameters = _parameters(scene, chosen, models, row_index, pinned or {})
+    parameters = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -361,6 +362,7 @@ def _parameters(
     models: Mapping[str, type[Brdf]],
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]],
     pinned: Mapping[str, float],
+    warnings: list[str],
 ) -> ParameterSet:
     free: list[Free] = []
     fixed: dict[str, float] = {}
@@ -373,6 +375,19 @@ def _parameters(
             start = quantity.mean if quantity.mean is not None else quantity.typical
             free.append(Free(name, prior, 0.0 if start is None else start, quantity.unit, quantity.meaning))
         elif isinstance(number, SceneFree):
+            if number.prior == "isotropic" and quantity.prior != "isotropic":
+                raise InputError(
+                    scene.source,
+                    f"{name}.prior",
+                    '"isotropic" for a number that is no latitude of a direction',
+                    "another prior",
+                    "The longitude of a direction that may point anywhere is uniform.",
+                )
+            if quantity.prior == "isotropic" and "prior" not in number.model_fields_set:
+                warnings.append(
+                    f"{name} has a prior uniform in degrees, which favours directions near the poles; "
+                    'prior = "isotropic" is uniform on the sphere'
+                )
             prior = _prior(number, quantity)
             ids = row_index[number.per][1] if number.per else None
             for one in [name] if ids is None else [f"{name}[{one}]" for one in ids]:
@@ -387,6 +402,8 @@ def _parameters(
         owner, _, short = name.rpartition(".")
         if owner in scene.materials and short not in COMPONENT_SIZES:
             quantity = models[owner].quantity(short)
+        elif name == POLE_LATITUDE.name:
+            quantity = POLE_LATITUDE
         else:
             low = 0.0 if short in COMPONENT_SIZES else -math.inf
             quantity = Quantity(short, "m" if short in COMPONENT_SIZES else "", low, math.inf, short)

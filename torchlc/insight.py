@@ -144,7 +144,7 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
             warnings.append(f"{name} is set by its prior: {reason}")
     for i, entry in enumerate(parameters.free):
         prior_i = entry.prior
-        if prior_i.kind in ("uniform", "loguniform"):
+        if not prior_i.peaked:
             continue
         middle = float(draws[:, i].median())
         logarithmic = prior_i.kind == "lognormal"

@@ -23,6 +23,7 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
+from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.shape import Facets, Shape
 from torchlc.spelling import did_you_mean
 
@@ -314,11 +315,24 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             reason = effect.missing(context)
             if reason is not None:
                 raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
+            _check_axes(effect, scene, context)
             effect = effect.prepared(context)
             effect.by, effect.width = parsed.per, parsed.width
             found.append(effect)
     order = list(every())
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
+
+
+def _check_axes(effect: Effect, scene: Scene, context: Context) -> None:
+    """InputError where an effect on a material gives it numbers along u and v, and a mesh of it has no such axes."""
+    numbers = {quantity.name for quantity in effect.quantities}
+    for component in scene.components if effect.stage == "material" else ():
+        if not isinstance(component, Mesh) or component.has_axes:
+            continue
+        apart = context.models[component.material].along_axes
+        if effect.target in (None, component.material) and len(numbers.intersection(apart)) > 1:
+            found = f"{effect.name} has {' and '.join(apart)} apart, and the mesh says nothing of the direction of u"
+            raise InputError(scene.source, f"component {component.name!r}", found, AXES_OF_A_MESH)
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:

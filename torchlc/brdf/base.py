@@ -166,6 +166,8 @@ class Brdf(nn.Module):
     """Names of the values whose sum may not exceed 1."""
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """A name that stands for several quantities at once."""
+    along_axes: ClassVar[tuple[str, ...]] = ()
+    """Quantities along a facet's u and v axes; given apart, the material is anisotropic and the axes matter."""
     defaults: ClassVar[Mapping[str, float]] = {}
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
@@ -202,6 +204,15 @@ class Brdf(nn.Module):
         """The quantity called ``name``; a shared name answers with the first it stands for."""
         wanted = cls.shared[name][0] if name in cls.shared else name
         return next(quantity for quantity in cls.quantities if quantity.name == wanted)
+
+    @classmethod
+    def anisotropic(cls, numbers: Mapping[str, Any]) -> bool:
+        """Whether a facet's u axis matters to a material of these ``numbers``, fixed or free, by name: what lies
+        along u and v is given apart, and is not one fixed number."""
+        apart = [numbers[name] for name in cls.along_axes if name in numbers]
+        return len(apart) > 1 and not (
+            all(isinstance(number, int | float) for number in apart) and len(set(apart)) == 1
+        )
 
     @classmethod
     def check(cls, values: Mapping[str, Tensor]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from torchlc import brdf
 from torchlc.errors import InputError
 from torchlc.materials import preset as preset_values
 from torchlc.scene.numbers import Free, value_of, within
-from torchlc.scene.parts import Material
+from torchlc.scene.parts import AXES_OF_A_MESH, Material, Mesh
 from torchlc.scene.problems import shown
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.spelling import did_you_mean
@@ -41,6 +41,7 @@ def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None)
     if scene.orbit.tle and PLACEHOLDER in scene.orbit.tle[0]:
         scene.warnings.append(f"orbit.tle: the catalogue number is the placeholder {PLACEHOLDER}")
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
+    check.axes_of_meshes(completed)
     return scene.model_copy(update={"materials": completed})
 
 
@@ -90,6 +91,21 @@ class _Checks:
         if reflection.simplex and total > 1 + 1e-12:
             raise self.error(place, f"{' + '.join(reflection.simplex)} = {total:g}", "at most 1")
         return material.model_copy(update={"model": model, "parameters": bounded})
+
+    def axes_of_meshes(self, materials: Mapping[str, Material]) -> None:
+        """A mesh has no axes of its own for a material that needs them."""
+        for index, component in enumerate(self.scene.components):
+            if not isinstance(component, Mesh) or component.has_axes:
+                continue
+            for key, name in component.materials():
+                reflection = brdf.MODELS[materials[name].model]
+                if reflection.anisotropic(materials[name].parameters):
+                    apart = " and ".join(reflection.along_axes)
+                    raise self.error(
+                        f"components[{index}].{key}",
+                        f"{name!r} has {apart} apart, and the mesh says nothing of the direction of u",
+                        AXES_OF_A_MESH,
+                    )
 
     def _preset(self, place: str, material: Material) -> tuple[str, Mapping[str, float | Free]]:
         if material.preset is None:

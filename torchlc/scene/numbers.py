@@ -9,7 +9,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 from pydantic_core import PydanticCustomError
 
 FIXED, FREE = "#fixed", "#free"
-"""Tags of the two forms of a number; they never reach a person."""
+WHOLE, SIDES = "#whole", "#sides"
+"""Tags of the two forms of a number, and of a mesh's directions; they never reach a person."""
 
 LARGEST, SMALLEST = 1e30, 1e-30
 """Of a number, and of a standard deviation: their squares are still numbers."""

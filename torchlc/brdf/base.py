@@ -102,6 +102,11 @@ def lambert(angles: Incidence) -> Tensor:
     return angles.cos_i.clamp(min=0) * angles.cos_r.clamp(min=0) / math.pi
 
 
+def retro(angles: Incidence) -> Tensor:
+    """s.o - mu0 mu = sin sin cos(azimuth between Sun and observer): positive where both are on one side."""
+    return 2 * angles.cos_half**2 - 1 - angles.cos_i * angles.cos_r
+
+
 def coupled_diffuse(angles: Incidence) -> Tensor:
     """mu0 mu times the diffuse shape of eq. 6: 28/(23 pi) [1 - (1 - mu0/2)^5] [1 - (1 - mu/2)^5].
 
@@ -169,6 +174,8 @@ class Brdf(nn.Module):
     along_axes: ClassVar[tuple[str, ...]] = ()
     """Quantities along a facet's u and v axes; given apart, the material is anisotropic and the axes matter."""
     defaults: ClassVar[Mapping[str, float]] = {}
+    curved: ClassVar[tuple[str, ...]] = ()
+    """Reflectances in which light is not linear, for more than one factor of them is in it."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 

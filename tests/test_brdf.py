@@ -306,7 +306,7 @@ def test_a_smooth_rough_surface_is_lamberts(name: str) -> None:
     model = MODELS[name](albedo=0.37, **{rough: 0.0}, learnable=False)
     s, o = unit(60, seed=21, up=True), unit(60, seed=22, up=True)
     torch.testing.assert_close(
-        model(Z, X, s, o), torch.full((60,), 0.37 / math.pi).double(), rtol=1e-12, atol=0
+        model(Z, X, s, o), torch.full((60,), 0.37 / math.pi, dtype=torch.float64), rtol=1e-12, atol=0
     )
 
 
@@ -357,6 +357,7 @@ def test_white_lambert_sphere() -> None:
 
 
 GRAZING = [(0.0, 0.0), (30.0, -30.0), (30.0, 10.0), (89.9, -89.8), (89.99, 20.0), (60.0, -61.0)]
+WIDTHS_AND_INDICES = [(1e-3, 1.5), (0.01, 1.001), (0.3, 1.33), (1.0, 4.9)]
 STEEP = {
     "ashikhmin-shirley": [{"n": n, "r_spec": 0.3, "r_diff": 0.4} for n in (0.0, 1.0, 1e2, 1e4, 1e6)]
     + [{"n_u": 30.0, "n_v": 3e3, "r_spec": 0.3, "r_diff": 0.4}],
@@ -366,6 +367,14 @@ STEEP = {
     "phong-half": [{"n": n, "r_spec": 0.3, "r_diff": 0.4} for n in (0.0, 1.0, 1e2, 1e4, 1e6)],
     "cook-torrance": [{"m": m, "f0": 0.3, "r_diff": 0.4} for m in (1e-3, 0.01, 0.3, 1.0)],
     "ggx": [{"alpha": alpha, "f0": 0.3, "r_diff": 0.4} for alpha in (1e-3, 0.01, 0.3, 1.0)],
+    "ggx-dielectric": [{"alpha": alpha, "ior": ior, "r_diff": 0.4} for alpha, ior in WIDTHS_AND_INDICES],
+    "ggx-conductor": [
+        {"alpha": a, "eta": n - 0.9, "k": 2.0 * n, "r_diff": 0.1} for a, n in WIDTHS_AND_INDICES
+    ],
+    "cook-torrance-dielectric": [{"m": m, "ior": ior, "r_diff": 0.4} for m, ior in WIDTHS_AND_INDICES],
+    "cook-torrance-conductor": [
+        {"m": m, "eta": n - 0.9, "k": 2.0 * n, "r_diff": 0.1} for m, n in WIDTHS_AND_INDICES
+    ],
     "oren-nayar": [{"albedo": 0.4, "sigma": sigma} for sigma in (0.0, 1.0, 15.0, 40.0)],
     "eon": [{"albedo": 0.9, "roughness": roughness} for roughness in (0.0, 0.1, 0.6, 1.0)],
 }
@@ -593,7 +602,9 @@ def test_impossible_values_are_refused_with_a_reason(values: dict[str, float], w
 def test_models_are_found_without_a_list() -> None:
     """The scene format's seven names, and those beyond it; a class of one's own joins by being defined."""
     promised = {"ashikhmin-shirley", "lambert", "lommel-seeliger-lambert", "phong-mirror", "phong-half"}
-    assert promised | {"cook-torrance", "ggx"} | {"oren-nayar", "eon"} == set(MODELS)
+    assert promised | {"cook-torrance", "ggx"} | {"oren-nayar", "eon"} | {
+        f"{law}-{kind}" for law in ("ggx", "cook-torrance") for kind in ("dielectric", "conductor")
+    } == set(MODELS)
     mine = type("Mine", (MODELS["lambert"],), {"model": "mine"})
     assert brdf.MODELS.pop("mine") is mine
     assert all(

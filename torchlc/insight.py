@@ -222,7 +222,7 @@ def _reason(
     kind = model.assembly.models[owner]
     values = model.assembly.material_values(owner, kind, model.values(best))
     width = math.degrees(math.sqrt(float(kind.lobe_variance(values))))
-    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "alpha", "m")
+    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "ior", "eta", "k", "alpha", "m")
     if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
         return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
     if share < 0.2:

@@ -174,6 +174,8 @@ class Brdf(nn.Module):
     along_axes: ClassVar[tuple[str, ...]] = ()
     """Quantities along a facet's u and v axes; given apart, the material is anisotropic and the axes matter."""
     defaults: ClassVar[Mapping[str, float]] = {}
+    form_of: ClassVar[str] = ""
+    """The law under whose name a scene may ask for this one too, by the keys that it gives."""
     curved: ClassVar[tuple[str, ...]] = ()
     """Reflectances in which light is not linear, for more than one factor of them is in it."""
     additive: ClassVar[bool] = False
@@ -205,6 +207,16 @@ class Brdf(nn.Module):
         else:
             for name, value in natural.items():
                 self.register_buffer(f"fixed_{name}", value)
+
+    @classmethod
+    def forms(cls) -> list[type[Brdf]]:
+        """This law and those that a scene may ask for under its name: what is in all of them is no choice."""
+        return [cls, *(other for other in MODELS.values() if other.form_of == cls.model)]
+
+    @classmethod
+    def keys_known(cls) -> tuple[str, ...]:
+        """Names of its numbers, long and shared."""
+        return (*cls.shared, *(quantity.name for quantity in cls.quantities))
 
     @classmethod
     def quantity(cls, name: str) -> Quantity:

@@ -5,6 +5,8 @@ Letters: c cosine of the angle between the light and the (micro)facet's normal. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -36,3 +38,11 @@ def conductor(c: Tensor, eta: Tensor, k: Tensor) -> Tensor:
     across = (size + cos2 - 2 * a * c) / (size + cos2 + 2 * a * c)
     ratio = (size * cos2 + sin2 * sin2 - 2 * a * c * sin2) / (size * cos2 + sin2 * sin2 + 2 * a * c * sin2)
     return 0.5 * across * (1 + ratio)
+
+
+def least_schlick(reflectance: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
+    """The least f0 (...) whose Schlick factor is nowhere below a ``reflectance`` of cosines, whose constants are
+    ``like`` (...): what a diffuse part below may count on to be left of the light."""
+    c = torch.linspace(1.0, 0.05, 20, dtype=like.dtype, device=like.device)
+    grazing = (1 - c) ** 5
+    return ((reflectance(c) - grazing) / (1 - grazing)).amax(-1).clamp(min=0)

@@ -258,6 +258,7 @@ SCENE_CASES = [
         "materials.panel.n.value: 0.5; expected between low 1",
     ),
     _scene("loguniform from 0", "low = 1.0", "low = 0.0", "materials.panel.n.low: 0; expected > 0"),
+    _scene("isotropic number", '"loguniform"', '"isotropic"', "materials.panel.n.high: 1e+06"),
     _scene("unknown prior", '"loguniform"', '"flat"', "materials.panel.n.prior: 'flat'"),
     _scene("negative sigma", "sigma = 0.02", "sigma = -0.02", "model.parameters.zero_point.sigma"),
     _scene("uniform with sigma", '"normal" }', '"uniform" }', "model.parameters.zero_point.sigma"),

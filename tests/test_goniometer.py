@@ -133,5 +133,5 @@ def test_unusable_tables_are_refused_with_a_place(text: str, word: str, tmp_path
 
 
 def test_an_unknown_model_is_named() -> None:
-    with pytest.raises(InputError, match="oren"):
-        fit_table(synthetic("lambert", 0.0, 0, albedo=0.5), "oren-nayar")
+    with pytest.raises(InputError, match="minnaert"):
+        fit_table(synthetic("lambert", 0.0, 0, albedo=0.5), "minnaert")

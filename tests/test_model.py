@@ -272,6 +272,12 @@ MASTS = {
     "phong-mirror": "n = { value = 9.0, low = 1.0, high = 50.0 }\n" + REFLECTANCES.format("r_spec"),
     "lommel-seeliger-lambert": "weight = { value = 0.2, low = 0.0, high = 1.0 }\n"
     "albedo = { value = 0.5, low = 0.0, high = 1.0 }",
+    "ggx-dielectric": "alpha = { value = 0.4, low = 0.05, high = 1.0 }\nior = { value = 1.5, low = 1.0, high = 3.0 }\n"
+    "r_diff = { value = 0.2, low = 0.0, high = 1.0 }",
+    "oren-nayar": "sigma = { value = 25.0, low = 0.0, high = 40.0 }\n"
+    "albedo = { value = 0.5, low = 0.0, high = 1.0 }",
+    "eon": "roughness = { value = 0.4, low = 0.0, high = 1.0 }\n"
+    "albedo = { value = 0.5, low = 0.0, high = 1.0 }",
 }
 
 

@@ -23,6 +23,7 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
+from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.shape import Facets, Part, Shape
 from torchlc.spelling import did_you_mean
 
@@ -31,6 +32,7 @@ RESOLVED_N = 1e4
 """Lobes are expected to be as sharp as this, or as a smaller upper bound of the exponent."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
+POLE_LATITUDE = Quantity("attitude.pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 COMPONENT_SIZES = (
     "size_x",
     "size_y",
@@ -273,7 +275,7 @@ def assemble(
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
     models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
-    parameters = _parameters(scene, chosen, models, row_index, pinned or {})
+    parameters = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
     divided = [one for effect in chosen if (one := effect.instants(context)) is not None]
     instants = divided[0] if divided else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
@@ -402,6 +404,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             reason = effect.missing(context)
             if reason is not None:
                 raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
+            _check_axes(effect, scene, context)
             effect.by, effect.width = parsed.per, parsed.width
             found.append(effect)
     order = list(every())
@@ -450,6 +453,18 @@ def _end(prior: Prior, side: float) -> float:
     return end if math.isfinite(end) else prior.centre + side * 5 * prior.sigma
 
 
+def _check_axes(effect: Effect, scene: Scene, context: Context) -> None:
+    """InputError where an effect on a material gives it numbers along u and v, and a mesh of it has no such axes."""
+    numbers = {quantity.name for quantity in effect.quantities}
+    for component in scene.components if effect.stage == "material" else ():
+        if not isinstance(component, Mesh) or component.has_axes:
+            continue
+        apart = context.models[component.material].along_axes
+        if effect.target in (None, component.material) and len(numbers.intersection(apart)) > 1:
+            found = f"{effect.name} has {' and '.join(apart)} apart, and the mesh says nothing of the direction of u"
+            raise InputError(scene.source, f"component {component.name!r}", found, AXES_OF_A_MESH)
+
+
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
     """Targets that [model.parameters] names in brackets for an effect that has one set of parameters for
     each."""
@@ -491,6 +506,7 @@ def _parameters(
     models: Mapping[str, type[Brdf]],
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]],
     pinned: Mapping[str, float],
+    warnings: list[str],
 ) -> ParameterSet:
     free: list[Free] = []
     fixed: dict[str, float] = {}
@@ -505,6 +521,19 @@ def _parameters(
             start = quantity.mean if quantity.mean is not None else quantity.typical
             free.append(Free(name, prior, 0.0 if start is None else start, quantity.unit, quantity.meaning))
         elif isinstance(number, SceneFree):
+            if number.prior == "isotropic" and quantity.prior != "isotropic":
+                raise InputError(
+                    scene.source,
+                    f"{name}.prior",
+                    '"isotropic" for a number that is no latitude of a direction',
+                    "another prior",
+                    "The longitude of a direction that may point anywhere is uniform.",
+                )
+            if quantity.prior == "isotropic" and "prior" not in number.model_fields_set:
+                warnings.append(
+                    f"{name} has a prior uniform in degrees, which favours directions near the poles; "
+                    'prior = "isotropic" is uniform on the sphere'
+                )
             prior = _prior(number, quantity)
             ids = row_index[number.per][1] if number.per else None
             for one in [name] if ids is None else [f"{name}[{one}]" for one in ids]:
@@ -519,6 +548,8 @@ def _parameters(
         owner, _, short = name.rpartition(".")
         if owner in scene.materials and short not in COMPONENT_SIZES:
             quantity = models[owner].quantity(short)
+        elif name == POLE_LATITUDE.name:
+            quantity = POLE_LATITUDE
         else:
             low = 0.0 if short in COMPONENT_SIZES else -math.inf
             quantity = Quantity(short, "m" if short in COMPONENT_SIZES else "", low, math.inf, short)

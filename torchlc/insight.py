@@ -221,7 +221,7 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
             warnings.append(f"{name} is set by its prior: {reason}")
     for i, entry in enumerate(parameters.free):
         prior_i = entry.prior
-        if prior_i.kind in ("uniform", "loguniform"):
+        if not prior_i.peaked:
             continue
         middle = float(draws[:, i].median())
         logarithmic = prior_i.kind == "lognormal"
@@ -299,7 +299,7 @@ def _reason(
     kind = model.assembly.models[owner]
     values = model.assembly.material_values(owner, kind, model.values(best))
     width = math.degrees(math.sqrt(float(kind.lobe_variance(values))))
-    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "alpha", "m")
+    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "ior", "eta", "k", "alpha", "m")
     if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
         return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
     if share < 0.2:

@@ -143,9 +143,10 @@ def reflectance_lines(found: ReflectanceFit, dropped: Mapping[str, int]) -> list
 def _prior(told: dict[str, Any]) -> str:
     if told["unless_set"] is not None:
         return f"{told['unless_set']:g} unless the scene sets it"
-    short = {"normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N"}[
-        told["prior"]
-    ]
+    short = {
+        "normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N",
+        "isotropic": "uniform on the sphere",
+    }[told["prior"]]  # fmt: skip
     numbers = {"normal": ("mean", "sigma"), "halfnormal": ("sigma",), "lognormal": ("mean", "sigma")}.get(
         told["prior"], ()
     )

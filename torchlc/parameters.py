@@ -15,9 +15,12 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.distributions import transforms
+from torch.distributions import constraints, transforms
 
-PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
+PRIORS = ("uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal")
+NEAR_POLE = 1e-24
+"""Square of a latitude's cosine below which its slope against the sine is no longer followed: at a pole it has
+none."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,9 @@ class Quantity:
     """A physical parameter, declared once beside its physics.
 
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
-    ``typical`` the size worth suspecting; ``prior`` (uniform, loguniform, normal, halfnormal, lognormal) is
-    the default, with ``mean`` and ``sigma``. What has a value ``unless_set`` keeps it where the scene says nothing.
+    ``typical`` the size worth suspecting; ``prior`` (one of PRIORS) is the default, with ``mean`` and ``sigma``.
+    A latitude in degrees whose direction may point anywhere alike declares ``isotropic``. What has a value ``unless_set``
+    keeps it where the scene says nothing.
     """
 
     name: str
@@ -47,8 +51,11 @@ class Prior:
     """Prior of one scalar: kind, bounds (may be infinite), and for the peaked kinds the centre and width.
 
     ``centre`` and ``sigma`` are mean and standard deviation (normal), median and standard deviation of the
-    logarithm (lognormal), lower end and scale (halfnormal). Every kind is truncated to [low, high] and
-    normalised there.
+    logarithm (lognormal), lower end and scale (halfnormal). ``isotropic`` is for a latitude in degrees: flat in
+    its sine, which with a flat longitude makes directions uniform on the sphere. Every kind is truncated to
+    [low, high] and normalised there.
+
+    A kind has a scale of its own, on which it is flat or normal: ln x, the sine of x, or x itself.
     """
 
     kind: str
@@ -67,13 +74,17 @@ class Prior:
         return self.kind in ("loguniform", "lognormal")
 
     @property
+    def isotropic(self) -> bool:
+        return self.kind == "isotropic"
+
+    @property
     def scale(self) -> float:
-        """Width of the prior on its own scale: of ln x where that is the scale."""
-        return self._width() if self.kind in ("uniform", "loguniform") else self.sigma
+        """Width of the prior on its own scale."""
+        return self.sigma if self.peaked else self._width()
 
     @property
     def flat_centre(self) -> float:
-        """Centre of a peaked prior on its own scale: of ln x where that is the scale."""
+        """Centre of a peaked prior on its own scale."""
         return math.log(self.centre) if self.kind == "lognormal" else self.centre
 
     @property
@@ -84,36 +95,49 @@ class Prior:
         a, b = self._cdf_range()
         return -math.log(self.sigma * math.sqrt(2 * math.pi)) - math.log(max(b - a, 1e-300))
 
+    def to_scale(self, x: Tensor) -> Tensor:
+        """Values on the prior's own scale, same shape; ln is taken of 1e-300 at least."""
+        if self.isotropic:
+            return torch.sin(torch.deg2rad(x))
+        return torch.log(x.clamp(min=1e-300)) if self.logarithmic else x
+
+    def from_scale(self, y: Tensor) -> Tensor:
+        """Inverse of :meth:`to_scale`."""
+        if self.isotropic:
+            return latitude(y)
+        return torch.exp(y) if self.logarithmic else y
+
+    def log_slope(self, y: Tensor) -> Tensor:
+        """log |dx/dy| of values y on the prior's own scale, same shape."""
+        if self.isotropic:
+            square = ((1 - y) * (1 + y)).clamp(min=NEAR_POLE)
+            return math.log(180 / math.pi) - 0.5 * torch.log(square)
+        return y if self.logarithmic else torch.zeros_like(y)
+
     def log_density(self, x: Tensor) -> Tensor:
         """Log density at x, same shape; -inf outside [low, high]."""
         inside = (x >= self.low) & (x <= self.high)
-        if self.logarithmic:
-            safe = torch.where(inside, x, max(self.low, 1e-300) if math.isfinite(self.low) else 1.0)
-            y = torch.log(safe)
-            jacobian = -y
-        else:
-            y = torch.where(inside, x, self.low if math.isfinite(self.low) else self.centre)
-            jacobian = torch.zeros_like(y)
+        y = self.to_scale(torch.where(inside, x, self.low if math.isfinite(self.low) else self.centre))
         u = (y - self.flat_centre) / self.sigma if self.peaked else torch.zeros_like(y)
-        return torch.where(inside, self.log_constant + jacobian - 0.5 * u * u, -math.inf)
+        return torch.where(inside, self.log_constant - self.log_slope(y) - 0.5 * u * u, -math.inf)
 
     def quantile(self, p: Tensor) -> Tensor:
         """Inverse of the cumulative distribution at p in [0, 1], same shape; its value at uniform p is a draw
         from the prior."""
-        if self.kind in ("uniform", "loguniform"):
+        if not self.peaked:
             low, high = self.flat_range()
             y = low + (high - low) * p
         else:
             a, b = self._cdf_range()
             q = (a + (b - a) * p).clamp(1e-15, 1 - 1e-15)
             y = self.flat_centre + self.sigma * math.sqrt(2) * torch.erfinv(2 * q - 1)
-        return y.exp() if self.logarithmic else y
+        return self.from_scale(y)
 
     def transform(self) -> transforms.Transform:
         """Bijection from the real line onto (low, high); z = 0 is the middle of the prior and z of order 1
         its width."""
         low, high = self.flat_range()
-        flat = self.kind in ("uniform", "loguniform")
+        flat = not self.peaked
         middle = 0.5 * (low + high) if flat else self.flat_centre
         if self.kind == "halfnormal":
             middle = low + 0.7 * self.sigma
@@ -144,10 +168,28 @@ class Prior:
             steps = [transforms.AffineTransform(middle, self.sigma)]
         if self.logarithmic:
             steps.append(transforms.ExpTransform())
+        elif self.isotropic:
+            steps.append(LatitudeTransform())
         return transforms.ComposeTransform(steps)
 
+    def inside(self, x: Tensor) -> Tensor:
+        """Values moved off the bounds, by a billionth of the range (of the width, where there is one bound)."""
+        low, high = self.low, self.high
+        if not (math.isfinite(low) and math.isfinite(high)):
+            margin = 1e-9 * self.sigma
+            low, high = low + margin, high - margin
+        elif self.logarithmic:
+            low, high = low * (1 + 1e-9), high * (1 - 1e-9)
+        else:
+            bounds = x.new_tensor(self.flat_range())
+            margin = 1e-9 * (bounds[1] - bounds[0])
+            low, high = self.from_scale(torch.stack([bounds[0] + margin, bounds[1] - margin])).tolist()
+        return x.clamp(low, high)
+
     def flat_range(self) -> tuple[float, float]:
-        """Bounds on the scale on which a flat prior is flat: of ln x where that is the scale."""
+        """Bounds on the prior's own scale."""
+        if self.isotropic:
+            return math.sin(math.radians(self.low)), math.sin(math.radians(self.high))
         if not self.logarithmic:
             return self.low, self.high
         return (
@@ -166,6 +208,33 @@ class Prior:
             return 0.5 * (1 + math.erf((value - self.flat_centre) / (self.sigma * math.sqrt(2))))
 
         return cdf(low), cdf(high)
+
+
+def latitude(sine: Tensor) -> Tensor:
+    """Latitude, deg, of its sine, same shape, with a slope everywhere: 0 at a pole; beyond +-1 it goes on past the
+    pole, so that nothing out there lies within bounds."""
+    square = (1 - sine) * (1 + sine)
+    cosine = torch.sqrt(square.clamp(min=NEAR_POLE))
+    beyond = torch.where(sine.abs() > 1, sine - sine.sign(), 0.0)
+    return torch.rad2deg(torch.atan2(sine.clamp(-1, 1), cosine) + beyond)
+
+
+class LatitudeTransform(transforms.Transform):
+    """From the sine of a latitude to the latitude, deg."""
+
+    domain = constraints.interval(-1.0, 1.0)
+    codomain = constraints.interval(-90.0, 90.0)
+    bijective = True
+    sign = 1  # pyright: ignore[reportAssignmentType]
+
+    def _call(self, x: Tensor) -> Tensor:
+        return latitude(x)
+
+    def _inverse(self, y: Tensor) -> Tensor:
+        return torch.sin(torch.deg2rad(y))
+
+    def log_abs_det_jacobian(self, x: Tensor, y: Tensor) -> Tensor:
+        return Prior("isotropic", -90.0, 90.0).log_slope(x)
 
 
 @dataclass(frozen=True)
@@ -224,6 +293,7 @@ class ParameterSet:
         priors = [entry.prior for entry in self.free]
         self._bounds = self._row([one.low for one in priors]), self._row([one.high for one in priors])
         self._logarithmic = torch.tensor([one.logarithmic for one in priors], dtype=torch.bool, device=device)
+        self._isotropic = [index for index, one in enumerate(priors) if one.isotropic]
         self._centre = self._row([one.flat_centre if one.peaked else 0.0 for one in priors])
         self._precision = self._row([1 / one.sigma**2 if one.peaked else 0.0 for one in priors])
         self._constant = self._row([one.log_constant for one in priors])
@@ -275,16 +345,7 @@ class ParameterSet:
             value = column
             if index in self._second:
                 value = self._unsqueeze(entry.prior, value, natural[self._second[index]])
-            prior = entry.prior
-            if math.isfinite(prior.low) and math.isfinite(prior.high):
-                margin = 1e-9 * (prior.high - prior.low)
-                low = prior.low * (1 + 1e-9) if prior.logarithmic else prior.low + margin
-                high = prior.high * (1 - 1e-9) if prior.logarithmic else prior.high - margin
-                value = value.clamp(low, high)
-            elif math.isfinite(prior.low):
-                value = value.clamp(min=prior.low + 1e-9 * prior.sigma)
-            elif math.isfinite(prior.high):
-                value = value.clamp(max=prior.high - 1e-9 * prior.sigma)
+            value = entry.prior.inside(value)
             columns.append(self._transforms[index].inv(value))  # pyright: ignore[reportArgumentType]
         return torch.stack(columns, -1) if columns else theta.clone()
 
@@ -299,6 +360,9 @@ class ParameterSet:
         density = self._constant - 0.5 * self._precision * (y - self._centre) ** 2
         density = density - torch.where(self._logarithmic, y, 0.0)
         total = torch.where(inside, density, -math.inf).sum(-1)
+        for index in self._isotropic:
+            prior = self.free[index].prior
+            total = total - prior.log_slope(prior.to_scale(safe[..., index]))
         for first, second in self.pairs:
             total = total + self._triangle[first, second]
             total = torch.where(theta[..., first] + theta[..., second] <= 1.0, total, -math.inf)
@@ -314,8 +378,8 @@ class ParameterSet:
         return self.start().new_tensor(low), self.start().new_tensor(high)
 
     def to_flat(self, theta: Tensor) -> Tensor:
-        """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: logarithms of
-        log-scaled parameters, and the second reflectance of a pair as its share of what the first leaves."""
+        """Coordinates y (..., P) in which flat priors are flat and all bounds are a box: each on its prior's own
+        scale, and the second reflectance of a pair as its share of what the first leaves."""
         columns = []
         natural = theta.unbind(-1)
         for index, (entry, value) in enumerate(zip(self.free, natural, strict=True)):
@@ -323,10 +387,8 @@ class ParameterSet:
             if index in self._second:
                 room = torch.clamp(1.0 - natural[self._second[index]], max=prior.high) - prior.low
                 columns.append(((value - prior.low) / room.clamp(min=1e-12)).clamp(0.0, 1.0))
-            elif prior.logarithmic:
-                columns.append(torch.log(value.clamp(min=1e-300)))
             else:
-                columns.append(value)
+                columns.append(prior.to_scale(value))
         return torch.stack(columns, -1) if columns else theta.clone()
 
     def from_flat(self, y: Tensor) -> Tensor:
@@ -338,13 +400,12 @@ class ParameterSet:
                 room = torch.clamp(1.0 - columns[self._second[index]], max=prior.high) - prior.low
                 columns.append(prior.low + room * value)
             else:
-                columns.append(torch.exp(value) if prior.logarithmic else value)
+                columns.append(prior.from_scale(value))
         return torch.stack(columns, -1) if columns else y.clone()
 
     def to_straight(self, theta: Tensor) -> Tensor:
-        """Coordinates x (..., P) in which light is nearly linear and posteriors are straight: logarithms of
-        log-scaled parameters, and r_diff (1 - r_spec), the share that leaves diffusely, for the second of a
-        pair.
+        """Coordinates x (..., P) in which light is nearly linear and posteriors are straight: each on its
+        prior's own scale, and r_diff (1 - r_spec), the share that leaves diffusely, for the second of a pair.
         """
         columns = []
         natural = theta.unbind(-1)
@@ -352,7 +413,7 @@ class ParameterSet:
             if index in self._second:
                 columns.append(value * (1.0 - natural[self._second[index]]))
             else:
-                columns.append(torch.log(value.clamp(min=1e-300)) if entry.prior.logarithmic else value)
+                columns.append(entry.prior.to_scale(value))
         return torch.stack(columns, -1) if columns else theta.clone()
 
     def from_straight(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -364,11 +425,9 @@ class ParameterSet:
                 room = (1.0 - columns[self._second[index]]).clamp(min=1e-12)
                 columns.append(value / room)
                 log_det = log_det - torch.log(room)
-            elif entry.prior.logarithmic:
-                columns.append(torch.exp(value))
-                log_det = log_det + value
             else:
-                columns.append(value)
+                columns.append(entry.prior.from_scale(value))
+                log_det = log_det + entry.prior.log_slope(value)
         return (torch.stack(columns, -1) if columns else x.clone()), log_det
 
     def prior_residuals(self, theta: Tensor) -> Tensor:

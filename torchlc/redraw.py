@@ -98,12 +98,10 @@ class Redraw:
                 chosen = (picked == column) | (kind == "all from their priors")
                 prior = free[column].prior
                 draw = prior.quantile(uniform[:, place])
-                value = torch.exp(old[:, column]) if prior.logarithmic else old[:, column]
-                gain = prior.log_density(value) - prior.log_density(draw)
-                if prior.logarithmic:
-                    gain = gain + old[:, column] - torch.log(draw)
-                    draw = torch.log(draw)
-                new[:, column] = torch.where(chosen, draw, old[:, column])
+                there = prior.to_scale(draw)
+                before = prior.log_density(prior.from_scale(old[:, column])) + prior.log_slope(old[:, column])
+                gain = before - prior.log_density(draw) - prior.log_slope(there)
+                new[:, column] = torch.where(chosen, there, old[:, column])
                 factor = factor + torch.where(chosen, gain, 0.0)
         elif kind == "one by a step":
             widths = torch.tensor([one.prior.scale for one in free], dtype=old.dtype)

@@ -19,10 +19,15 @@ REWEIGHTED = 2
 
 
 def linear_columns(model: LightCurve) -> list[int]:
-    """Columns of theta that are reflectances and do not move the geometry."""
+    """Columns of theta that are reflectances, of which light is linear, and do not move the geometry."""
     moving = set(model.assembly.geometry_columns)
+    curved = {f"{owner}.{name}" for owner, law in model.assembly.models.items() for name in law.curved}
     short = [name.partition("[")[0].rpartition(".")[2] for name in model.names]
-    return [i for i, name in enumerate(short) if name in NAMES and i not in moving]
+    return [
+        i
+        for i, name in enumerate(short)
+        if name in NAMES and i not in moving and model.names[i] not in curved
+    ]
 
 
 def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:

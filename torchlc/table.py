@@ -111,7 +111,7 @@ def _cuts(columns: Columns, size: int) -> list[slice]:
 
 
 def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> dict[str, Tensor]:
-    """The table of a model without a lobe, which asks for the cosines alone, of a few rows, each of which
+    """The table of a model without a lobe, which asks for the cosines and the phase angle, of a few rows, each of which
     belongs to a ``column`` (rows,)."""
     model = patches[0].model
     total: dict[str, Tensor] = {}
@@ -123,8 +123,10 @@ def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
             cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
             weight = _weight(view, patch, light, cos_i, cos_r, rows)
             shape = (-1, weight.shape[-1])
-            one = torch.zeros_like(weight[0, 0, 0])
-            angles = Incidence(cos_i.reshape(shape), cos_r.expand_as(weight).reshape(shape), one, one, one)
+            none = torch.zeros_like(weight[0, 0, 0])
+            half = 0.5 * torch.linalg.vector_norm(source + observer, dim=-1)[:, :, None]
+            half, cos_r = (cosine.expand_as(weight).reshape(shape) for cosine in (half, cos_r))
+            angles = Incidence(cos_i.reshape(shape), cos_r, half, none, none)
             for name, table in model.tabulate(angles, weight.reshape(shape)).items():
                 total[name] = total[name] + table if name in total else table
     column = column - column[0]

@@ -55,6 +55,7 @@ class AshikhminShirley(Brdf):
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
+    along_axes: ClassVar[tuple[str, ...]] = ("n_u", "n_v")
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

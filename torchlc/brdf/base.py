@@ -102,6 +102,11 @@ def lambert(angles: Incidence) -> Tensor:
     return angles.cos_i.clamp(min=0) * angles.cos_r.clamp(min=0) / math.pi
 
 
+def retro(angles: Incidence) -> Tensor:
+    """s.o - mu0 mu = sin sin cos(azimuth between Sun and observer): positive where both are on one side."""
+    return 2 * angles.cos_half**2 - 1 - angles.cos_i * angles.cos_r
+
+
 def coupled_diffuse(angles: Incidence) -> Tensor:
     """mu0 mu times the diffuse shape of eq. 6: 28/(23 pi) [1 - (1 - mu0/2)^5] [1 - (1 - mu/2)^5].
 
@@ -166,7 +171,13 @@ class Brdf(nn.Module):
     """Names of the values whose sum may not exceed 1."""
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """A name that stands for several quantities at once."""
+    along_axes: ClassVar[tuple[str, ...]] = ()
+    """Quantities along a facet's u and v axes; given apart, the material is anisotropic and the axes matter."""
     defaults: ClassVar[Mapping[str, float]] = {}
+    form_of: ClassVar[str] = ""
+    """The law under whose name a scene may ask for this one too, by the keys that it gives."""
+    curved: ClassVar[tuple[str, ...]] = ()
+    """Reflectances in which light is not linear, for more than one factor of them is in it."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 
@@ -198,10 +209,29 @@ class Brdf(nn.Module):
                 self.register_buffer(f"fixed_{name}", value)
 
     @classmethod
+    def forms(cls) -> list[type[Brdf]]:
+        """This law and those that a scene may ask for under its name: what is in all of them is no choice."""
+        return [cls, *(other for other in MODELS.values() if other.form_of == cls.model)]
+
+    @classmethod
+    def keys_known(cls) -> tuple[str, ...]:
+        """Names of its numbers, long and shared."""
+        return (*cls.shared, *(quantity.name for quantity in cls.quantities))
+
+    @classmethod
     def quantity(cls, name: str) -> Quantity:
         """The quantity called ``name``; a shared name answers with the first it stands for."""
         wanted = cls.shared[name][0] if name in cls.shared else name
         return next(quantity for quantity in cls.quantities if quantity.name == wanted)
+
+    @classmethod
+    def anisotropic(cls, numbers: Mapping[str, Any]) -> bool:
+        """Whether a facet's u axis matters to a material of these ``numbers``, fixed or free, by name: what lies
+        along u and v is given apart, and is not one fixed number."""
+        apart = [numbers[name] for name in cls.along_axes if name in numbers]
+        return len(apart) > 1 and not (
+            all(isinstance(number, int | float) for number in apart) and len(set(apart)) == 1
+        )
 
     @classmethod
     def check(cls, values: Mapping[str, Tensor]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from torchlc.brdf.base import (
     per_pair,
     schlick_weight,
 )
+from torchlc.brdf.fresnel import conductor, dielectric, least_schlick
 from torchlc.parameters import Quantity
 
 
@@ -42,9 +43,7 @@ class Ggx(Brdf):
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
         fresnel = schlick_weight(angles.cos_half)
         return {
-            "sin2": -torch.expm1(2 * angles.log_half),
-            "cos_i": angles.cos_i.clamp(min=TINY_COS),
-            "cos_r": angles.cos_r.clamp(min=TINY_COS),
+            **microfacets(angles),
             "normal": weight * (1 - fresnel),
             "grazing": weight * fresnel,
             "diffuse": (weight * coupled_diffuse(angles)).sum(-2),
@@ -52,14 +51,7 @@ class Ggx(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        f0, square = per_epoch(values["f0"]), per_pair(values["alpha"] ** 2)
-        square = square * (4 * table.get("spread", 0.0) / square).clamp(min=1)
-
-        def open_(cosine: Tensor) -> Tensor:
-            return 2 * cosine / (cosine + torch.sqrt(square + (1 - square) * cosine**2))
-
-        slopes = square / (4 * math.pi * (square + (1 - square) * table["sin2"]) ** 2)
-        seen = slopes * open_(table["cos_i"]) * open_(table["cos_r"])
+        f0, seen = per_epoch(values["f0"]), seen_slopes(table, values["alpha"])
         specular = f0 * (table["normal"] * seen).sum(-2) + (table["grazing"] * seen).sum(-2)
         return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
 
@@ -71,3 +63,85 @@ class Ggx(Brdf):
     @staticmethod
     def broadened(values: Mapping[str, Tensor], variance: Tensor) -> dict[str, Tensor]:
         return {**values, "alpha": torch.sqrt(values["alpha"] ** 2 + 4 * variance)}
+
+
+class GgxDielectric(Ggx):
+    """GGX with Fresnel's own equations for a dielectric: glass, paint, plastic.
+
+    ``ggx`` with ``ior`` in place of f0 is this law. Schlick's factor with the same f0 is off by up to 0.29 mag for
+    glass, at 55 deg of incidence on a microfacet. The diffuse part has the least f0
+    whose Schlick factor is nowhere below Fresnel's. Neglected: polarisation, and light that leaves on another side.
+    """
+
+    model: ClassVar[str] = "ggx-dielectric"
+    quantities: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
+        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+    )
+    simplex: ClassVar[tuple[str, ...]] = ()
+    form_of: ClassVar[str] = "ggx"
+
+    @staticmethod
+    def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
+        return {
+            **microfacets(angles),
+            "cos_half": angles.cos_half,
+            "base": weight,
+            "diffuse": (weight * coupled_diffuse(angles)).sum(-2),
+        }
+
+    @staticmethod
+    def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        ior = values["ior"]
+        fresnel = dielectric(table["cos_half"], per_pair(ior))
+        f0 = least_schlick(lambda cosine: dielectric(cosine, per_epoch(ior)), ior)
+        specular = (table["base"] * fresnel * seen_slopes(table, values["alpha"])).sum(-2)
+        return specular, per_epoch(values["r_diff"] * (1 - f0)) * table["diffuse"]
+
+
+class GgxConductor(GgxDielectric):
+    """GGX with Fresnel's own equations for a metal of complex index eta + i k.
+
+    ``ggx`` with ``eta`` and ``k`` in place of f0 is this law. Schlick's factor with the same f0 misses the dip of
+    metals near 80 deg, by 0.11 mag for aluminium, 0.28 mag for titanium and iron. The diffuse part has the least f0 whose
+    Schlick factor is nowhere below Fresnel's. Neglected:
+    polarisation, and oxides on the metal.
+    """
+
+    model: ClassVar[str] = "ggx-conductor"
+    quantities: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
+        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index"),
+        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+    )
+
+    @staticmethod
+    def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        eta, k = values["eta"], values["k"]
+        fresnel = conductor(table["cos_half"], per_pair(eta), per_pair(k))
+        f0 = least_schlick(lambda cosine: conductor(cosine, per_epoch(eta), per_epoch(k)), eta)
+        specular = (table["base"] * fresnel * seen_slopes(table, values["alpha"])).sum(-2)
+        return specular, per_epoch(values["r_diff"] * (1 - f0)) * table["diffuse"]
+
+
+def microfacets(angles: Incidence) -> dict[str, Tensor]:
+    """What D and G ask for of the angles."""
+    return {
+        "sin2": -torch.expm1(2 * angles.log_half),
+        "cos_i": angles.cos_i.clamp(min=TINY_COS),
+        "cos_r": angles.cos_r.clamp(min=TINY_COS),
+    }
+
+
+def seen_slopes(table: Mapping[str, Tensor], alpha: Tensor) -> Tensor:
+    """D G / 4, (..., K, T)."""
+    square = per_pair(alpha**2)
+    square = square * (4 * table.get("spread", 0.0) / square).clamp(min=1)
+
+    def open_(cosine: Tensor) -> Tensor:
+        return 2 * cosine / (cosine + torch.sqrt(square + (1 - square) * cosine**2))
+
+    slopes = square / (4 * math.pi * (square + (1 - square) * table["sin2"]) ** 2)
+    return slopes * open_(table["cos_i"]) * open_(table["cos_r"])

@@ -285,8 +285,7 @@ def effect_parameters(refit: Refit, entry: str) -> dict[str, dict[str, Any]]:
     for column in columns:
         free = parameters.free[column]
         sd = float(torch.sqrt(covariance[column, column].clamp(min=0)))
-        if free.prior.logarithmic:
-            sd *= float(refit.theta[column])
+        sd *= math.exp(float(free.prior.log_slope(refit.y[column])))
         short = free.name.partition(".")[2]
         found[short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
     return found

@@ -34,7 +34,13 @@ class Appendage(Effect):
             typical=0.0,
         ),
         Quantity(
-            "lat", "deg", -90.0, 90.0, "latitude of the normal in the body frame, towards +Z", typical=45.0
+            "lat",
+            "deg",
+            -90.0,
+            90.0,
+            "latitude of the normal in the body frame, towards +Z",
+            typical=45.0,
+            prior="isotropic",
         ),
         Quantity("n", "", 1.0, 1e6, "lobe exponent", typical=100.0, prior="loguniform"),
         Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", typical=0.3),

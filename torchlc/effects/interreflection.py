@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -9,7 +10,8 @@ from torch import Tensor
 
 from torchlc.bounce import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.brdf.base import Brdf, Incidence
-from torchlc.effects.base import Effect, Scatter, Surface
+from torchlc.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
+from torchlc.effects.base import Context, Effect, Scatter, Surface, View
 from torchlc.parameters import Quantity
 from torchlc.table import joined, slotted
 from torchlc.tracing import traced
@@ -18,17 +20,21 @@ ROWS_AT_ONCE = 200
 
 
 class Interreflection(Effect):
-    """Sunlight that is reflected twice, by sides of two parts, each with its lobe and its diffuse light.
+    """Sunlight that is reflected twice by sides of two parts, each with its lobe and its diffuse light, and diffuse
+    light that is reflected any number of times within a part whose facets face each other.
 
-    Up to 2 % of a box-wing's light; more than the direct light where a dihedral returns the Sun. Neglected:
-    third bounces (albedo times view factor of the second); two facets of one dish or mesh; the Sun's disc;
-    motion within an exposure; where third parts are in the way, how lobes and diffuse light differ in it.
+    Up to 2 % of a box-wing's light; more than the direct light where a dihedral returns the Sun; 0.1 mag in a shallow
+    white dish, 0.6 mag in one as deep as it is wide. A mesh or dish is divided into at most 96 patches (a dish 192),
+    whose exchange is summed to all orders: it agrees with path tracing within 1.5 %. Neglected: third bounces between
+    parts (albedo times view factor of the second); what lobes reflect within one part; the Sun's disc; motion within
+    an exposure; where third parts are in the way, how lobes and diffuse light differ in it. How other parts or
+    the part itself hide facets of a dish or mesh has no gradient.
     """
 
     name = "interreflection"
     stage = "scatter"
     at_middle = True
-    unable = "no two parts have facets that face each other"
+    unable = "no two parts have facets that face each other, and none has facets that face its own"
     quantities = (
         Quantity(
             "gain", "", 0.0, 2.0, "light of second bounces; 1 is what the geometry says", off=0.0, typical=1.0,
@@ -37,7 +43,7 @@ class Interreflection(Effect):
     )  # fmt: skip
 
     def missing(self, context):
-        return None if facing_sides(context) else self.unable
+        return None if facing_sides(context) or cavities(context) else self.unable
 
     def jumps(self, context):
         return "shadows on second bounces"
@@ -75,6 +81,8 @@ class Interreflection(Effect):
             )
             bounces.append((component, first, second, products))
 
+        inside = [_inside(cavity, view, context, size) for cavity in cavities(context)]
+
         def light(reflect, p) -> Mapping[str, Tensor]:
             total: dict[str, Tensor] = {}
             for component, first, second, (lobe_diffuse, diffuse_lobe, lobes, diffuse) in bounces:
@@ -83,9 +91,43 @@ class Interreflection(Effect):
                 twice = twice + diffuse_1 * (diffuse_lobe * lobe_2 + diffuse * diffuse_2)
                 twice = p["gain"] * twice.sum(-2)
                 total[component] = total[component] + twice if component in total else twice
+            for component, surfaces, of_patch, exchange in inside:
+                albedos = [reflect(surface)[1].mean(-1) for surface in surfaces]
+                albedo = torch.stack(torch.broadcast_tensors(*albedos), -2)[..., of_patch, :]
+                often = p["gain"] * returned(*exchange, albedo)
+                total[component] = total[component] + often if component in total else often
             return total
 
-        return Scatter(light, sum(products[0].numel() for *_, products in bounces))
+        values = sum(products[0].numel() for *_, products in bounces)
+        return Scatter(light, values + sum(exchange[1][..., 0].numel() for *_, exchange in inside))
+
+
+def _inside(
+    cavity: Cavity, view: View, context: Context, size: int
+) -> tuple[str, list[Surface], Tensor, tuple[Tensor, Tensor, Tensor]]:
+    """Of a part whose facets face each other: its name, a surface of each of its materials whose diffuse light is
+    the albedo, which of these each patch has, and what :func:`returned` asks for besides."""
+    rows, facets = view.to_observer.shape[1], view.facets[cavity.part]
+    starts = range(0, rows, size)
+    pieces = [sources_and_sinks(cavity, view, context, slice(s, min(s + size, rows))) for s in starts]
+    source, sink = (torch.cat(column) for column in zip(*pieces, strict=True))
+    names = list(dict.fromkeys(cavity.materials))
+    aside = facets.area.new_full((1,), 0.5 * math.pi)  # the phase angle: light comes from all sides
+    component = context.parts[cavity.part].name
+    surfaces = [
+        Surface(
+            component,
+            name,
+            context.models[name],
+            albedo_table(context.models[name], facets),
+            aside,
+            sunlit=False,
+        )
+        for name in names
+    ]
+    of_patch = torch.as_tensor([names.index(name) for name in cavity.materials], device=source.device)
+    share, area = exchanged(cavity, facets, context)
+    return component, surfaces, of_patch, (share, source, sink, area)
 
 
 def _side_by_side(found: list[Ways], rows: int) -> Ways:

@@ -27,8 +27,11 @@ class Wobble(Effect):
         Quantity("period_min", "min", 1.0, 720.0, "period", typical=10.0, prior="loguniform"),
         Quantity("phase_deg", "deg", 0.0, 360.0, "phase at the first row", typical=90.0),
         Quantity("axis_lon", "deg", -45.0, 135.0, "longitude of the axis from body +X to +Y", typical=90.0),
-        Quantity("axis_lat", "deg", -90.0, 90.0, "latitude of the axis towards body +Z", typical=0.0),
-    )
+        Quantity(
+            "axis_lat", "deg", -90.0, 90.0, "latitude of the axis towards body +Z", typical=0.0,
+            prior="isotropic",
+        ),
+    )  # fmt: skip
 
     def attitude(self, rotation, state, p, context):
         lon, lat = map(torch.deg2rad, torch.broadcast_tensors(p["axis_lon"], p["axis_lat"]))

@@ -14,7 +14,7 @@ from torchlc import brdf
 from torchlc.errors import InputError
 from torchlc.materials import preset as preset_values
 from torchlc.scene.numbers import Free, value_of, within
-from torchlc.scene.parts import Material
+from torchlc.scene.parts import AXES_OF_A_MESH, Material, Mesh
 from torchlc.scene.problems import shown
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.spelling import did_you_mean
@@ -41,6 +41,7 @@ def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None)
     if scene.orbit.tle and PLACEHOLDER in scene.orbit.tle[0]:
         scene.warnings.append(f"orbit.tle: the catalogue number is the placeholder {PLACEHOLDER}")
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
+    check.axes_of_meshes(completed)
     return scene.model_copy(update={"materials": completed})
 
 
@@ -80,7 +81,8 @@ class _Checks:
             known = sorted(brdf.MODELS)
             expected = f"one of {', '.join(known)}"
             raise self.error(f"{place}.model", shown(model), expected, did_you_mean(model, known))
-        reflection = brdf.MODELS[model]
+        reflection = self._form(place, brdf.MODELS[model], material.parameters)
+        preset = {key: number for key, number in preset.items() if key in reflection.keys_known()}
         parameters = self._complete(place, reflection, material.parameters, preset)
         bounded: dict[str, float | Free] = {}
         for key, number in parameters.items():
@@ -89,7 +91,22 @@ class _Checks:
         total = sum(value_of(bounded[key]) for key in reflection.simplex)
         if reflection.simplex and total > 1 + 1e-12:
             raise self.error(place, f"{' + '.join(reflection.simplex)} = {total:g}", "at most 1")
-        return material.model_copy(update={"model": model, "parameters": bounded})
+        return material.model_copy(update={"model": reflection.model, "parameters": bounded})
+
+    def axes_of_meshes(self, materials: Mapping[str, Material]) -> None:
+        """A mesh has no axes of its own for a material that needs them."""
+        for index, component in enumerate(self.scene.components):
+            if not isinstance(component, Mesh) or component.has_axes:
+                continue
+            for key, name in component.materials():
+                reflection = brdf.MODELS[materials[name].model]
+                if reflection.anisotropic(materials[name].parameters):
+                    apart = " and ".join(reflection.along_axes)
+                    raise self.error(
+                        f"components[{index}].{key}",
+                        f"{name!r} has {apart} apart, and the mesh says nothing of the direction of u",
+                        AXES_OF_A_MESH,
+                    )
 
     def _preset(self, place: str, material: Material) -> tuple[str, Mapping[str, float | Free]]:
         if material.preset is None:
@@ -103,6 +120,24 @@ class _Checks:
                 f"{place}.model", repr(material.model), f"{model}, as of preset {material.preset!r}"
             )
         return model, values
+
+    def _form(self, place: str, law: type[brdf.Brdf], given: Mapping[str, float | Free]) -> type[brdf.Brdf]:
+        """The law, or the form of it, whose keys the scene gives."""
+        forms = law.forms()
+        only: dict[type[brdf.Brdf], list[str]] = {
+            form: [
+                key
+                for key in form.keys_known()
+                if all(key not in other.keys_known() for other in forms if other is not form)
+            ]
+            for form in forms
+        }
+        wanted = [form for form in forms if any(key in given for key in only[form])]
+        if len(wanted) > 1:
+            first, second = (next(key for key in only[form] if key in given) for form in wanted[:2])
+            choice = ", or ".join(" and ".join(keys) for keys in only.values())
+            raise self.error(f"{place}.{second}", f"given beside {first}", choice)
+        return wanted[0] if wanted else law
 
     def _complete(
         self,

@@ -9,7 +9,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 from pydantic_core import PydanticCustomError
 
 FIXED, FREE = "#fixed", "#free"
-"""Tags of the two forms of a number; they never reach a person."""
+WHOLE, SIDES = "#whole", "#sides"
+"""Tags of the two forms of a number, and of a mesh's directions; they never reach a person."""
 
 LARGEST, SMALLEST = 1e30, 1e-30
 """Of a number, and of a standard deviation: their squares are still numbers."""
@@ -45,22 +46,25 @@ class Free(Table):
 
     ``sigma`` is the standard deviation of a normal prior centred on ``value``, that of the logarithm for a
     lognormal one with median ``value``, or the scale of a halfnormal one. ``low`` and ``high`` truncate it; a
-    bound that the scene leaves open is the physical one where there is one.
+    bound that the scene leaves open is the physical one where there is one. An isotropic prior is for the latitude
+    of a direction, deg, from pole to pole unless bounds are given.
     """
 
     value: Real
     low: Real | None = None
     high: Real | None = None
     sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
-    prior: Literal["uniform", "loguniform", "normal", "lognormal", "halfnormal"] = "uniform"
+    prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal"] = "uniform"
     per: Literal["curve", "station", "night"] | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _default_prior(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "prior" not in data and data.get("sigma") is not None:
+        if not isinstance(data, dict):
+            return data
+        if "prior" not in data and data.get("sigma") is not None:
             return {**data, "prior": "normal"}
-        return data
+        return {"low": -90.0, "high": 90.0, **data} if data.get("prior") == "isotropic" else data
 
     @model_validator(mode="after")
     def _is_a_prior(self) -> Free:
@@ -71,7 +75,7 @@ class Free(Table):
             )
         if both and not self.low < self.high:  # type: ignore[operator]
             raise problem(f"low {self.low:g} and high {self.high:g}", "low < high")
-        if self.prior in ("uniform", "loguniform"):
+        if self.prior in ("uniform", "loguniform", "isotropic"):
             if self.sigma is not None:
                 raise problem(
                     f"a sigma with a {self.prior} prior", 'low and high alone, or prior = "normal"', "sigma"
@@ -80,6 +84,10 @@ class Free(Table):
                 raise problem("missing bounds", f"low and high for a {self.prior} prior", "prior")
         elif self.sigma is None:
             raise problem("no sigma", f"a sigma for a {self.prior} prior", "prior")
+        if self.prior == "isotropic":
+            for key, bound in (("low", self.low), ("high", self.high)):
+                if not -90.0 <= bound <= 90.0:  # type: ignore[operator]
+                    raise problem(f"{bound:g}", "-90 to 90, a latitude, for an isotropic prior", key)
         if self.prior == "loguniform" and not self.low > 0:  # type: ignore[operator]
             raise problem(f"{self.low:g}", "> 0 for a loguniform prior", "low")
         if self.prior == "lognormal" and not (self.value > 0 and (self.low is None or self.low >= 0)):

@@ -6,9 +6,11 @@ import datetime
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from torchlc.scene.numbers import (
+    SIDES,
+    WHOLE,
     Constant,
     Direction,
     Free,
@@ -160,12 +162,15 @@ class _Component(Table):
         return [("material", self.material)]
 
 
+Side = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
+
+
 class Box(_Component):
     """``size`` along body X, Y, Z before ``rotation``."""
 
     shape: Literal["box"]
     size: tuple[Size, Size, Size]
-    face_materials: dict[Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"], Name] = Field(default_factory=dict)
+    face_materials: dict[Side, Name] = Field(default_factory=dict)
 
     def numbers(self) -> dict[str, float | Free]:
         return {f"size_{axis}": size for axis, size in zip("xyz", self.size, strict=True)}
@@ -260,12 +265,43 @@ class Sphere(_Component):
         return {"radius": self.radius}
 
 
+AXES_OF_A_MESH = "u = [x, y, z], projected on each facet, or u_around = [x, y, z], an axis that u runs round"
+"""What a mesh needs for an anisotropic material."""
+
+
+def _whole_or_by_side(given: Any) -> str:
+    return SIDES if isinstance(given, dict) else WHOLE
+
+
 class Mesh(_Component):
-    """Triangles of ``file``, ``scale`` metres per unit of the file."""
+    """Triangles of ``file``, ``scale`` metres per unit of the file.
+
+    The axis u of anisotropic materials is the direction ``u`` projected on each facet, or runs round the axis
+    ``u_around``; both turn with ``rotation``. ``u`` may be a table of directions by the side that facets face.
+    """
 
     shape: Literal["mesh"]
     file: str
     scale: Annotated[Real, between(0.0, above=True)] = 1.0
+    u: (
+        Annotated[
+            Annotated[Direction, Tag(WHOLE)] | Annotated[dict[Side, Direction], Tag(SIDES)],
+            Discriminator(_whole_or_by_side),
+        ]
+        | None
+    ) = None
+    u_around: Direction | None = None
+
+    @property
+    def has_axes(self) -> bool:
+        """Whether the scene says where u is on its facets."""
+        return self.u is not None or self.u_around is not None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Mesh:
+        if self.u is not None and self.u_around is not None:
+            raise problem("given beside u", "u or u_around", "u_around")
+        return self
 
 
 Component = Annotated[Box | Plate | Cylinder | Cone | Dish | Sphere | Mesh, Field(discriminator="shape")]

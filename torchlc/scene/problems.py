@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from torchlc.errors import InputError
-from torchlc.scene.numbers import FIXED, FREE
+from torchlc.scene.numbers import FIXED, FREE, SIDES, WHOLE
 from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def shown(value: Any) -> str:
 
 def place_of(location: Sequence[str | int], key: str = "") -> str | None:
     """``components[1].size[0]`` from pydantic's location, without the tags of unions."""
-    parts = [part for part in location if part not in (FIXED, FREE)]
+    parts = [part for part in location if part not in (FIXED, FREE, WHOLE, SIDES)]
     if parts[:1] == ["components"]:
         parts = parts[:2] + parts[3:]
     if parts[:1] == ["materials"] and parts[2:3] == ["parameters"]:

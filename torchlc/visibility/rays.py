@@ -168,6 +168,24 @@ class _Bodies:
         return hit
 
 
+class Traced:
+    """Facets (F, V, 3) of one part, one-sided, as an Embree scene: which of them a ray meets first."""
+
+    def __init__(self, vertices: np.ndarray) -> None:
+        corners = vertices.reshape(-1, 3)
+        self._centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        self._scale = np.linalg.norm(corners - self._centre, axis=1).max()
+        self._facets = len(vertices)
+        self._scene = _embree_scene(_triangles((vertices - self._centre) / self._scale))
+
+    def first(self, start: np.ndarray, normal: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+        """Facet (R,) that rays from ``start`` (R, 3), on facets with ``normal`` (R, 3), meet along ``ahead`` (R, 3);
+        -1 for none."""
+        at = (start - self._centre) / self._scale + LIFT * LARGE * normal
+        met = self._scene.run(at.astype(np.float32), ahead.astype(np.float32), query="INTERSECT")
+        return np.where(met >= 0, met % self._facets, -1)
+
+
 def _triangles(vertices: np.ndarray) -> np.ndarray:
     """Fans (F (V - 2), 3, 3) of convex facets (F, V, 3)."""
     fans = [vertices[:, [0, k, k + 1]] for k in range(1, vertices.shape[1] - 1)]

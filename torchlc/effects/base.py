@@ -224,7 +224,8 @@ class Context:
     etc. index.
 
     ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's
-    lobe that has to be resolved; ``errors`` is false if they are fitted.
+    lobe that has to be resolved; ``errors`` is false if they are fitted, ``limits`` true if some
+    rows are upper limits.
     """
 
     seconds: Tensor
@@ -247,6 +248,7 @@ class Context:
     light_time_corrected: bool
     kind: str
     errors: bool
+    limits: bool
     memory: Memory = field(default_factory=lambda: Memory())
 
     @property
@@ -365,6 +367,10 @@ class Effect:
         """Why these data cannot carry the effect, in words; None if they can."""
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
+
+    def beside(self, others: Sequence[str]) -> str | None:
+        """Why the effect cannot be applied together with these others, names, in words; None if it can."""
+        return None
 
     def standard(self, context: Context) -> bool:
         """Whether a scene without a list of effects has it, if these data can carry it."""

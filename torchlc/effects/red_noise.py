@@ -7,12 +7,22 @@ from dataclasses import replace
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
 
+WITH_LIMITS = (
+    "the recording has upper limits, and limits that err together have no probability in closed form. Take jitter, or "
+    "leave out the rows with upper_limit"
+)
+WITH_OUTLIERS = (
+    "outliers are in the list, and among rows that err together every choice of bad ones has a density of its own. "
+    "Leave out one of the two"
+)
+
 
 class RedNoise(Effect):
     """A Gaussian process added to every curve, Matern-3/2 of standard deviation mag and time scale tau_min.
 
     It can hide any slow physics, which must therefore beat it on held-out rows. Neglects that curves may err
-    together.
+    together, and, where errors are fitted, how well the level of the steps between rows is known, which takes the
+    place of the white noise.
     """
 
     name = "red_noise"
@@ -27,6 +37,12 @@ class RedNoise(Effect):
             typical=15.0, prior="loguniform",
         ),
     )  # fmt: skip
+
+    def missing(self, context):
+        return WITH_LIMITS if context.limits else None
+
+    def beside(self, others):
+        return WITH_OUTLIERS if "outliers" in others else None
 
     def noise(self, noise, p, context):
         return replace(noise, red=p["mag"], tau=p["tau_min"])

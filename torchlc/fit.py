@@ -354,9 +354,7 @@ def _noise_objective(
     def piece(coordinates: Tensor) -> Tensor:
         whole = natural(coordinates)
         shape = (len(whole), likelihood.rows)
-        rows = {
-            name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale", "prediction")
-        }
+        rows = {name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale", "prediction")}
         found = replace(held, **rows)
         prior = 0.5 * (parameters.prior_residuals(whole) ** 2).sum(-1)
         value = prior - likelihood.density(found, likelihood.model.noise(whole))

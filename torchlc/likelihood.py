@@ -38,6 +38,8 @@ FAINTEST_RATIO = 1e-2
 """Ratio of model to datum below which a magnitude residual continues linearly in flux."""
 NODES, LEVELS = 64, 4
 """Of the quadrature over the level of noise: each level looks closer at where the one before found the integrand."""
+LEAST_LOG_P = math.log(1e-3)
+"""Probability of an upper limit below which it is told that the model is too bright for it."""
 NEGLIGIBLE = 40.0
 """In ln, below the largest value of the integrand: 4e-18."""
 
@@ -103,6 +105,31 @@ class Likelihood:
         flux = 10 ** (-0.4 * recording.observed)
         powers = error_powers(flux, recording.error, recording.curve, ~recording.upper_limit)
         return torch.as_tensor(powers).to(self.observed) if powers.any() else None
+
+    def remarks(self, theta: Tensor) -> list[str]:
+        """What a reader of a fit at theta (P,) should know of how its rows are taken."""
+        told = []
+        ids = self.model.recording.curve_ids
+        if self.power is not None:
+            curves = torch.unique(self.curve[self.power > 0]).tolist()
+            told.append(
+                f"the quoted errors follow the measured flux in {_named([ids[c] for c in curves])}: its rows are compared "
+                "in flux to a power, not in magnitudes"
+            )
+        mute = [ids[c] for c in torch.nonzero(self.count == 0)[:, 0].tolist()]
+        if mute and (self.kind == "flux" or self.fitted_errors):
+            what = "error" if self.fitted_errors else "gain"
+            told.append(f"upper limits alone, from which no {what} can be found, say nothing: {_named(mute)}")
+        if self.censored and not self.fitted_errors:
+            with torch.no_grad():
+                found = self.residuals(theta)
+                log_p = self.log_below(found.delta / widened(found, self.model.noise(theta)))
+            broken = int((log_p < LEAST_LOG_P).sum())
+            if broken:
+                told.append(
+                    f"the model is brighter than {broken} of {int(self.limit.sum())} upper limits allow"
+                )
+        return told
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -271,6 +298,7 @@ class Likelihood:
     def _log_positive(self, found: Residuals, sigma: Tensor, noise: Noise) -> Tensor:
         """ln of the probability, (..., T), that a measured flux is above 0, without which there is no magnitude,
         where no upper limit of the curve stands for such rows; 0 for other rows."""
+        assert self.selected is not None  # asked of such curves only
         k = self.above_zero(found, sigma)
         above = torch.special.log_ndtr(k)
         if noise.outliers is not None and noise.width is not None:
@@ -355,6 +383,11 @@ class Likelihood:
         safe = torch.where(inside[..., None], theta, self.model.parameter_set.start())
         total = self.log_likelihood(safe) + torch.where(inside, prior, 0.0)
         return torch.where(inside & torch.isfinite(total), total, -math.inf)
+
+
+def _named(curves: list[str]) -> str:
+    shown = ", ".join(curves[:5]) + (f" and {len(curves) - 5} more" if len(curves) > 5 else "")
+    return f"curve{'s' if len(curves) > 1 else ''} {shown}"
 
 
 def compiled(likelihood: Likelihood, theta: Tensor) -> Callable[[Tensor], Tensor]:

@@ -286,7 +286,7 @@ def _context(
         light_time_corrected=recording.light_time_corrected,
         kind=recording.kind,
         errors=recording.error is not None,
-        limits=bool(recording.upper_limit.any()),
+        limits=int(np.bincount(recording.curve[recording.upper_limit], minlength=1).max()),
     )
 
 

@@ -17,8 +17,9 @@ from torch import Tensor
 
 from torchlc.effects.base import Noise
 from torchlc.least_squares import Minimum, minimise
-from torchlc.likelihood import Likelihood, Residuals, matern32, widened
+from torchlc.likelihood import Likelihood, Residuals, widened
 from torchlc.model import LightCurve
+from torchlc.orthant import POINTS
 
 DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""
@@ -187,7 +188,8 @@ def whitener(
     """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the
     residuals ``at``. With ``fitted`` these are near the minimum: levels of errors that are fitted, which rows are
     outliers, and how far rows are bright because those below a flux of 0 are not there, are taken from them; repeated,
-    this is expectation and maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1)."""
+    this is expectation and maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1). Upper limits under red noise
+    count one by one here, each given the measured rows."""
     sigma = at.sigma.expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
         red = noise is not None and noise.red is not None
@@ -195,22 +197,16 @@ def whitener(
     elif noise is not None:
         sigma = widened(at, noise).expand(at.delta.shape)
     if noise is not None and noise.red is not None and noise.tau is not None:
-        factors = []
-        seconds = likelihood.model.assembly.context.seconds
-        for one in torch.unique(likelihood.curve).tolist():
-            rows = torch.nonzero(likelihood.curve == one)[:, 0]
-            gap = (seconds[rows, None] - seconds[None, rows]).abs() / 60
-            red = (noise.red * at.scale)[rows]
-            covariance = matern32(gap, noise.tau) * red[:, None] * red[None] + torch.diag(sigma[rows] ** 2)
-            factors.append((rows, torch.linalg.cholesky(covariance)))
-        order = torch.argsort(torch.cat([rows for rows, _ in factors]))
+        parts = likelihood.correlated_parts(at, sigma, noise)
+        order = torch.argsort(torch.cat([part.rows for part in parts]))
+        spread = [torch.sqrt(part.limits.square().sum(-1)) for part in parts]
 
         def correlated(found: Residuals) -> Tensor:
-            pieces = [
-                torch.linalg.solve_triangular(factor, found.delta[..., rows, None], upper=False)[..., 0]
-                for rows, factor in factors
-            ]
-            return torch.cat(pieces, -1)[..., order]
+            pieces = []
+            for part, sd in zip(parts, spread, strict=True):
+                white, left = part.whitened(found.delta)
+                pieces += [white, left / sd]
+            return likelihood.deviance_rows(torch.cat(pieces, -1)[..., order])
 
         return correlated
 
@@ -349,7 +345,8 @@ def _noise_objective(
     parameters = likelihood.model.parameter_set
     with torch.no_grad():
         held = likelihood.residuals(theta)
-    size = max(1, NOISE_VALUES // len(held.delta) ** 2)
+    limits = int(likelihood.limit.sum())
+    size = max(1, NOISE_VALUES // max(len(held.delta) ** 2, POINTS * limits))
 
     def piece(coordinates: Tensor) -> Tensor:
         whole = natural(coordinates)

@@ -9,7 +9,8 @@ An upper limit says that the measurement would have come out fainter than it: a 
 a row counts by the probability of that under the row's noise; it enters no gain, no level of noise and no difference of
 successive rows. Relative flux has the gain of each curve profiled over its measured rows, sum(f m / s2) / sum(m2 / s2).
 Without an error column each curve has its own level of noise, log-uniform, which is integrated out: in closed form for
-normal noise, by quadrature with outliers or upper limits. Letters: B batch, T rows, P parameters, C curves, K nodes.
+normal noise, by quadrature with outliers or upper limits; beside red noise it is that of the steps between rows. Limits
+under red noise count by their joint probability given the measured rows (:mod:`torchlc.orthant`). Letters: B batch, T rows, P parameters, C curves, K nodes.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.base import Noise
-from torchlc.effects.red_noise import WITH_LIMITS, WITH_OUTLIERS
+from torchlc.effects.red_noise import WITH_OUTLIERS, too_many
 from torchlc.error_law import MAG_PER_LN, error_powers
 from torchlc.errors import InputError
 from torchlc.least_squares import Colours
 from torchlc.model import LightCurve
+from torchlc.orthant import log_orthant
 from torchlc.recording import Recording
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
@@ -40,6 +42,8 @@ NODES, LEVELS = 64, 4
 """Of the quadrature over the level of noise: each level looks closer at where the one before found the integrand."""
 LEAST_LOG_P = math.log(1e-3)
 """Probability of an upper limit below which it is told that the model is too bright for it."""
+CUT_SEEN = 8.0
+"""Standard deviations from the centre beyond which a cut takes less than rounding off a normal distribution."""
 NEGLIGIBLE = 40.0
 """In ln, below the largest value of the integrand: 4e-18."""
 
@@ -61,6 +65,34 @@ class Residuals:
     prediction: Tensor
 
 
+@dataclass(frozen=True)
+class CorrelatedRows:
+    """Rows (n,) of one curve, of which the first ``count`` are measured and the others upper limits, with the lower
+    Cholesky factor (..., n, n) of their noise's covariance."""
+
+    rows: Tensor
+    count: int
+    factor: Tensor
+
+    @property
+    def measured(self) -> Tensor:
+        """Factor of the measured rows' covariance."""
+        return self.factor[..., : self.count, : self.count]
+
+    @property
+    def limits(self) -> Tensor:
+        """Factor of the upper limits' covariance, given the measured rows."""
+        return self.factor[..., self.count :, self.count :]
+
+    def whitened(self, delta: Tensor) -> tuple[Tensor, Tensor]:
+        """Of residuals (..., T) the measured rows' with unit variance, and the upper limits' less what the measured
+        rows say of them."""
+        delta = delta[..., self.rows]
+        white = torch.linalg.solve_triangular(self.measured, delta[..., : self.count, None], upper=False)
+        expected = self.factor[..., self.count :, : self.count] @ white
+        return white[..., 0], delta[..., self.count :] - expected[..., 0]
+
+
 class Likelihood:
     """Log-likelihood, prior and posterior of a :class:`LightCurve` for its recording; batched over theta
     (..., P).
@@ -80,6 +112,8 @@ class Likelihood:
         self.limit = torch.as_tensor(recording.upper_limit)
         self.measured = ~self.limit
         self.censored = bool(self.limit.any())
+        self.fainter = -1.0 if self.kind == "mag" else 1.0
+        """Sign of a fainter object in the recording's unit."""
         self.count = torch.bincount(self.curve[self.measured], minlength=self.curves).to(like)
         self.fitted_errors = recording.error is None
         self.noise_level = _successive(recording, self.curves).to(like)
@@ -221,12 +255,16 @@ class Likelihood:
 
     def chi2(self, theta: Tensor) -> Tensor:
         """Sum of squared residuals of the measured rows over the quoted errors, (...); over each curve's fitted
-        level where errors are fitted."""
+        level where errors are fitted. Residuals that are cut off at a flux of 0 count as the normal ones of the same
+        probability."""
         found = self.residuals(theta)
         if self.fitted_errors:
             level = self.fitted_levels(found.delta)
             return (self.squares(found.delta) / level**2).sum(-1)
-        return self.squares(found.delta / found.sigma).sum(-1)
+        u = found.delta / found.sigma
+        if self.selected is not None:
+            u = torch.where(self.selected, uncut(u, self.above_zero(found, found.sigma)), u)
+        return self.squares(u).sum(-1)
 
     def fitted_levels(self, delta: Tensor) -> Tensor:
         """Noise level of each curve, (..., curves), from the residuals delta (..., T) of a model fitted to
@@ -249,8 +287,8 @@ class Likelihood:
     def log_below(self, u: Tensor) -> Tensor:
         """ln of the probability of each upper limit, (..., T), at residuals over their standard deviation u (...,
         T), limit minus model: that noise is above u in magnitudes, below it in flux; 0 for measured rows."""
-        fainter = -u if self.kind == "mag" else u
-        return torch.where(self.limit, torch.special.log_ndtr(torch.where(self.limit, fainter, 0.0)), 0.0)
+        fainter = self.fainter * torch.where(self.limit, u, 0.0)
+        return torch.where(self.limit, torch.special.log_ndtr(fainter), 0.0)
 
     def normalised(self, found: Residuals) -> Tensor:
         """Residuals over their errors, (..., T); for an upper limit the square root of its deviance."""
@@ -315,14 +353,41 @@ class Likelihood:
 
     def _correlated(self, found: Residuals, noise: Noise) -> Tensor:
         """Rows that err together; the level of errors that are fitted is that of the steps between rows."""
-        if self.censored or noise.outliers is not None:
-            reason = WITH_LIMITS if self.censored else WITH_OUTLIERS
-            raise InputError(self.model.recording.source, None, f"red_noise cannot be applied: {reason}")
+        most = int(self.by_curve(self.limit.to(torch.long)).max())
+        problem = WITH_OUTLIERS if noise.outliers is not None else too_many(most)
+        if problem is not None:
+            raise InputError(self.model.recording.source, None, f"red_noise cannot be applied: {problem}")
         if self.fitted_errors:
             sigma = self.white_levels(found.delta)[..., self.curve]
         else:
             sigma = widened(found, noise)
-        return correlated_log_density(found, sigma, noise, self.model.assembly.context.seconds, self.curve)
+        total = torch.zeros_like(found.delta[..., 0])
+        for part in self.correlated_parts(found, sigma, noise):
+            white, left = part.whitened(found.delta)
+            log_det = torch.log(torch.diagonal(part.measured, dim1=-2, dim2=-1)).sum(-1)
+            total = total - 0.5 * white.square().sum(-1) - log_det - HALF_LOG_2PI * white.shape[-1]
+            if left.shape[-1]:
+                total = total + log_orthant(part.limits, self.fainter * left)
+        return total
+
+    def correlated_parts(self, found: Residuals, sigma: Tensor, noise: Noise) -> list[CorrelatedRows]:
+        """Each curve's rows with a Matern-3/2 process of ``noise.red`` mag and ``noise.tau`` min, independent
+        between curves, beside white noise sigma (..., T)."""
+        assert noise.red is not None and noise.tau is not None  # both come from one effect
+        seconds = self.model.assembly.context.seconds
+        red = noise.red * found.scale
+        sigma = sigma.expand(found.delta.shape)
+        parts = []
+        for one in torch.unique(self.curve).tolist():
+            rows = torch.nonzero(self.curve == one)[:, 0]
+            rows = torch.cat([rows[self.measured[rows]], rows[self.limit[rows]]])
+            gap = (seconds[rows, None] - seconds[None, rows]).abs() / 60.0
+            covariance = matern32(gap, noise.tau[..., None]) * red[..., rows, None] * red[..., None, rows]
+            covariance = covariance + torch.diag_embed(sigma[..., rows] ** 2)
+            parts.append(
+                CorrelatedRows(rows, int(self.measured[rows].sum()), torch.linalg.cholesky(covariance))
+            )
+        return parts
 
     def _integrated_level(self, found: Residuals, noise: Noise) -> Tensor:
         """A level s of each curve under d ln s, of N measured rows less the gain: Gamma(N/2) / 2 (pi S)^(-N/2) with S
@@ -426,6 +491,18 @@ def power_difference(ratio: Tensor, power: Tensor) -> tuple[Tensor, Tensor]:
     return MAG_PER_LN * (difference + below), share + power * below
 
 
+def uncut(u: Tensor, k: Tensor) -> Tensor:
+    """The standard normal deviate (...) that is beyond as large a share of its distribution as u is of one cut off
+    at k, u < k."""
+    near = k < CUT_SEEN
+    u_near, k_near = torch.where(near, u, 0.0), torch.where(near, k, 1.0)
+    whole = torch.special.ndtr(k_near)
+    below = torch.special.ndtr(-u_near.abs())
+    lower = torch.where(u_near < 0, below, (below - torch.special.ndtr(-k_near)).clamp(min=1e-300)) / whole
+    deviate = torch.special.ndtri(lower.clamp(min=1e-300, max=1 - 1e-16))
+    return torch.where(near & (u > -30), torch.where(u_near < 0, deviate, -deviate), u)
+
+
 def widened(found: Residuals, noise: Noise) -> Tensor:
     """Standard deviation of each row, (..., T), with the jitter."""
     if noise.jitter is None:
@@ -450,27 +527,6 @@ def log_integral(log_density: Callable[[Tensor], Tensor], low: Tensor, high: Ten
             high = high - step * (kept.flip(-2).argmax(-2) - 1)
         nodes = low[..., None, :] + (high - low)[..., None, :] * share
     return torch.logsumexp(log_density(nodes), -2) + torch.log((high - low) / (NODES - 1))
-
-
-def correlated_log_density(
-    found: Residuals, sigma: Tensor, noise: Noise, seconds: Tensor, group: Tensor
-) -> Tensor:
-    """Log density of residuals with a Matern-3/2 process of ``noise.red`` mag and ``noise.tau`` min,
-    independent between groups."""
-    assert noise.red is not None and noise.tau is not None  # both come from one effect
-    total = torch.zeros(found.delta.shape[:-1], dtype=found.delta.dtype, device=found.delta.device)
-    red = noise.red * found.scale
-    sigma = sigma.expand(found.delta.shape)
-    for one in torch.unique(group).tolist():
-        rows = torch.nonzero(group == one)[:, 0]
-        gap = (seconds[rows, None] - seconds[None, rows]).abs() / 60.0
-        covariance = matern32(gap, noise.tau[..., None]) * red[..., rows, None] * red[..., None, rows]
-        covariance = covariance + torch.diag_embed(sigma[..., rows] ** 2)
-        factor = torch.linalg.cholesky(covariance)
-        white = torch.linalg.solve_triangular(factor, found.delta[..., rows, None], upper=False)[..., 0]
-        log_det = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
-        total = total - 0.5 * (white**2).sum(-1) - log_det - 0.5 * len(rows) * math.log(2 * math.pi)
-    return total
 
 
 def matern32(gap_min: Tensor, tau_min: Tensor) -> Tensor:

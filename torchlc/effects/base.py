@@ -224,8 +224,8 @@ class Context:
     etc. index.
 
     ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's
-    lobe that has to be resolved; ``errors`` is false if they are fitted, ``limits`` true if some
-    rows are upper limits.
+    lobe that has to be resolved; ``errors`` is false if they are fitted, ``limits`` the largest number
+    of upper limits in one curve.
     """
 
     seconds: Tensor
@@ -248,7 +248,7 @@ class Context:
     light_time_corrected: bool
     kind: str
     errors: bool
-    limits: bool
+    limits: int
     memory: Memory = field(default_factory=lambda: Memory())
 
     @property

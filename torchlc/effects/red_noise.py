@@ -7,14 +7,22 @@ from dataclasses import replace
 from torchlc.effects.base import Effect
 from torchlc.parameters import Quantity
 
-WITH_LIMITS = (
-    "the recording has upper limits, and limits that err together have no probability in closed form. Take jitter, or "
-    "leave out the rows with upper_limit"
-)
+MOST_LIMITS = 150
+"""Upper limits in one curve whose joint probability is worked out: a tenth of a second for a single model."""
 WITH_OUTLIERS = (
     "outliers are in the list, and among rows that err together every choice of bad ones has a density of its own. "
     "Leave out one of the two"
 )
+
+
+def too_many(limits: int) -> str | None:
+    """Why so many upper limits in one curve are not taken, in words; None if they are."""
+    if limits <= MOST_LIMITS:
+        return None
+    return (
+        f"a curve has {limits} upper limits, and the joint probability of more than {MOST_LIMITS} that err together is "
+        "not worked out. Take jitter, or leave out rows with upper_limit"
+    )
 
 
 class RedNoise(Effect):
@@ -39,7 +47,7 @@ class RedNoise(Effect):
     )  # fmt: skip
 
     def missing(self, context):
-        return WITH_LIMITS if context.limits else None
+        return too_many(context.limits)
 
     def beside(self, others):
         return WITH_OUTLIERS if "outliers" in others else None

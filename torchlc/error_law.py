@@ -15,12 +15,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import stdtrit
 
 MAG_PER_LN = 2.5 / math.log(10)
 LEAST_STEPS = 3
 """Steps between rows from which a power is worked out: one or two agree with a line too easily."""
-SURE = 3.0
-"""Standard errors by which a power must differ from 0; a chance relation of errors to light does not."""
+CHANCE = 1e-4
+"""Probability, by Student's t, below which a relation of errors to light is not taken for chance."""
 LEAST_SHIFT_MAG = 1e-3
 """Magnitudes are kept where they are biased by less, a tenth of what absolute photometry reaches: at a
 signal-to-noise ratio above some 40."""
@@ -60,7 +61,9 @@ def _power(curves: list[np.ndarray], flux: np.ndarray, error_mag: np.ndarray) ->
     if spread == 0:
         return 0.0
     slope = -float((weight * step * change).sum()) / spread
-    error = math.sqrt(float(((weight * step * (change + slope * step)) ** 2).sum())) / spread
+    freedom = len(first) - 1
+    error = math.sqrt(float((weight * (change + slope * step) ** 2).sum()) / freedom / spread)
     power = min(max(slope, 0.0), 1.0)
     shift = 1.5 * MAG_PER_LN * power * float(square[np.concatenate(curves)].mean())
-    return power if slope > SURE * error and shift > LEAST_SHIFT_MAG else 0.0
+    sure = slope > float(stdtrit(freedom, 1 - CHANCE)) * error
+    return power if sure and shift > LEAST_SHIFT_MAG else 0.0

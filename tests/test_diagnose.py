@@ -305,15 +305,18 @@ def test_a_block_that_the_rest_predicts_badly_is_improbable(demo_refit) -> None:
     blocks = make_blocks(context.seconds, context.curve)
     scorer = Scorer(context.seconds, context.curve, blocks, False)
     noise = NoiseModel("outliers", fraction=0.03, width=8.0)
-    slopes = refit.slopes.clone()
     push = torch.zeros_like(refit.delta)
     push[blocks.rows[1]] = 100.0
-    far = replace(refit, delta=refit.delta + push * refit.sigma, slopes=slopes)
-    followed = replace(refit, slopes=torch.cat([slopes[:, :-1], (push * refit.sigma)[:, None]], 1))
+    far = replace(refit, delta=refit.delta + push * refit.sigma)
+    followed = replace(refit, slopes=torch.cat([refit.slopes[:, :-1], (push * refit.sigma)[:, None]], 1))
+    chance = torch.randn(len(push), generator=torch.Generator().manual_seed(1), dtype=push.dtype)
+    perfect = replace(
+        refit, delta=chance * refit.sigma
+    )  # residuals of chance alone, that no parameter has followed
     met = torch.log(
         (1 - noise.fraction + noise.fraction / noise.width) / (refit.sigma * math.sqrt(2 * math.pi))
     )
-    for one in (refit, far, followed):
+    for one in (refit, far, followed, perfect):
         for rows, density in zip(blocks.rows, scorer.heldout(one, noise), strict=True):
             assert float(density) <= float(met[rows].sum())
     gone = scorer.heldout(refit, noise)[1] - scorer.heldout(far, noise)[1]

@@ -13,11 +13,14 @@ from scipy import integrate, stats
 
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
+from torchlc.diagnose.gate import Battery, gate
+from torchlc.diagnose.refit import Hypothesis, linearised
 from torchlc.effects.base import Noise
 from torchlc.errors import InputError
 from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood
+from torchlc.likelihood import Likelihood, power_difference
 from torchlc.model import LightCurve
+from torchlc.scene import Scene
 
 FREE = '[materials.white]\nmodel = "lambert"\nalbedo = {value = 0.5, low = 0.05, high = 1.0}\n'
 KNOWN = '[materials.white]\nmodel = "lambert"\nalbedo = 0.5\n'
@@ -302,8 +305,6 @@ def listed(effects: str):
 
 
 def test_red_noise_beside_outliers_is_refused(seven):
-    from torchlc.scene import Scene
-
     scene = Scene.from_toml(listed('["outliers", "red_noise"]'))
     with pytest.raises(InputError, match="red_noise cannot be applied: outliers are in the list"):
         LightCurve(scene, seven[1])
@@ -319,8 +320,6 @@ def test_red_noise_beside_outliers_is_refused(seven):
 
 
 def test_red_noise_beside_very_many_limits_is_refused(tmp_path):
-    from torchlc.scene import Scene
-
     scene = Scene.from_toml(listed('["red_noise"]'))
     rows = seen_from(scene, tmp_path, np.tile(tilted(20), (160, 1)), tilted(10, 180))
     with pytest.raises(InputError, match="a curve has 155 upper limits"):
@@ -404,8 +403,6 @@ def test_slopes_at_low_signal_to_noise(tmp_path, noise):
         )
         assert float(slope) == pytest.approx((up - down) / 2e-6, rel=1e-5, abs=1e-5)
     dark = torch.zeros(len(recording), dtype=torch.float64, requires_grad=True)
-    from torchlc.likelihood import power_difference
-
     for power in (0.0, 0.3, 1.0):
         delta, scale = power_difference(dark, torch.full_like(dark, power))
         (slope,) = torch.autograd.grad((delta + scale).sum(), dark)
@@ -419,6 +416,20 @@ def test_chi_square_of_clean_recordings_is_uniform(tmp_path, ratio):
     for seed in range(60):
         scene, recording, _, _ = faint(tmp_path, ratio, 150, 100 + seed)
         p.append(fit_map(Likelihood(LightCurve(scene, recording)), starts=2, adam_steps=10).p_value)
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("ratio", [3, 50])
+def test_the_gate_of_clean_recordings_is_uniform(tmp_path, ratio):
+    """Its global p of 50 recordings by Kolmogorov and Smirnov."""
+    p = []
+    for seed in range(50):
+        scene, recording, _, _ = faint(tmp_path, ratio, 100, 300 + seed)
+        likelihood = Likelihood(LightCurve(scene, recording))
+        best = linearised(likelihood, Hypothesis(), fit_map(likelihood, starts=2, adam_steps=10).theta)
+        seconds = likelihood.model.assembly.context.seconds
+        battery = Battery(seconds, likelihood.curve, {"time": seconds}, {}, with_chi2=True)
+        p.append(gate(best, battery, seed, draws=400).global_p)
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
 

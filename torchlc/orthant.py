@@ -43,7 +43,7 @@ def log_orthant(factor: Tensor, bound: Tensor) -> Tensor:
 
 def exponential_tilt(factor: Tensor, bound: Tensor) -> Tensor:
     """Means (..., n) of the variables z at which the terms of the mean differ least: the saddle point of Botev (2017),
-    J. R. Stat. Soc. B 79, 125, eqs. 9 to 11, by Newton's method with the best of some step lengths. Any means give the
+    J. R. Stat. Soc. B 79, 125, by Newton's method with the best of some step lengths. Any means give the
     right probability; those of the saddle point the one of least error. Their slopes are those of the saddle point."""
     scale = torch.diagonal(factor, dim1=-2, dim2=-1)
     one = torch.eye(bound.shape[-1], dtype=bound.dtype, device=bound.device)

@@ -129,6 +129,7 @@ class Diagnosis:
                 "schema": SCHEMA,
                 "verdict": self.verdict,
                 "error_source": recording.error_source,
+                "dropped": dict(recording.dropped),
                 "global_p": self.gate.global_p,
                 "named": list(self.named),
                 "families": [list(family) for family in self.families],

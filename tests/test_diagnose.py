@@ -294,6 +294,33 @@ def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, noise: N
     assert float(scorer.heldout(refit, noise)[2]) == pytest.approx(float(expected), abs=1e-3)
 
 
+def test_a_block_that_the_rest_predicts_badly_is_improbable(demo_refit) -> None:
+    """No held-out density of outliers is above that of a model that meets every row, also where one night lies a
+    hundred errors off what the rest says."""
+    refit = demo_refit
+    context = refit.model.assembly.context
+    blocks = make_blocks(context.seconds, context.curve)
+    scorer = Scorer(context.seconds, context.curve, blocks, False)
+    noise = NoiseModel("outliers", fraction=0.03, width=8.0)
+    push = torch.zeros_like(refit.delta)
+    push[blocks.rows[1]] = 100.0
+    far = replace(refit, delta=refit.delta + push * refit.sigma)
+    followed = replace(refit, slopes=torch.cat([refit.slopes[:, :-1], (push * refit.sigma)[:, None]], 1))
+    chance = torch.randn(len(push), generator=torch.Generator().manual_seed(1), dtype=push.dtype)
+    perfect = replace(
+        refit, delta=chance * refit.sigma
+    )  # residuals of chance alone, that no parameter has followed
+    met = torch.log(
+        (1 - noise.fraction + noise.fraction / noise.width) / (refit.sigma * math.sqrt(2 * math.pi))
+    )
+    for one in (refit, far, followed, perfect):
+        for rows, density in zip(blocks.rows, scorer.heldout(one, noise), strict=True):
+            assert float(density) <= float(met[rows].sum())
+    gone = scorer.heldout(refit, noise)[1] - scorer.heldout(far, noise)[1]
+    # each row a hundred errors off costs half of (100 / 8)^2, less what the parameters can follow
+    assert float(gone) > 0.2 * len(blocks.rows[1]) * (100 / noise.width) ** 2
+
+
 def test_gaussian_prior_is_the_density_of_reflectances_known_to_a_few_per_cent() -> None:
     """Normal in r_spec and r_diff, though the fit's own coordinate is r_diff's share of what r_spec leaves: the
     same odds of two points near the centre, and the same mean and spread as draws."""

@@ -150,6 +150,7 @@ def fit(
             )
         seconds["sample"] = time.monotonic() - clock
         seconds["total"] = time.monotonic() - began
+        warnings += found.likelihood.remarks(found.theta)
         if posterior is not None and not posterior.converged:
             warnings.append(f"the chain is short: {posterior.reason}")
         if not found.converged:

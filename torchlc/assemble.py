@@ -377,6 +377,7 @@ def _context(
         light_time_corrected=recording.light_time_corrected,
         kind=recording.kind,
         errors=recording.error is not None,
+        limits=int(np.bincount(recording.curve[recording.upper_limit], minlength=1).max()),
     )
 
 
@@ -407,6 +408,10 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             _check_axes(effect, scene, context)
             effect.by, effect.width = parsed.per, parsed.width
             found.append(effect)
+    for effect in found:
+        reason = effect.beside([other.name for other in found])
+        if reason is not None:
+            raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
     order = list(every())
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import torch
 from matplotlib.figure import Figure
 
 from torchlc import __version__
@@ -122,9 +121,9 @@ def comparison(diagnosis: Diagnosis) -> Comparison:
     changed = bool(after.hypothesis.added)
     return Comparison(
         recording,
-        recording.observed - after.delta.numpy(),
+        after.prediction.numpy(),
         after.sigma.expand(len(recording)).numpy(),
-        before=recording.observed - before.delta.numpy() if changed else None,
+        before=before.prediction.numpy() if changed else None,
         marked=None if diagnosis.where is None else diagnosis.where.rows.numpy(),
     )
 
@@ -340,5 +339,4 @@ def _lowered(text: str) -> str:
 def _final(diagnosis: Diagnosis) -> tuple[Any, Any]:
     """The final model and its prediction (T,)."""
     refit = diagnosis.final.refit
-    with torch.no_grad():
-        return refit.model, refit.model.recording.observed - refit.delta.numpy()
+    return refit.model, refit.prediction.numpy()

@@ -17,8 +17,9 @@ from torch import Tensor
 
 from torchlc.effects.base import Noise
 from torchlc.least_squares import Minimum, minimise
-from torchlc.likelihood import Likelihood, Residuals, matern32
+from torchlc.likelihood import Likelihood, Residuals, widened
 from torchlc.model import LightCurve
+from torchlc.orthant import POINTS
 
 DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""
@@ -112,7 +113,7 @@ def find_modes(
     if not bool(best.converged[best.cost.argmin()]):
         leading = best.y[torch.argsort(best.cost)[:LEADERS]]
         best = polish(likelihood, parameters.from_flat(leading), noise, iterations=LONG_POLISH)
-    if model.assembly.stage("noise") or likelihood.fitted_errors:
+    if model.assembly.stage("noise") or likelihood.fitted_errors or likelihood.selected is not None:
         best = _noise_in_turn(likelihood, parameters.from_flat(_leaders(best, noise_columns(likelihood))))
     modes = _distinct(likelihood, best)
     return modes, history, best
@@ -185,41 +186,56 @@ def whitener(
     likelihood: Likelihood, at: Residuals, noise: Noise | None, *, fitted: bool = False
 ) -> Callable[[Residuals], Tensor]:
     """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the
-    residuals ``at``."""
+    residuals ``at``. With ``fitted`` these are near the minimum: levels of errors that are fitted, which rows are
+    outliers, and how far rows are bright because those below a flux of 0 are not there, are taken from them; repeated,
+    this is expectation and maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1). Upper limits under red noise
+    count one by one here, each given the measured rows."""
     sigma = at.sigma.expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
         red = noise is not None and noise.red is not None
         sigma = (likelihood.white_levels if red else likelihood.fitted_levels)(at.delta)[likelihood.curve]
-    if noise is not None and noise.jitter is not None:
-        sigma = torch.sqrt(sigma**2 + (noise.jitter * at.scale) ** 2)
+    elif noise is not None:
+        sigma = widened(at, noise).expand(at.delta.shape)
     if noise is not None and noise.red is not None and noise.tau is not None:
-        factors = []
-        seconds = likelihood.model.assembly.context.seconds
-        for one in torch.unique(likelihood.curve).tolist():
-            rows = torch.nonzero(likelihood.curve == one)[:, 0]
-            gap = (seconds[rows, None] - seconds[None, rows]).abs() / 60
-            red = (noise.red * at.scale)[rows]
-            covariance = matern32(gap, noise.tau) * red[:, None] * red[None] + torch.diag(sigma[rows] ** 2)
-            factors.append((rows, torch.linalg.cholesky(covariance)))
-        order = torch.argsort(torch.cat([rows for rows, _ in factors]))
+        parts = likelihood.correlated_parts(at, sigma, noise)
+        order = torch.argsort(torch.cat([part.rows for part in parts]))
+        spread = [torch.sqrt(part.limits.square().sum(-1)) for part in parts]
 
         def correlated(found: Residuals) -> Tensor:
-            pieces = [
-                torch.linalg.solve_triangular(factor, found.delta[..., rows, None], upper=False)[..., 0]
-                for rows, factor in factors
-            ]
-            return torch.cat(pieces, -1)[..., order]
+            pieces = []
+            for part, sd in zip(parts, spread, strict=True):
+                white, left = part.whitened(found.delta)
+                pieces += [white, left / sd]
+            return likelihood.deviance_rows(torch.cat(pieces, -1)[..., order])
 
         return correlated
 
+    shift = torch.zeros_like(sigma)
+    if fitted and noise is not None and noise.outliers is not None and noise.width is not None:
+        sigma = lightened(at.delta, sigma, noise.outliers, noise.width)
+    if fitted and likelihood.selected is not None:
+        shift = hazard(likelihood.above_zero(at, sigma))
+
     def independent(found: Residuals) -> Tensor:
-        white = found.delta / sigma
-        if bool(likelihood.limit.any()):
-            below = -2 * torch.special.log_ndtr(torch.where(likelihood.limit, -white, 0.0))
-            white = torch.where(likelihood.limit, torch.sqrt(below.clamp(min=1e-300)), white)
-        return white
+        return likelihood.deviance_rows(found.delta / sigma + shift)
 
     return independent
+
+
+def lightened(delta: Tensor, sigma: Tensor, share: Tensor | float, width: Tensor | float) -> Tensor:
+    """Standard deviation (..., T) that a row of residual delta has in least squares where a share of the rows has
+    errors ``width`` times as large: by the probability that it is one of them."""
+    share, width = torch.as_tensor(share).to(delta), torch.as_tensor(width).to(delta)
+    square = (delta / sigma) ** 2
+    odds = torch.log(share) - torch.log1p(-share) - torch.log(width) + 0.5 * square * (1 - 1 / width**2)
+    member = torch.sigmoid(odds)
+    return sigma / torch.sqrt(1 - member + member / width**2)
+
+
+def hazard(k: Tensor) -> Tensor:
+    """phi(k) / Phi(k) of the standard normal distribution, also far out: by how much the mean of a normal cut off
+    k below its centre is above it, in standard deviations."""
+    return torch.exp(-0.5 * k * k - 0.5 * math.log(2 * math.pi) - torch.special.log_ndtr(k))
 
 
 def noise_columns(likelihood: Likelihood) -> list[int]:
@@ -283,8 +299,9 @@ def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
 def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
     """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
-    Their costs are -2 ln of the density, less that of rows of unit variance, so that minima with different
-    noise compare; the curvature of the noise is among the rows of the slopes.
+    So are rows that are there only if their flux is above 0. Costs are -2 ln of the density, less that of rows of
+    unit variance, so that minima with different noise compare; the curvature of the noise is among the rows of the
+    slopes.
     """
     parameters = likelihood.model.parameter_set
     index = noise_columns(likelihood)
@@ -303,7 +320,7 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
         jacobian = torch.cat([one.jacobian for one in found])
         residual = torch.cat([one.residual for one in found])
         extra = jacobian.new_zeros(len(theta), len(index), jacobian.shape[-1])
-        for number, one in enumerate(theta):
+        for number, one in enumerate(theta if index else ()):
             y = parameters.to_flat(one)
             objective = _noise_objective(likelihood, one, parameters.from_flat)
             part, step = _inside(y[index], *(bound[index] for bound in parameters.flat_bounds()))
@@ -328,12 +345,13 @@ def _noise_objective(
     parameters = likelihood.model.parameter_set
     with torch.no_grad():
         held = likelihood.residuals(theta)
-    size = max(1, NOISE_VALUES // len(held.delta) ** 2)
+    limits = int(likelihood.limit.sum())
+    size = max(1, NOISE_VALUES // max(len(held.delta) ** 2, POINTS * limits))
 
     def piece(coordinates: Tensor) -> Tensor:
         whole = natural(coordinates)
         shape = (len(whole), likelihood.rows)
-        rows = {name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale")}
+        rows = {name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale", "prediction")}
         found = replace(held, **rows)
         prior = 0.5 * (parameters.prior_residuals(whole) ** 2).sum(-1)
         value = prior - likelihood.density(found, likelihood.model.noise(whole))

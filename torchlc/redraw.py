@@ -152,7 +152,7 @@ class Redraw:
             sigma = self.sigma / MAG_PER_LN
             mean, factor = self._solution(dark, design, observed, observed * sigma)
             for _ in range(REWEIGHTED):
-                target, near = about(dark, design, mean, observed)
+                target, near = about(dark, design, mean, observed, likelihood.power)
                 mean, factor = self._solution(dark, design, target, near * sigma)
         return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchlc.likelihood import MAG_PER_LN, power_difference
 from torchlc.model import LightCurve
 
 NAMES = ("r_spec", "r_diff", "f0", "albedo")
@@ -61,9 +62,15 @@ def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tenso
     return flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
 
 
-def about(dark: Tensor, design: Tensor, values: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
+def about(
+    dark: Tensor, design: Tensor, values: Tensor, observed: Tensor, power: Tensor | None
+) -> tuple[Tensor, Tensor]:
     """Flux (B, T) to compare with, and the flux that a magnitude's error is relative to, for a regression of
-    magnitudes about reflectances ``values`` (B, K): the tangent of the logarithm there."""
+    magnitudes, or of a ``power`` (T,) of flux, about reflectances ``values`` (B, K): the tangent of the logarithm or
+    the power there."""
     predicted = dark + (design @ values[..., None])[..., 0]
     near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
-    return near * (1.0 + torch.log(observed / near)), near
+    if power is None:
+        return near * (1.0 + torch.log(observed / near)), near
+    difference, share = power_difference(observed / near, power)
+    return near * (1.0 + difference / MAG_PER_LN), near * share

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchlc.effects.base import View
 from torchlc.fit import Fit, Mode
 from torchlc.insight import Insight, bare_view, judge
-from torchlc.likelihood import MAG_PER_LN, Likelihood
+from torchlc.likelihood import MAG_PER_LN, Likelihood, widened
 from torchlc.materials import match
 from torchlc.model import LightCurve
 from torchlc.output import without_nan, write_whole
@@ -97,13 +97,13 @@ class FitResult:
     @cached_property
     def delta(self) -> np.ndarray:
         """Residuals at the maximum a posteriori, observed minus model, (T,), mag or relative flux."""
-        with torch.no_grad():
-            return self.likelihood.residuals(self.fit.theta).delta.numpy()
+        return self.recording.observed - self.prediction
 
-    @property
+    @cached_property
     def prediction(self) -> np.ndarray:
         """The model at the maximum a posteriori in the recording's unit, (T,), gains applied."""
-        return self.recording.observed - self.delta
+        with torch.no_grad():
+            return self.likelihood.residuals(self.fit.theta).prediction.numpy()
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -119,8 +119,8 @@ class FitResult:
         if self.posterior is None:
             return None
         with torch.no_grad():
-            delta = self.likelihood.residuals(_thinned(self.posterior.flat, BAND_DRAWS)).delta.numpy()
-        return np.quantile(self.recording.observed - delta, [0.05, 0.5, 0.95], axis=0)
+            many = self.likelihood.residuals(_thinned(self.posterior.flat, BAND_DRAWS)).prediction.numpy()
+        return np.quantile(many, [0.05, 0.5, 0.95], axis=0)
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -129,10 +129,7 @@ class FitResult:
             found = self.likelihood.residuals(self.fit.theta)
             if self.likelihood.fitted_errors:
                 return self.likelihood.fitted_levels(found.delta)[self.likelihood.curve].numpy()
-            noise = self.model.noise(self.fit.theta)
-            sigma = found.sigma
-            if noise.jitter is not None:
-                sigma = torch.sqrt(sigma**2 + (noise.jitter * found.scale) ** 2)
+            sigma = widened(found, self.model.noise(self.fit.theta))
             return sigma.expand(found.delta.shape).numpy()
 
     @property
@@ -183,7 +180,7 @@ class FitResult:
                 if len(theta) < 2
                 else _thinned(theta, NOISE_DRAWS)
             )
-            squares = likelihood.by_curve(likelihood.residuals(theta).delta ** 2)
+            squares = likelihood.squares(likelihood.residuals(theta).delta)
         freedom = (likelihood.count - (1 if likelihood.gains else 0)).clamp(min=1.0)
         generator = np.random.default_rng(self.seed)
         drawn = np.sqrt(squares.numpy() / generator.chisquare(freedom.numpy(), squares.shape))
@@ -233,13 +230,11 @@ class FitResult:
         measured = ~self.recording.upper_limit
         if self.recording.kind == "mag":
             return _rms(self._ratio() - 1)
-        mean = np.array(
-            [
-                self.recording.observed[self.recording.curve == c].mean()
-                for c in range(len(self.recording.curve_ids))
-            ]
-        )
-        return _rms((self.delta / mean[self.recording.curve])[measured])
+        curve = self.recording.curve
+        mean = {
+            c: self.recording.observed[(curve == c) & measured].mean() for c in np.unique(curve[measured])
+        }
+        return _rms(self.delta[measured] / np.array([mean[c] for c in curve[measured]]))
 
     def mean_shares(self) -> dict[str, dict[str, float]]:
         """Mean share of each component over the rows with light."""

@@ -5,6 +5,11 @@ About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - 
 noise. With one factorisation of C the log evidence log N(r; M (mu - y), C + M V M') and the predictive
 density of every held-out block given the rest follow. Blocks are longer than three correlation times, with a
 gap of one, so that a process has forgotten and physics has not.
+
+Outliers are a mixture, under which the rows of a block have no joint density in closed form. Theirs is the product
+of every row's density given the rest and the block's rows before it, mixtures of two normals each, with x kept as
+normal in between (assumed density filtering; Opper 1998, in On-line Learning in Neural Networks, 363): a product of
+densities is a density whatever is kept, and with few outliers it is that of the normal.
 """
 
 from __future__ import annotations
@@ -18,11 +23,14 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnose.refit import Refit
+from torchlc.fit import lightened
 from torchlc.likelihood import matern32
 
 LONGEST_TAU_MIN = 120.0
 JITTER_SCALE = 0.05
 LOG_2PI = math.log(2 * math.pi)
+MEMBERSHIPS = 5
+"""Times that the rows of the rest are weighed anew; the weights of later ones differ by less than a hundredth."""
 
 
 @dataclass(frozen=True)
@@ -189,11 +197,7 @@ class Scorer:
         if noise.kind == "jitter":
             return torch.sqrt(refit.sigma**2 + (noise.jitter * refit.scale) ** 2)
         if noise.kind == "outliers":
-            u = refit.delta / refit.sigma
-            core = math.log1p(-noise.fraction) - 0.5 * u * u
-            tail = math.log(noise.fraction) - 0.5 * (u / noise.width) ** 2 - math.log(noise.width)
-            member = torch.sigmoid(tail - core)
-            return refit.sigma / torch.sqrt(1 - member + member / noise.width**2)
+            return lightened(refit.delta, refit.sigma, noise.fraction, noise.width)
         return refit.sigma
 
     def _whitened(
@@ -262,8 +266,8 @@ class Scorer:
         return self._kernels[key]
 
     def log_evidence(self, refit: Refit, noise: NoiseModel) -> float:
-        """log N(delta; M (mu - y), C + M V M'); for outliers the membership-weighted C with the mixture's own
-        density."""
+        """log N(delta; M (mu - y), C + M V M'). For outliers a lower bound of it, close where it is clear which
+        rows are bad: the mixture is at least its value at the refit times the change of the weighted squares."""
         r, m, log_det = self._whitened(refit, noise)
         gaussian = _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
         if noise.kind != "outliers":
@@ -275,6 +279,8 @@ class Scorer:
     def heldout(self, refit: Refit, noise: NoiseModel) -> Tensor:
         """Log predictive density of each block given the rest (less the gap): parameters from the rest, the
         process forgotten."""
+        if noise.kind == "outliers":
+            return self._heldout_mixture(refit, noise)
         scores = []
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
@@ -295,15 +301,78 @@ class Scorer:
             projected = torch.linalg.solve_triangular(inner, spread @ left[:, None], upper=False)[:, 0]
             quadratic = left @ left - projected @ projected
             half = torch.log(torch.diagonal(inner)).sum() if len(keep) else 0.0
-            if noise.kind == "outliers":
-                u = (refit.delta[rows] - refit.slopes[rows][:, keep] @ x) / refit.sigma[rows]
-                density = (self._mixture(u, noise) - torch.log(refit.sigma[rows])).sum() - 0.5 * len(
-                    rows
-                ) * LOG_2PI
-                scores.append(density - half + 0.5 * projected @ projected)
-            else:
-                scores.append(-0.5 * quadratic - half - log_det - 0.5 * len(rows) * LOG_2PI)
+            scores.append(-0.5 * quadratic - half - log_det - 0.5 * len(rows) * LOG_2PI)
         return torch.stack([torch.as_tensor(score, dtype=refit.delta.dtype) for score in scores])
+
+    def _heldout_mixture(self, refit: Refit, noise: NoiseModel) -> Tensor:
+        """Log density of each block's rows, one after the other, all blocks abreast: rows of the rest are weighed by
+        how far they are from what the rest alone says."""
+        keep = torch.nonzero(~refit.held)[:, 0]
+        everything = torch.arange(len(refit.delta))
+        slopes = refit.slopes[:, keep]
+        shift, precision = refit.prior
+        means, covariances = [], []
+        for removed in self.blocks.removed:
+            rest = everything[~torch.isin(everything, removed)]
+            delta, sigma, m = refit.delta[rest], refit.sigma[rest], slopes[rest]
+            error = lightened(delta, sigma, noise.fraction, noise.width)
+            for _ in range(MEMBERSHIPS):
+                white = m / error[:, None]
+                factor = stable_cholesky(precision + white.T @ white)
+                pull = white.T @ (delta / error) + precision @ shift
+                x = torch.cholesky_solve(pull[:, None], factor)[:, 0]
+                error = lightened(delta - m @ x, sigma, noise.fraction, noise.width)
+            means.append(x)
+            covariances.append(torch.cholesky_inverse(factor))
+        longest = max(len(rows) for rows in self.blocks.rows)
+        index = torch.stack(
+            [torch.nn.functional.pad(rows, (0, longest - len(rows))) for rows in self.blocks.rows]
+        )
+        inside = torch.stack([torch.arange(longest) < len(rows) for rows in self.blocks.rows])
+        return filtered_log_density(
+            torch.stack(means),
+            torch.stack(covariances),
+            refit.delta[index],
+            slopes[index],
+            refit.sigma[index],
+            inside,
+            noise,
+        )
+
+
+def filtered_log_density(
+    mean: Tensor,
+    covariance: Tensor,
+    delta: Tensor,
+    slopes: Tensor,
+    sigma: Tensor,
+    inside: Tensor,
+    noise: NoiseModel,
+) -> Tensor:
+    """Log density (N,) of N sequences of rows delta = slopes x + noise, (N, n), with outliers of a share and width,
+    where x is normal with mean (N, K) and covariance (N, K, K): each row's mixture given those before, after which
+    x is the normal of the same mean and covariance as the mixture's. Rows not ``inside`` (N, n) are skipped."""
+    width = delta.new_tensor([1.0, noise.width])
+    share = torch.log(delta.new_tensor([1 - noise.fraction, noise.fraction]))
+    total = torch.zeros_like(delta[:, 0])
+    for row in range(delta.shape[1]):
+        m, there = slopes[:, row], inside[:, row]
+        spread = (covariance @ m[..., None])[..., 0]
+        known = (m * spread).sum(-1)
+        variance = known[:, None] + (sigma[:, row, None] * width) ** 2
+        left = delta[:, row] - (m * mean).sum(-1)
+        log_parts = share - 0.5 * left[:, None] ** 2 / variance - 0.5 * torch.log(variance) - 0.5 * LOG_2PI
+        log_row = torch.logsumexp(log_parts, -1)
+        total = total + torch.where(there, log_row, 0.0)
+        member = torch.exp(log_parts - log_row[:, None])
+        gain = (member / variance).sum(-1)
+        # variance of the mixture: that within its parts, and that of their means about their own mean
+        between = (member / variance**2).sum(-1) - gain**2
+        shrink = gain - left**2 * between
+        mean = mean + torch.where(there, gain * left, 0.0)[:, None] * spread
+        reduction = spread[:, :, None] * spread[:, None, :]
+        covariance = covariance - torch.where(there, shrink, 0.0)[:, None, None] * reduction
+    return total
 
 
 def stable_cholesky(system: Tensor) -> Tensor:

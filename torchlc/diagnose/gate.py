@@ -136,7 +136,7 @@ def residual_projection(refit: Refit) -> Tensor:
     m = refit.slopes / refit.sigma[:, None]
     whole = torch.cat([m, refit.prior_rows])
     if refit.likelihood.gains:
-        prediction = (refit.likelihood.observed - refit.delta) / refit.sigma
+        prediction = refit.prediction / refit.sigma
         gains = torch.zeros(len(whole), refit.likelihood.curves, dtype=m.dtype)
         gains[torch.arange(len(m)), refit.likelihood.curve] = prediction
         whole = torch.cat([whole, gains], 1)

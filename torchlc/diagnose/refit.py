@@ -52,8 +52,8 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Refit:
-    """A hypothesis at one minimum: natural theta (P,), flat y (P,), residuals delta (T,) = datum - model,
-    slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior about y
+    """A hypothesis at one minimum: natural theta (P,), flat y (P,), the datum's ``prediction`` (T,), residuals delta
+    (T,) = datum - model, slopes (T, P) = d model / d y, quoted sigma (T,), scale (T,) of a magnitude of noise, and the prior about y
     as a Gaussian (mean (P,), precision (P, P)), of which peaked priors are ``prior_rows`` (n, P), unit variance each.
 
     ``held`` marks coordinates at a bound, whose columns of slopes are zero; ``others`` are further minima that the
@@ -64,6 +64,7 @@ class Refit:
     likelihood: Likelihood
     theta: Tensor
     y: Tensor
+    prediction: Tensor
     delta: Tensor
     slopes: Tensor
     sigma: Tensor
@@ -83,6 +84,12 @@ class Refit:
     @property
     def names(self) -> list[str]:
         return self.model.names
+
+    @property
+    def off_mag(self) -> Tensor:
+        """Datum minus prediction, mag (T,)."""
+        off = self.likelihood.observed - self.prediction
+        return off if self.likelihood.kind == "mag" else off / self.scale
 
     @property
     def log_mass(self) -> float:
@@ -242,6 +249,7 @@ def linearised(likelihood: Likelihood, hypothesis: Hypothesis, theta: Tensor) ->
         likelihood,
         theta,
         y,
+        found.prediction,
         found.delta,
         slopes,
         sigma,

@@ -136,6 +136,7 @@ class Diagnosis:
                 "schema": SCHEMA,
                 "verdict": self.verdict,
                 "error_source": recording.error_source,
+                "dropped": dict(recording.dropped),
                 "global_p": self.gate.global_p,
                 "named": list(self.named),
                 "families": [list(family) for family in self.families],
@@ -215,8 +216,8 @@ class Diagnosis:
             "chi2_before": before.chi2,
             "chi2_after": after.chi2,
             "dof": after.likelihood.degrees_of_freedom,
-            "rms_before": _rms(before.delta / before.scale),
-            "rms_after": _rms(after.delta / after.scale),
+            "rms_before": _rms(before.off_mag),
+            "rms_after": _rms(after.off_mag),
             "heldout_rms_before": self.scorer.heldout_rms(before),
             "heldout_rms_after": self.scorer.heldout_rms(after),
         }
@@ -225,7 +226,7 @@ class Diagnosis:
         p = self.final_gate.global_p
         refit = self.final.refit
         left = (
-            f"rms {_rms(refit.delta / refit.scale):.3f} mag"
+            f"rms {_rms(refit.off_mag):.3f} mag"
             if refit.likelihood.fitted_errors
             else f"chi2 {refit.chi2:.0f} for {refit.likelihood.degrees_of_freedom} degrees of freedom"
         )

@@ -71,12 +71,14 @@ def diagnose(
     """What the scene's model leaves out of a recording.
 
     ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS
-    refits in the first round, and stays with the scene's law of reflection. Raises InputError for an unknown
+    refits in the first round, and stays with the scene's law of reflection. Upper limits are left out, and counted
+    as dropped: evidence, held-out scores and the gate are those of measured rows. Raises InputError for an unknown
     effect name.
     """
     for name in effects or ():
         if name not in registry():
             raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
+    recording = recording.keep(~recording.upper_limit, "upper limit, which a diagnosis does not use")
     own = Start(scene, recording, seed)
     found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
     if quick or not _left_over(found):

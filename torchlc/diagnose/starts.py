@@ -117,7 +117,7 @@ def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:
         observed = (likelihood.observed_flux * 10 ** (0.4 * model.zero_point(theta))).expand(dark.shape)
         values = solved(observed, observed * sigma / MAG_PER_LN)
         for _ in range(REWEIGHTED):
-            target, near = about(dark, design, values, observed)
+            target, near = about(dark, design, values, observed, likelihood.power)
             values = solved(target, near * sigma / MAG_PER_LN)
     x[:, linear] = values
     return parameters.from_straight(x)[0]

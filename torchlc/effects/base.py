@@ -321,9 +321,9 @@ class Context:
 
     ``rest`` holds the parts' facets at the scene's sizes, ``lobes`` the largest exponent of each material's
     lobe that has to be resolved, ``lobe_bounds`` the largest that it may have; ``errors`` is false if they are
-    fitted. ``bounds`` gives the least and largest value of every number of the attitude and of the model's
-    ``effects`` (one, twice, if it is fixed). ``finer`` (T,) marks rows whose exposures are worked out at twice as many
-    instants as they need, to see what that changes.
+    fitted, ``limits`` the largest number of upper limits in one curve. ``bounds`` gives the least and largest value of
+    every number of the attitude and of the model's ``effects`` (one, twice, if it is fixed). ``finer`` (T,) marks rows
+    whose exposures are worked out at twice as many instants as they need, to see what that changes.
     """
 
     seconds: Tensor
@@ -346,6 +346,7 @@ class Context:
     light_time_corrected: bool
     kind: str
     errors: bool
+    limits: int
     memory: Memory = field(default_factory=lambda: Memory())
     lobe_bounds: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -497,6 +498,10 @@ class Effect:
         """Why these data cannot carry the effect, in words; None if they can."""
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
+
+    def beside(self, others: Sequence[str]) -> str | None:
+        """Why the effect cannot be applied together with these others, names, in words; None if it can."""
+        return None
 
     def standard(self, context: Context) -> bool:
         """Whether a scene without a list of effects has it, if these data can carry it."""

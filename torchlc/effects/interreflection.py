@@ -104,7 +104,7 @@ class Interreflection(Effect):
 
 def _inside(
     cavity: Cavity, view: View, context: Context, size: int
-) -> tuple[str, list[Surface], Tensor, tuple[Tensor, Tensor, Tensor]]:
+) -> tuple[str, list[Surface], Tensor, tuple[Tensor, Tensor, Tensor, Tensor]]:
     """Of a part whose facets face each other: its name, a surface of each of its materials whose diffuse light is
     the albedo, which of these each patch has, and what :func:`returned` asks for besides."""
     rows, facets = view.to_observer.shape[1], view.facets[cavity.part]

@@ -18,11 +18,13 @@ from torchlc.brdf.base import Brdf
 from torchlc.effects import GEOMETRY_STAGES, every, registry
 from torchlc.effects.base import Context, Effect, Entry
 from torchlc.errors import InputError
+from torchlc.naming import Origin
 from torchlc.orbit import Track, make_track
 from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
+from torchlc.scene.problems import shown
 from torchlc.shape import Facets, Shape
 from torchlc.spelling import did_you_mean
 
@@ -31,17 +33,6 @@ RESOLVED_N = 1e4
 """Smooth shapes are cut finely enough for exponents up to here, or up to a smaller upper bound."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
-COMPONENT_SIZES = (
-    "size_x",
-    "size_y",
-    "size_z",
-    "size_u",
-    "size_v",
-    "radius",
-    "radius_top",
-    "length",
-    "depth",
-)
 
 
 @dataclass(frozen=True)
@@ -60,6 +51,8 @@ class Assembly:
     context: Context
     sun_magnitude: Tensor
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]]
+    divided: Mapping[str, str]
+    """By full name, what a number has a value for each of: "curve", "station" or "night"."""
     warnings: tuple[str, ...]
     dtype: torch.dtype = torch.float64
     device: str = "cpu"
@@ -72,7 +65,7 @@ class Assembly:
     def components(self) -> list[str]:
         names = [part.name for part in self.shape.parts]
         return names + [
-            effect.name for effect in self.effects if effect.stage == "surface" and effect.quantities
+            effect.label for effect in self.effects if effect.stage == "surface" and effect.quantities
         ]
 
     @property
@@ -112,14 +105,19 @@ class Assembly:
             for effect in self.effects
             if effect.stage in GEOMETRY_STAGES and not effect.linear
         }
-        found = []
-        for column, name in enumerate(self.parameters.names):
-            owner, _, short = name.partition("[")[0].rpartition(".")
-            effect = owners.get(name.partition(".")[0])
-            material = effect is not None and effect.brdf is not None and _is_material(effect.brdf, short)
-            if owner == "attitude" or short in COMPONENT_SIZES or (effect is not None and not material):
-                found.append(column)
-        return found
+        columns = []
+        for column, free in enumerate(self.parameters.free):
+            origin = free.origin
+            if origin.role == "effects":
+                effect = owners.get(origin.owner)
+                moves = effect is not None and not (
+                    effect.brdf is not None and _is_material(effect.brdf, origin.quantity)
+                )
+            else:
+                moves = origin.role in ("attitude", "components")
+            if moves:
+                columns.append(column)
+        return columns
 
     @property
     def geometry_free(self) -> bool:
@@ -140,30 +138,48 @@ class Assembly:
         """A parameter (..., 1), or (..., T) if it has a value for each curve, station or night."""
         if name in values:
             return values[name][..., None]
-        for index, ids in self.row_index.values():
-            keys = [f"{name}[{one}]" for one in ids]
-            if keys and all(key in values for key in keys):
-                return torch.stack(torch.broadcast_tensors(*[values[key] for key in keys]), -1)[..., index]
-        raise KeyError(name)
+        index, ids = self.row_index[self.divided[name]]
+        each = torch.broadcast_tensors(*[values[f"{name}[{member}]"] for member in ids])
+        return torch.stack(each, -1)[..., index]
 
     def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """``values`` with the attitude's numbers by full name as `rows` gives them."""
-        return {**values, **{name: self.rows(values, name) for name in self.attitude.numbers}}
+        """``values`` with the attitude's numbers by the attitude's own names, as `rows` gives them."""
+        own = self._own_names["attitude"]
+        return {**values, **{plain: self.rows(values, name) for plain, name in own.items()}}
+
+    def size_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """``values`` with the sizes of parts by the parts' own names."""
+        return {**values, **{plain: values[name] for plain, name in self._own_names["components"].items()}}
+
+    @cached_property
+    def _own_names(self) -> dict[str, dict[str, str]]:
+        """By role, the full names of the scene's numbers by their plain ones, which no two of a role share."""
+        names: dict[str, dict[str, str]] = {"materials": {}, "attitude": {}, "components": {}}
+        for name, origin in self.scene.origins().items():
+            names[origin.role][origin.full_name()] = name
+        return names
 
     def material_values(
         self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
-        """Values of one material by the short names its model uses; a shared name appears under each name it
-        stands for."""
-        found = {}
-        for quantity in model.quantities:
-            name = f"{material}.{quantity.name}"
-            if name not in values:
-                name = next(
-                    f"{material}.{short}" for short, long in model.shared.items() if quantity.name in long
-                )
-            found[quantity.name] = values[name]
-        return found
+        """Values of one material, of the scene or of an effect (by its :attr:`Effect.material_key`), by the short
+        names its model uses; a shared name appears under each name it stands for."""
+        given = self._material_names(material)
+        shared = {long: short for short, keys in model.shared.items() for long in keys}
+        names = (quantity.name for quantity in model.quantities)
+        return {name: values[given[name] if name in given else given[shared[name]]] for name in names}
+
+    def has_number(self, material: str, short: str) -> bool:
+        """Whether a material has a number of this short name."""
+        return short in self._material_names(material)
+
+    def _material_names(self, material: str) -> dict[str, str]:
+        """Full names of a material's numbers by the short ones."""
+        if material in self.scene.materials:
+            own = self._own_names["materials"]
+            return {key: own[f"{material}.{key}"] for key in self.scene.materials[material].parameters}
+        effect = next(one for one in self.effects if one.brdf is not None and one.material_key == material)
+        return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
 
 
 def assemble(
@@ -201,9 +217,9 @@ def assemble(
     }
     wanted = scene.model.effects if effects is None else list(effects)
     chosen = _effects(wanted, scene, context)
-    models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
+    models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
-    parameters = _parameters(scene, chosen, models, row_index, pinned or {})
+    parameters, divided = _parameters(scene, chosen, models, row_index, pinned or {})
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -217,6 +233,7 @@ def assemble(
         context,
         torch.as_tensor(sun, dtype=torch.float64),
         row_index,
+        divided,
         tuple(dict.fromkeys(notes)),
     )
 
@@ -249,7 +266,12 @@ def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:
         for name, number in scene.numbers().items()
     }
     values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
-    return [part.facets(values) for part in shape.parts]
+    sizes = {
+        origin.full_name(): values[name]
+        for name, origin in scene.origins().items()
+        if origin.role == "components"
+    }
+    return [part.facets({**values, **sizes}) for part in shape.parts]
 
 
 def _context(
@@ -291,9 +313,17 @@ def _context(
 
 def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
     known = registry()
+    numbers = frozenset(scene.origins())
+    parts = frozenset(component.name for component in scene.components)
+
+    def made(effect: Effect, by: str | None = None, width: float | None = None) -> Effect:
+        ready = effect.prepared(context)
+        ready.taken, ready.by, ready.width = numbers | parts, by, width
+        return ready
+
     if wanted is None:
         standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
-        return tuple(effect.prepared(context) for effect in standard if effect.missing(context) is None)
+        return tuple(made(effect) for effect in standard if effect.missing(context) is None)
     found: list[Effect] = []
     for entry in wanted:
         parsed = Entry.parse(entry)
@@ -302,7 +332,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             raise InputError(
                 scene.source,
                 "model.effects",
-                f"{entry!r} is no effect",
+                f"{shown(entry)} is no effect",
                 f"one of {', '.join(known)}",
                 did_you_mean(name, known),
             )
@@ -312,10 +342,10 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             effect = cls(one)
             reason = effect.missing(context)
             if reason is not None:
-                raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
-            effect = effect.prepared(context)
-            effect.by, effect.width = parsed.per, parsed.width
-            found.append(effect)
+                raise InputError(
+                    scene.source, "model.effects", f"{Entry(name, one).plain} cannot be applied: {reason}"
+                )
+            found.append(made(effect, parsed.per, parsed.width))
     order = list(every())
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
@@ -361,58 +391,70 @@ def _parameters(
     models: Mapping[str, type[Brdf]],
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]],
     pinned: Mapping[str, float],
-) -> ParameterSet:
+) -> tuple[ParameterSet, dict[str, str]]:
+    """The parameters, and by full name what those with several values have one for each of."""
     free: list[Free] = []
     fixed: dict[str, float] = {}
+    divided: dict[str, str] = {}
 
-    def add(name: str, number: Number | None, quantity: Quantity) -> None:
+    def add(name: str, origin: Origin, number: Number | None, quantity: Quantity) -> None:
         if name in pinned:
             fixed[name] = pinned[name]
         elif number is None:
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical
-            free.append(Free(name, prior, 0.0 if start is None else start, quantity.unit, quantity.meaning))
+            begin = 0.0 if start is None else start
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin))
         elif isinstance(number, SceneFree):
-            prior = _prior(number, quantity)
-            ids = row_index[number.per][1] if number.per else None
-            for one in [name] if ids is None else [f"{name}[{one}]" for one in ids]:
-                if one in pinned:
-                    fixed[one] = pinned[one]
-                else:
-                    free.append(Free(one, prior, number.value, quantity.unit, quantity.meaning))
+            divide(name, origin, _prior(number, quantity), number.value, quantity, number.per)
         else:
             fixed[name] = float(number)
 
-    for name, number in scene.numbers().items():
-        owner, _, short = name.rpartition(".")
-        if owner in scene.materials and short not in COMPONENT_SIZES:
-            quantity = models[owner].quantity(short)
+    def divide(
+        name: str, origin: Origin, prior: Prior, start: float, quantity: Quantity, division: str | None
+    ) -> None:
+        """One free number, or one for each member of a division."""
+        members = [(name, origin)]
+        if division is not None:
+            divided[name] = division
+            ids = row_index[division][1]
+            members = [(f"{name}[{member}]", origin.of(division, member)) for member in ids]
+        for full, whose in members:
+            if full in pinned:
+                fixed[full] = pinned[full]
+            else:
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose))
+
+    numbers = scene.numbers()
+    for name, origin in scene.origins().items():
+        short = origin.quantity
+        if origin.role == "materials":
+            quantity = models[origin.owner].quantity(short)
+        elif origin.role == "components":
+            quantity = Quantity(short, "m", 0.0, math.inf, short)
         else:
-            low = 0.0 if short in COMPONENT_SIZES else -math.inf
-            quantity = Quantity(short, "m" if short in COMPONENT_SIZES else "", low, math.inf, short)
-        add(name, number, quantity)
+            quantity = Quantity(short, "", -math.inf, math.inf, short)
+        add(name, origin, numbers[name], quantity)
     given = scene.model.parameters
-    add("zero_point", given.get("zero_point", 0.0), ZERO_POINT)
+    add("zero_point", Origin("calibration", "", "zero_point"), given.get("zero_point", 0.0), ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:
-            name = effect.full_name(quantity.name)
+            name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
             if effect.by is not None:
                 centre = quantity.off or 0.0
                 prior = Prior(
                     "normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0
                 )
-                free += [
-                    Free(f"{name}[{one}]", prior, centre, quantity.unit, quantity.meaning)
-                    for one in row_index[effect.by][1]
-                ]
+                divide(name, origin, prior, centre, quantity, effect.by)
                 continue
-            number = given.get(name, given.get(f"{effect.name}.{quantity.name}"))
+            number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
             if effect.brdf is not None and isinstance(number, SceneFree) and number.per is not None:
                 place, expected = f"{name}.per", "one value for the whole recording: the effect is a part"
                 raise InputError(scene.source, f"model.parameters.{place}", f'"{number.per}"', expected)
-            add(name, number, quantity)
+            add(name, origin, number, quantity)
+    own = {origin: name for name, origin in scene.origins().items()}
     simplex = [
-        (f"{material}.{a}", f"{material}.{b}")
+        (own[Origin("materials", material, a)], own[Origin("materials", material, b)])
         for material in scene.materials
         for a, b in zip(models[material].simplex, models[material].simplex[1:], strict=False)
     ]
@@ -421,7 +463,7 @@ def _parameters(
         for effect in effects
         if {"r_spec", "r_diff"} <= {quantity.name for quantity in effect.quantities}
     ]
-    return ParameterSet(free, fixed, simplex)
+    return ParameterSet(free, fixed, simplex), divided
 
 
 def _prior(number: SceneFree, quantity: Quantity) -> Prior:

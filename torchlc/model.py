@@ -17,11 +17,12 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
-from torchlc.assemble import COMPONENT_SIZES, Assembly, assemble
+from torchlc.assemble import Assembly, assemble
 from torchlc.effects.base import (
     GEOMETRY_STAGES,
     Brightness,
     Effect,
+    Entry,
     Light,
     Nodes,
     Noise,
@@ -43,6 +44,7 @@ from torchlc.table import pair_table
 from torchlc.tracing import transformed
 from torchlc.vectors import unit
 
+MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))
 RECENT_TABLES = 48
 """Compact tables of past geometries that a model keeps."""
 NODES = 9
@@ -90,7 +92,7 @@ class LightCurve(nn.Module):
 
     ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The
     free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as
-    ``free.<owner>.<name>``; ``names`` lists them in the order of theta and ``theta()`` gives their natural
+    ``free.<owner>.<name>`` with "." and "%" in names as %2E and %25; ``names`` lists them in the order of theta and ``theta()`` gives their natural
     values. Neglects everything that is not among ``effects``.
     """
 
@@ -108,9 +110,10 @@ class LightCurve(nn.Module):
         self.free = nn.ModuleDict()
         z = self.parameter_set.to_unconstrained(self.parameter_set.start())
         self._keys: list[tuple[str, str]] = []
-        for index, name in enumerate(self.parameter_set.names):
-            owner, _, short = name.rpartition(".") if "." in name else ("calibration", "", name)
-            owner, short = owner.replace(".", "_"), short.replace(".", "_")
+        for index, parameter in enumerate(self.parameter_set.free):
+            short = parameter.origin.short
+            label = parameter.name.removesuffix(f".{short}") if parameter.origin.owner else "calibration"
+            owner, short = module_key(label), module_key(short)
             if owner not in self.free:
                 self.free[owner] = nn.ParameterDict()
             self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
@@ -175,7 +178,7 @@ class LightCurve(nn.Module):
         shaping = [
             e for e in self.effects if e.stage in {*GEOMETRY_STAGES, "scatter"} or e.name == "lobe_tail"
         ]
-        return (str(self.geometry_free), *(f"{e.name}[{e.target}]" for e in shaping))
+        return (str(self.geometry_free), *(str(Entry(e.name, e.target)) for e in shaping))
 
     @property
     def geometry_free(self) -> bool:
@@ -244,7 +247,7 @@ class LightCurve(nn.Module):
         """True if geometries of a batch are worked out together: few facets, of given sizes, and nothing
         that needs the geometry apart from the facets' angles."""
         a = self.assembly
-        sized = any(self.names[column].rpartition(".")[2] in COMPONENT_SIZES for column in a.geometry_columns)
+        sized = any(self.parameter_set.free[k].origin.role == "components" for k in a.geometry_columns)
         return (
             a.pairs <= MOST_GRIDDED * a.T and not sized and not a.stage("scatter") and not self._only_clock()
         )
@@ -339,16 +342,25 @@ class LightCurve(nn.Module):
     def _only_clock(self) -> bool:
         """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the
         offset."""
-        moved = {self.names[column].partition("[")[0] for column in self.assembly.geometry_columns}
         plain = all(self.assembly.models[one].additive for one in self.scene.materials)
-        return moved == {"time_offset.s"} and plain and self.assembly.traced_pairs > MOST_TRACED_PAIRS
+        clock = self._movers() == {("effects", "time_offset")}
+        return clock and plain and self.assembly.traced_pairs > MOST_TRACED_PAIRS
+
+    @property
+    def _clock_name(self) -> str:
+        return next(e for e in self.assembly.stage("clock") if e.name == "time_offset").full_name("s")
+
+    def _movers(self) -> set[tuple[str, str]]:
+        """Roles and owners of the free parameters that move the geometry."""
+        moving = (self.parameter_set.free[column].origin for column in self.assembly.geometry_columns)
+        return {(origin.role, origin.owner) for origin in moving}
 
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a
         turn apart, by cubics through four of them; offsets beyond the outermost are taken there."""
         nodes, step = self._clock_nodes(shares or self.assembly.needs_shares)
         half = NODES // 2
-        place = self.assembly.rows(self.parameter_set.values(flat), "time_offset.s") / step
+        place = self.assembly.rows(self.parameter_set.values(flat), self._clock_name) / step
         place = place.expand(len(flat), self.assembly.T).clamp(-half, half) + half
         first_node = (place.floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
@@ -371,7 +383,8 @@ class LightCurve(nn.Module):
         if detail not in self._nodes:
             with torch.no_grad():
                 values = self.parameter_set.values(self.parameter_set.start())
-                clocks = [name for name in values if name.startswith("time_offset.s")]
+                clock = self._clock_name
+                clocks = [name for name in values if name == clock or name.startswith(f"{clock}[")]
                 state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
                 first, second = (self.assembly.attitude.rotation(one, values) for one in state)
                 turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
@@ -385,8 +398,8 @@ class LightCurve(nn.Module):
 
     def _stepping_effect(self) -> Effect | None:
         """The effect whose parameter alone moves the geometry, if light can be interpolated over it."""
-        owners = {self.names[column].partition(".")[0] for column in self.assembly.geometry_columns}
-        found = [e for e in self.effects if e.steps and {e.name} == owners]
+        movers = self._movers()
+        found = [e for e in self.effects if e.steps and {("effects", e.name)} == movers]
         return found[0] if found and len(self.assembly.geometry_columns) == 1 else None
 
     def _stepped(self, flat: Tensor, effect: Effect, shares: bool) -> Brightness:
@@ -488,9 +501,9 @@ class LightCurve(nn.Module):
     def _places(self, values: Mapping[str, Tensor], batch: int) -> View:
         """Clock to attitude; kept where no free parameter has a part in it."""
         a = self.assembly
-        moving = {self.names[column].partition(".")[0] for column in a.geometry_columns}
         several = any(effect.nodes > 1 for effect in a.stage("clock"))
-        late = moving <= {effect.name for effect in a.effects if effect.stage in LATE} and not several
+        late = self._movers() <= {("effects", effect.name) for effect in a.effects if effect.stage in LATE}
+        late = late and not several
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
         context = a.context
@@ -520,6 +533,7 @@ class LightCurve(nn.Module):
             if axis is not None and key not in poses:
                 poses[key] = tracking_pose(like(axis, to_sun), like(front, to_sun), to_sun)
             keys.append(key)
+        sizes = a.size_values(values)
         view = View(
             nodes,
             state,
@@ -528,7 +542,7 @@ class LightCurve(nn.Module):
             to_observer,
             1e3 * range_km,
             tuple(map(poses.get, keys)),
-            tuple(part.facets(values) for part in a.shape.parts),
+            tuple(part.facets(sizes) for part in a.shape.parts),
             lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
             batch=batch,
         )
@@ -555,7 +569,7 @@ class LightCurve(nn.Module):
         reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
-        shared = f"{surface.material}.n" in (*self.names, *self.parameter_set.fixed)
+        shared = self.assembly.has_number(surface.material, "n")
         reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
         if not MOST_SLOTS < pairs < most / self.assembly.T or not shared or reshaped:
             return surface
@@ -661,6 +675,13 @@ class LightCurve(nn.Module):
     def extra_repr(self) -> str:
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.effects)) or "none"
         return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
+
+
+def module_key(text: str) -> str:
+    """A name as torch allows it for a child of a module, "." and "%" as codes, so that no two become one; one that a
+    module has for itself begins with a code."""
+    escaped = text.replace("%", "%25").replace(".", "%2E")
+    return f"%{ord(escaped[0]):02X}{escaped[1:]}" if escaped in MODULE_ATTRIBUTES else escaped
 
 
 def _per_instant(values: Mapping[str, Tensor], nodes: Nodes, batch: int) -> Mapping[str, Tensor]:

@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 from torch.distributions import transforms
 
+from torchlc.naming import NOBODY, Origin
+
 PRIORS = ("uniform", "loguniform", "normal", "lognormal", "halfnormal")
 
 
@@ -169,13 +171,14 @@ class Prior:
 
 @dataclass(frozen=True)
 class Free:
-    """A free parameter: its full name, its prior and the value to start from."""
+    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is."""
 
     name: str
     prior: Prior
     start: float
     unit: str = ""
     meaning: str = ""
+    origin: Origin = NOBODY
 
 
 def prior_of(quantity: Quantity) -> Prior:
@@ -216,6 +219,7 @@ class ParameterSet:
                 self.pairs.append((order.index(first), order.index(second)))
         self.free = [entries[name] for name in order]
         self.names = order
+        self.quantities = [parameter.origin.quantity for parameter in self.free]
         self._transforms = [parameter.prior.transform() for parameter in self.free]
         self._second = {second: first for first, second in self.pairs}
         self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}

@@ -21,8 +21,8 @@ REWEIGHTED = 2
 def linear_columns(model: LightCurve) -> list[int]:
     """Columns of theta that are reflectances and do not move the geometry."""
     moving = set(model.assembly.geometry_columns)
-    short = [name.partition("[")[0].rpartition(".")[2] for name in model.names]
-    return [i for i, name in enumerate(short) if name in NAMES and i not in moving]
+    quantities = model.parameter_set.quantities
+    return [i for i, name in enumerate(quantities) if name in NAMES and i not in moving]
 
 
 def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:

@@ -102,11 +102,14 @@ class Diagnosis:
             return scene
         entries = [str(Entry(effect.name, effect.target)) for effect in self.final.refit.model.effects]
         divided = {
-            effect.full_name(quantity.name): Free(
-                value=quantity.mean or 0.0, sigma=effect.width, per=cast(Any, effect.by)
+            effect.origin(quantity.name).full_name(): Free(
+                value=quantity.off or 0.0,
+                sigma=effect.width or quantity.sigma or 1.0,
+                prior="normal",
+                per=cast(Any, effect.by),
             )
             for effect in self.final.refit.model.effects
-            if effect.by is not None and effect.width is not None
+            if effect.by is not None
             for quantity in effect.quantities
         }
         update = {
@@ -243,8 +246,7 @@ def materials(refit: Refit) -> dict[str, dict[str, float]]:
     """Median, sd and 90 % interval of every free material parameter, from the posterior's minima, each linear in
     flat coordinates and weighed by its mass."""
     parameters = refit.model.parameter_set
-    owners = set(refit.model.scene.materials)
-    names = [i for i, name in enumerate(parameters.names) if name.rpartition(".")[0] in owners]
+    names = [i for i, free in enumerate(parameters.free) if free.origin.role == "materials"]
     if not names:
         return {}
     generator = torch.Generator().manual_seed(0)
@@ -279,8 +281,7 @@ def effect_parameters(refit: Refit, entry: str) -> dict[str, dict[str, Any]]:
         sd = float(torch.sqrt(covariance[column, column].clamp(min=0)))
         if free.prior.logarithmic:
             sd *= float(refit.theta[column])
-        short = free.name.partition(".")[2]
-        found[short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
+        found[free.origin.short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
     return found
 
 

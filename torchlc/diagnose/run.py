@@ -138,8 +138,11 @@ class Start:
         """The same, smooth shapes cut for lobes that are sharper than those found by BLUNTER alone; None where facets
         are few, or the lobes too sharp for it to make a difference."""
         model = self.likelihood.model
-        names = model.parameter_set.names
-        columns = [k for k, name in enumerate(names) if name.rpartition(".")[2] in ("n", "n_u", "n_v")]
+        columns = [
+            k
+            for k, free in enumerate(model.parameter_set.free)
+            if free.origin.target is None and free.origin.quantity in ("n", "n_u", "n_v")
+        ]
         if not many_pairs(model) or not columns:
             return None
         found = max(float(mode.theta[columns].max()) for mode in self.modes[:MOST_MODES])

@@ -48,7 +48,7 @@ class Appendage(Effect):
             [torch.cos(lat) * torch.cos(lon), torch.cos(lat) * torch.sin(lon), torch.sin(lat)], -1
         )
         plate = Patch(
-            component=self.name, material=self.name, model=AshikhminShirley, faces=["front", "back"],
+            component=self.label, material=self.material_key, model=AshikhminShirley, faces=["front", "back"],
             normal=torch.stack([up, -up], -2), u=torch.stack([east, east], -2),
             area=p["area"].expand(*p["area"].shape[:-1], 2),
         )  # fmt: skip

@@ -18,8 +18,7 @@ import numpy as np
 import torch
 
 from torchlc import __version__
-from torchlc.assemble import Assembly, assemble
-from torchlc.effects import Entry, registry
+from torchlc.assemble import assemble
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
@@ -31,9 +30,7 @@ from torchlc.recording import Recording, counted, load_recording
 from torchlc.results import FitResult
 from torchlc.sample import sample
 from torchlc.scene import Scene, load_scene
-from torchlc.scene.problems import shown
 from torchlc.simulated import SimulatedCurve, simulated_curve
-from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.campaign.run import CampaignResult
@@ -43,8 +40,6 @@ Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
 MIN_ROWS = 2
-DIVISIONS = ("curve", "night")
-"""What a diagnosis may divide an offset by."""
 
 
 @overload
@@ -191,6 +186,7 @@ def diagnose(
     most refits. With ``out`` diagnosis.json, figures and report.html are
     written there.
     """
+    from torchlc.diagnose.candidates import check_candidates
     from torchlc.diagnose.run import diagnose as run
 
     scene = _scene(scene, trust)
@@ -309,46 +305,6 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
 
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
-
-
-def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = None) -> None:
-    """Raise InputError unless the library has every one of these effects, each ``name``, ``name[target]``, or either
-    with ``@curve`` or ``@night``; and unless a target is there in an ``assembly``, if given."""
-    known = effect_names()
-    for text in effects or ():
-        entry = Entry.parse(text)
-        if entry.name not in known:
-            raise InputError(
-                None,
-                "--effects",
-                f"unknown effect {shown(text)}",
-                f"some of {', '.join(known)}",
-                did_you_mean(entry.name, known),
-            )
-        divisible = registry()[entry.name].divisible
-        if entry.width is not None or (entry.per is not None and not (divisible and entry.per in DIVISIONS)):
-            raise InputError(
-                None,
-                "--effects",
-                shown(text),
-                f"{entry.name} or, to give each a value, {entry.name}@curve or {entry.name}@night"
-                if divisible
-                else f"{entry.name} without @ and ~: it has one value for the whole recording",
-            )
-        if assembly is not None and entry.per is not None and len(assembly.row_index[entry.per][1]) < 2:
-            raise InputError(
-                None, "--effects", shown(text), f"several {entry.per}s, of which the recording has one"
-            )
-        if entry.target is not None and assembly is not None:
-            targets = [one for one in registry()[entry.name].targets(assembly.context) if one is not None]
-            if entry.target not in targets:
-                raise InputError(
-                    None,
-                    "--effects",
-                    f"{shown(text)}: {entry.name} cannot be applied to {shown(entry.target)}",
-                    f"one of {', '.join(targets)}" if targets else f"{entry.name} without brackets",
-                    did_you_mean(entry.target, targets),
-                )
 
 
 def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> None:

@@ -341,6 +341,8 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         for one in targets:
             effect = cls(one)
             reason = effect.missing(context)
+            if reason is None and one not in cls.targets(context):
+                reason = "it has no target: it is of the whole object"
             if reason is not None:
                 raise InputError(
                     scene.source, "model.effects", f"{Entry(name, one).plain} cannot be applied: {reason}"
@@ -448,8 +450,10 @@ def _parameters(
                 divide(name, origin, prior, centre, quantity, effect.by)
                 continue
             number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
-            if effect.brdf is not None and isinstance(number, SceneFree) and number.per is not None:
-                place, expected = f"{name}.per", "one value for the whole recording: the effect is a part"
+            whole = effect.brdf is not None or effect.stage == "material"
+            if whole and isinstance(number, SceneFree) and number.per is not None:
+                of = "a part" if effect.brdf is not None else "of a material"
+                place, expected = f"{name}.per", f"one value for the whole recording: the effect is {of}"
                 raise InputError(scene.source, f"model.parameters.{place}", f'"{number.per}"', expected)
             add(name, origin, number, quantity)
     own = {origin: name for name, origin in scene.origins().items()}

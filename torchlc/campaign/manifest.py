@@ -159,7 +159,7 @@ def _options(path: Path, place: str, task: str, text: str) -> dict[str, Any]:
             path, place, f"options {text[:120]!r}: {error}", f"options as torchlc {task} takes them"
         ) from None
     if "effects" in found:
-        from torchlc.api import check_candidates
+        from torchlc.diagnose.candidates import check_candidates
 
         try:
             check_candidates(found["effects"])

@@ -19,7 +19,7 @@ from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.rivals import told
 from torchlc.diagnose.search import Found
 from torchlc.diagnose.where import Where, as_json
-from torchlc.effects.base import Entry
+from torchlc.effects.base import Effect, Entry
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
 
@@ -100,23 +100,7 @@ class Diagnosis:
         scene = self.baseline.refit.model.scene
         if self.verdict != "missing_physics":
             return scene
-        entries = [str(Entry(effect.name, effect.target)) for effect in self.final.refit.model.effects]
-        divided = {
-            effect.origin(quantity.name).full_name(): Free(
-                value=quantity.off or 0.0,
-                sigma=effect.width or quantity.sigma or 1.0,
-                prior="normal",
-                per=cast(Any, effect.by),
-            )
-            for effect in self.final.refit.model.effects
-            if effect.by is not None
-            for quantity in effect.quantities
-        }
-        update = {
-            "effects": entries,
-            "parameters": scene.model.parameters | divided,
-        }
-        return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
+        return completed_scene(scene, self.final.refit.model.effects)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
@@ -235,6 +219,27 @@ class Diagnosis:
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}
+
+
+def completed_scene(scene: Scene, effects: Sequence[Effect]) -> Scene:
+    """``scene`` with these effects as its list; an offset that is divided gets its prior in the parameters, one value
+    for each curve or night."""
+    divided = {
+        effect.origin(quantity.name).full_name(): Free(
+            value=quantity.off or 0.0,
+            sigma=effect.width or quantity.sigma or 1.0,
+            prior="normal",
+            per=cast(Any, effect.by),
+        )
+        for effect in effects
+        if effect.by is not None
+        for quantity in effect.quantities
+    }
+    update = {
+        "effects": [Entry(effect.name, effect.target).plain for effect in effects],
+        "parameters": scene.model.parameters | divided,
+    }
+    return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
 
 
 def _names(entry: str) -> dict[str, str | None]:

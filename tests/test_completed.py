@@ -118,11 +118,8 @@ def test_sets_of_effects_with_numbers_of_the_scene_come_back_from_the_file(case,
         for quantity in effect.quantities:
             low, high = max(quantity.low, -50.0), min(quantity.high, 50.0)
             value = data.draw(st.sampled_from([low + 0.3 * (high - low), low + 0.5 * (high - low)]))
-            per = (
-                None
-                if effect.brdf is not None
-                else data.draw(st.sampled_from([None, "curve", "night", "station"]))
-            )
+            whole = effect.brdf is not None or effect.stage == "material"
+            per = None if whole else data.draw(st.sampled_from([None, "curve", "night", "station"]))
             number = data.draw(
                 st.sampled_from(
                     [

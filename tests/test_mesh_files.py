@@ -165,7 +165,7 @@ def test_a_binary_stl_may_begin_with_solid(tmp_path):
 
 
 def test_a_text_stl_and_ply_of_concave_faces(tmp_path):
-    (tmp_path / "a.stl").write_text(trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box()))
+    (tmp_path / "a.stl").write_text(trimesh.creation.box().export(file_type="stl_ascii"))
     assert measured(tmp_path / "a.stl")[:2] == (pytest.approx(6), pytest.approx(1))
     lines = prism(OUTLINES["C"]).splitlines()
     corners = [line[2:] for line in lines if line.startswith("v ")]

@@ -228,8 +228,8 @@ def test_a_synodic_period_is_told_with_its_distance_from_the_sidereal_one(tmp_pa
     sidereal_s, synodic_s = 300.0, 3600 / (2 * (6 - 1 / 30))
     assert best.period_s == pytest.approx(synodic_s, rel=1e-4)
     assert best.sidereal_within_s is not None
-    # of the period of the light, 2 turns of which are one of the body: the bound counts a turn of the bisector once
-    assert best.sidereal_within_s >= 0.5 * abs(synodic_s - sidereal_s)
+    # two like sides: twice the bound for a whole turn
+    assert 2 * best.sidereal_within_s == pytest.approx(abs(synodic_s - sidereal_s), rel=0.01)
     assert best.sidereal_within_s == pytest.approx(synodic_s**2 / 3600 / 30, rel=1e-3)
     assert max(map(abs, found.trend_per_hour.values())) < 2e-3
     assert found.to_json()["measured"] == "synodic" and "synodic" in repr(found)

@@ -73,8 +73,8 @@ class Alias:
 class Candidate:
     """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance
     that a sinusoid explains; the false-alarm probability of the highest peak of noise; half of the range of
-    the sinusoid; ``sidereal_within_s`` bounds how far the sidereal period is from this synodic one, None where the
-    recording has no vectors.
+    the sinusoid; ``sidereal_within_s`` bounds how far the sidereal period is from this synodic one if the light repeats once a turn
+    (m times that for m like sides), None where the recording has no vectors.
     """
 
     period_s: float
@@ -164,7 +164,7 @@ class Periodogram:
         known = [one.sidereal_within_s for one in self.candidates[:1] if one.sidereal_within_s is not None]
         told = [
             "periods are synodic, as the light shows them; the sidereal period of the first differs by at most "
-            f"{known[0]:.2g} s, for so much the bisector of Sun and observer turned"
+            f"{known[0]:.2g} s if it is a whole turn (the bisector of Sun and observer turned; m times that for m like sides)"
             if known
             else "periods are synodic, as the light shows them; without vectors of Sun and observer in the recording the "
             "difference to the sidereal period is not known"

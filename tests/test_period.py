@@ -142,3 +142,94 @@ def test_half_of_the_turn_of_eros_is_found(tmp_path: Path):
     best = find_period(load_recording(tmp_path / "eros.ecsv")).candidates[0]
     assert best.period_s / 3600 == pytest.approx(5.27026 / 2, rel=2e-3)
     assert any(alias.relation == "double the period" for alias in best.aliases)
+
+
+@pytest.mark.parametrize("turns", [2.5, 3.5, 20.3])
+@pytest.mark.parametrize("error", [0.02, None])
+def test_a_trend_of_two_magnitudes_is_taken_off_and_told(tmp_path: Path, turns: float, error: float | None):
+    """An amplitude of 0.2 on a trend of 2 mag over a night of 5 h, few turns and many: the trend's slope is
+    uncertain by sqrt(12/N) s / T = 0.001 mag/h."""
+    generator = np.random.default_rng(11)
+    hours = np.sort(generator.uniform(0, 5, 300))
+    period_h = 5 / turns
+    mag = (
+        10
+        + 0.4 * hours
+        + 0.2 * np.sin(2 * np.pi * hours / period_h + 0.5)
+        + 0.02 * generator.normal(size=300)
+    )
+    found = find_period(recording(tmp_path, hours, mag, error))
+    best = found.candidates[0]
+    assert best.period_s == pytest.approx(period_h * 3600, abs=5 * best.period_sd_s)
+    assert best.amplitude == pytest.approx(0.2, abs=0.02)
+    (slope,) = found.trend_per_hour.values()
+    assert slope == pytest.approx(0.4, abs=0.01)
+    assert any("trend of +0.4" in text or "trend of +0.39" in text for text in found.notes())
+
+
+def test_a_trend_over_two_nights_with_gaps(tmp_path: Path):
+    """Two nights of 4 h, a third of the rows lost in clouds, 1.5 mag between them: 17.3 min."""
+    generator = np.random.default_rng(12)
+    hours = np.concatenate([np.linspace(0, 4, 240), np.linspace(24, 28, 240)])
+    hours = hours[np.sin(hours * 5.1) < 0.5]
+    mag = (
+        9
+        + hours * 1.5 / 28
+        + 0.15 * np.cos(2 * np.pi * hours * 60 / 17.3)
+        + 0.03 * generator.normal(size=len(hours))
+    )
+    best = find_period(recording(tmp_path, hours, mag, 0.03)).candidates[0]
+    counted = [
+        alias for alias in best.aliases if "between runs" in alias.relation or "a day" in alias.relation
+    ]
+    near = [best.period_s, *(alias.period_s for alias in counted)]
+    assert any(abs(one / 60 - 17.3) < 0.01 for one in near)
+    assert best.period_s / 60 == pytest.approx(17.3, rel=0.015)
+
+
+def test_a_spin_faster_than_the_sampling_is_among_the_aliases(tmp_path: Path):
+    """Rows every 30 s and a period of 22 s: 1/22 - 1/30 is seen, the period of 82.5 s; 22 s stands among the others."""
+    generator = np.random.default_rng(13)
+    seconds = 30.0 * np.arange(500)
+    mag = 10 + 0.3 * np.sin(2 * np.pi * seconds / 22) + 0.02 * generator.normal(size=500)
+    found = find_period(recording(tmp_path, seconds / 3600, mag))
+    best = found.candidates[0]
+    assert best.period_s == pytest.approx(1 / (1 / 22 - 1 / 30), rel=1e-3)
+    beyond = {alias.period_s: alias.relation for alias in best.aliases if "beyond Nyquist" in alias.relation}
+    # k/30 +- 1/82.5 for k = 1, 2
+    expected = [1 / (k / 30 + sign / 82.5) for k in (1, 2) for sign in (-1, 1)]
+    assert sorted(beyond) == pytest.approx(sorted(expected), rel=1e-3)
+    assert min(abs(one - 22) for one in beyond) < 0.02
+    assert all("30 s apart" in relation for relation in beyond.values())
+    assert any("60 s" in text and "22" in text for text in found.warnings)
+
+
+def test_uneven_rows_have_no_such_aliases(tmp_path: Path):
+    generator = np.random.default_rng(14)
+    hours = np.sort(generator.uniform(0, 4, 500))
+    mag = 10 + 0.3 * np.sin(2 * np.pi * hours / 0.2) + 0.02 * generator.normal(size=500)
+    found = find_period(recording(tmp_path, hours, mag))
+    assert not [alias for alias in found.candidates[0].aliases if "beyond" in alias.relation]
+    assert not [text for text in found.warnings if "apart" in text]
+
+
+def test_a_synodic_period_is_told_with_its_distance_from_the_sidereal_one(tmp_path: Path):
+    """A body with two like sides turns about z in 10 min, the Sun about it by 60 deg in 5 h, the observer stands on
+    the pole's side and turns with it: the bisector turns by 60 deg. Range doubles, which is 1.5 mag and no trend."""
+    hours = np.linspace(0, 5, 700)
+    sun_at = np.radians(60) * hours / 5
+    flat = np.stack([np.cos(sun_at), np.sin(sun_at), 0 * sun_at], -1)
+    reach = 36_000 * (1 + hours / 5)
+    mag = 10 + 5 * np.log10(reach / 36_000) + 0.2 * np.cos(2 * (2 * np.pi * hours * 6 - sun_at))
+    vectors = {f"sun_{axis}": 1.5e8 * flat[:, k] for k, axis in enumerate("xyz")}
+    vectors |= {f"obs_{axis}": reach * flat[:, k] for k, axis in enumerate("xyz")}
+    found = find_period(recording(tmp_path, hours, mag, 0.01, **vectors))
+    best = found.candidates[0]
+    sidereal_s, synodic_s = 300.0, 3600 / (2 * (6 - 1 / 30))
+    assert best.period_s == pytest.approx(synodic_s, rel=1e-4)
+    assert best.sidereal_within_s is not None
+    # two like sides: twice the bound for a whole turn
+    assert 2 * best.sidereal_within_s == pytest.approx(abs(synodic_s - sidereal_s), rel=0.01)
+    assert best.sidereal_within_s == pytest.approx(synodic_s**2 / 3600 / 30, rel=1e-3)
+    assert max(map(abs, found.trend_per_hour.values())) < 2e-3
+    assert found.to_json()["measured"] == "synodic" and "synodic" in repr(found)

@@ -32,7 +32,6 @@ from torchlc.results import FitResult
 from torchlc.sample import sample
 from torchlc.scene import Scene, load_scene
 from torchlc.simulated import SimulatedCurve, simulated_curve
-from torchlc.spelling import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.campaign.run import CampaignResult
@@ -194,12 +193,12 @@ def diagnose(
     most refits. With ``out`` diagnosis.json, figures and report.html are
     written there.
     """
+    from torchlc.diagnose.candidates import check_candidates
     from torchlc.diagnose.run import diagnose as run
 
     scene = _scene(scene, trust)
     rows = usable(scene, recording, use=use)
-    check_candidates(effects)
-    assemble(scene, rows)
+    check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = None if out is None else stack.enter_context(OutputDirectory(out))
         stack.enter_context(resources(None if directory is None else directory.path))
@@ -313,20 +312,6 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
 
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
-
-
-def check_candidates(effects: Sequence[str] | None) -> None:
-    """Raise InputError unless the library has every one of these effects."""
-    known = effect_names()
-    for name in effects or ():
-        if name.partition("[")[0] not in known:
-            raise InputError(
-                None,
-                "--effects",
-                f"unknown effect {name!r}",
-                f"some of {', '.join(known)}",
-                did_you_mean(name, known),
-            )
 
 
 def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> None:

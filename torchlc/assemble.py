@@ -18,12 +18,14 @@ from torchlc.brdf.base import Brdf
 from torchlc.effects import GEOMETRY_STAGES, every, registry
 from torchlc.effects.base import Columns, Context, Effect, Entry, Instants
 from torchlc.errors import InputError
+from torchlc.naming import Origin
 from torchlc.orbit import Track, make_track
 from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.recording import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
+from torchlc.scene.problems import shown
 from torchlc.shape import Facets, Part, Shape
 from torchlc.spelling import did_you_mean
 
@@ -32,18 +34,7 @@ RESOLVED_N = 1e4
 """Lobes are expected to be as sharp as this, or as a smaller upper bound of the exponent."""
 
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
-POLE_LATITUDE = Quantity("attitude.pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
-COMPONENT_SIZES = (
-    "size_x",
-    "size_y",
-    "size_z",
-    "size_u",
-    "size_v",
-    "radius",
-    "radius_top",
-    "length",
-    "depth",
-)
+POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 
 
 @dataclass(frozen=True)
@@ -62,6 +53,10 @@ class Assembly:
     context: Context
     sun_magnitude: Tensor
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]]
+    divided: Mapping[str, str]
+    """By full name, what a number has a value for each of: "curve", "station" or "night"."""
+    origins: Mapping[str, Origin]
+    """By full name, whose each number is."""
     warnings: tuple[str, ...]
     optics: Context
     instants: Instants | None = None
@@ -105,7 +100,7 @@ class Assembly:
     def components(self) -> list[str]:
         names = [part.name for part in self.shape.parts]
         return names + [
-            effect.name for effect in self.effects if effect.stage == "surface" and effect.quantities
+            effect.label for effect in self.effects if effect.stage == "surface" and effect.quantities
         ]
 
     @property
@@ -170,22 +165,19 @@ class Assembly:
 
     def _moves(self, name: str) -> str | None:
         """The stage at which a number moves the geometry; None if it does not."""
-        whole = name.partition("[")[0]
-        owner, _, short = whole.rpartition(".")
-        if owner == "attitude":
+        origin = self.origins[name]
+        if origin.role == "attitude":
             return "spin"
-        if owner in self._sized and short in COMPONENT_SIZES:
+        if origin.role == "components":
             return "size"
+        if origin.role != "effects":
+            return None
         for effect in self.effects:
-            if whole.partition(".")[0] != effect.name or effect.linear or effect.stage not in GEOMETRY_STAGES:
+            if effect.name != origin.owner or effect.linear or effect.stage not in GEOMETRY_STAGES:
                 continue
-            if effect.brdf is None or not _is_material(effect.brdf, short):
+            if effect.brdf is None or not _is_material(effect.brdf, origin.quantity):
                 return effect.stage
         return None
-
-    @cached_property
-    def _sized(self) -> set[str]:
-        return {component.name for component in self.scene.components}
 
     @property
     def geometry_free(self) -> bool:
@@ -209,32 +201,51 @@ class Assembly:
         ``row`` (N,) asked for."""
         if name in values:
             return values[name][..., None]
-        for index, ids in self.row_index.values():
-            keys = [f"{name}[{one}]" for one in ids]
-            if keys and all(key in values for key in keys):
-                index = index if row is None else index[row]
-                return torch.stack(torch.broadcast_tensors(*[values[key] for key in keys]), -1)[..., index]
-        raise KeyError(name)
+        index, ids = self.row_index[self.divided[name]]
+        index = index if row is None else index[row]
+        each = torch.broadcast_tensors(*[values[f"{name}[{member}]"] for member in ids])
+        return torch.stack(each, -1)[..., index]
 
     def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """``values`` with the attitude's numbers by full name as `rows` gives them for every instant."""
-        numbers = {name: self.rows(values, name, self.instant_row) for name in self.attitude.numbers}
+        """``values`` with the attitude's numbers by the attitude's own names, as `rows` gives them for every
+        instant."""
+        own = self._own_names["attitude"]
+        numbers = {plain: self.rows(values, name, self.instant_row) for plain, name in own.items()}
         return {**values, **numbers}
+
+    def size_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """``values`` with the sizes of parts by the parts' own names."""
+        return {**values, **{plain: values[name] for plain, name in self._own_names["components"].items()}}
+
+    @cached_property
+    def _own_names(self) -> dict[str, dict[str, str]]:
+        """By role, the full names of the scene's numbers by their plain ones, which no two of a role share."""
+        names: dict[str, dict[str, str]] = {"materials": {}, "attitude": {}, "components": {}}
+        for name, origin in self.scene.origins().items():
+            names[origin.role][origin.full_name()] = name
+        return names
 
     def material_values(
         self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
-        """Values of one material by the short names its model uses; a shared name appears under each name it
-        stands for."""
-        found = {}
-        for quantity in model.quantities:
-            name = f"{material}.{quantity.name}"
-            if name not in values:
-                name = next(
-                    f"{material}.{short}" for short, long in model.shared.items() if quantity.name in long
-                )
-            found[quantity.name] = values[name]
-        return found
+        """Values of one material, of the scene or of an effect (by its :attr:`Effect.material_key`), by the short
+        names its model uses; a shared name appears under each name it stands for."""
+        given = self._material_names(material)
+        shared = {long: short for short, keys in model.shared.items() for long in keys}
+        names = (quantity.name for quantity in model.quantities)
+        return {name: values[given[name] if name in given else given[shared[name]]] for name in names}
+
+    def has_number(self, material: str, short: str) -> bool:
+        """Whether a material has a number of this short name."""
+        return short in self._material_names(material)
+
+    def _material_names(self, material: str) -> dict[str, str]:
+        """Full names of a material's numbers by the short ones."""
+        if material in self.scene.materials:
+            own = self._own_names["materials"]
+            return {key: own[f"{material}.{key}"] for key in self.scene.materials[material].parameters}
+        effect = next(one for one in self.effects if one.brdf is not None and one.material_key == material)
+        return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
 
 
 def assemble(
@@ -273,11 +284,11 @@ def assemble(
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
-    models |= {effect.name: effect.brdf for effect in chosen if effect.brdf is not None}
+    models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
-    parameters = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
-    divided = [one for effect in chosen if (one := effect.instants(context)) is not None]
-    instants = divided[0] if divided else None
+    parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
+    several = [one for effect in chosen if (one := effect.instants(context)) is not None]
+    instants = several[0] if several else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -291,6 +302,8 @@ def assemble(
         context,
         torch.as_tensor(sun, dtype=torch.float64),
         row_index,
+        divided,
+        origins,
         tuple(dict.fromkeys(notes)),
         context if instants is None else context.at_rows(instants.row),
         instants,
@@ -339,7 +352,12 @@ def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:
         for name, number in scene.numbers().items()
     }
     values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
-    return [part.facets(values) for part in shape.parts]
+    sizes = {
+        origin.full_name(): values[name]
+        for name, origin in scene.origins().items()
+        if origin.role == "components"
+    }
+    return [part.facets({**values, **sizes}) for part in shape.parts]
 
 
 def _context(
@@ -383,9 +401,16 @@ def _context(
 
 def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
     known = registry()
+    numbers = frozenset(scene.origins())
+    parts = frozenset(component.name for component in scene.components)
+
+    def made(effect: Effect, by: str | None = None, width: float | None = None) -> Effect:
+        effect.taken, effect.by, effect.width = numbers | parts, by, width
+        return effect
+
     if wanted is None:
         standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
-        return tuple(effect for effect in standard if effect.missing(context) is None)
+        return tuple(made(effect) for effect in standard if effect.missing(context) is None)
     found: list[Effect] = []
     for entry in wanted:
         parsed = Entry.parse(entry)
@@ -394,7 +419,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             raise InputError(
                 scene.source,
                 "model.effects",
-                f"{entry!r} is no effect",
+                f"{shown(entry)} is no effect",
                 f"one of {', '.join(known)}",
                 did_you_mean(name, known),
             )
@@ -403,11 +428,14 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         for one in targets:
             effect = cls(one)
             reason = effect.missing(context)
+            if reason is None and one not in cls.targets(context):
+                reason = "it has no target: it is of the whole object"
             if reason is not None:
-                raise InputError(scene.source, "model.effects", f"{name} cannot be applied: {reason}")
+                raise InputError(
+                    scene.source, "model.effects", f"{Entry(name, one).plain} cannot be applied: {reason}"
+                )
             _check_axes(effect, scene, context)
-            effect.by, effect.width = parsed.per, parsed.width
-            found.append(effect)
+            found.append(made(effect, parsed.per, parsed.width))
     for effect in found:
         reason = effect.beside([other.name for other in found])
         if reason is not None:
@@ -436,13 +464,15 @@ def _prepared(
         else:
             bounds[name] = (quantity.low, quantity.high)
 
-    for name, number in scene.numbers().items():
-        if name.startswith("attitude."):
-            bound(name, number, Quantity(name, "", -math.inf, math.inf, ""))
+    numbers = scene.numbers()
+    for name, origin in scene.origins().items():
+        if origin.role == "attitude":
+            bound(origin.full_name(), numbers[name], Quantity(name, "", -math.inf, math.inf, ""))
     for effect in effects:
         for quantity in effect.quantities:
             name = effect.full_name(quantity.name)
-            number = None if effect.by else given.get(name, given.get(f"{effect.name}.{quantity.name}"))
+            plain = effect.origin(quantity.name).full_name()
+            number = None if effect.by else given.get(plain, given.get(f"{effect.name}.{quantity.name}"))
             bound(name, number, quantity)
     context = replace(context, bounds=bounds, effects=effects)
     # how finely exposures are divided depends on what the others do
@@ -512,11 +542,16 @@ def _parameters(
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]],
     pinned: Mapping[str, float],
     warnings: list[str],
-) -> ParameterSet:
+) -> tuple[ParameterSet, dict[str, str], dict[str, Origin]]:
+    """The parameters; by full name what those with several values have one for each of; and by full name whose each
+    number is, free or fixed."""
     free: list[Free] = []
     fixed: dict[str, float] = {}
+    divided: dict[str, str] = {}
+    origins: dict[str, Origin] = {}
 
-    def add(name: str, number: Number | None, quantity: Quantity) -> None:
+    def add(name: str, origin: Origin, number: Number | None, quantity: Quantity) -> None:
+        origins[name] = origin
         if name in pinned:
             fixed[name] = pinned[name]
         elif number is None and quantity.unless_set is not None:
@@ -524,7 +559,8 @@ def _parameters(
         elif number is None:
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical
-            free.append(Free(name, prior, 0.0 if start is None else start, quantity.unit, quantity.meaning))
+            begin = 0.0 if start is None else start
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin))
         elif isinstance(number, SceneFree):
             if number.prior == "isotropic" and quantity.prior != "isotropic":
                 raise InputError(
@@ -539,48 +575,60 @@ def _parameters(
                     f"{name} has a prior uniform in degrees, which favours directions near the poles; "
                     'prior = "isotropic" is uniform on the sphere'
                 )
-            prior = _prior(number, quantity)
-            ids = row_index[number.per][1] if number.per else None
-            for one in [name] if ids is None else [f"{name}[{one}]" for one in ids]:
-                if one in pinned:
-                    fixed[one] = pinned[one]
-                else:
-                    free.append(Free(one, prior, number.value, quantity.unit, quantity.meaning))
+            divide(name, origin, _prior(number, quantity), number.value, quantity, number.per)
         else:
             fixed[name] = float(number)
 
-    for name, number in scene.numbers().items():
-        owner, _, short = name.rpartition(".")
-        if owner in scene.materials and short not in COMPONENT_SIZES:
-            quantity = models[owner].quantity(short)
-        elif name == POLE_LATITUDE.name:
+    def divide(
+        name: str, origin: Origin, prior: Prior, start: float, quantity: Quantity, division: str | None
+    ) -> None:
+        """One free number, or one for each member of a division."""
+        members = [(name, origin)]
+        if division is not None:
+            divided[name] = division
+            ids = row_index[division][1]
+            members = [(f"{name}[{member}]", origin.of(division, member)) for member in ids]
+        for full, whose in members:
+            origins[full] = whose
+            if full in pinned:
+                fixed[full] = pinned[full]
+            else:
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose))
+
+    numbers = scene.numbers()
+    for name, origin in scene.origins().items():
+        short = origin.quantity
+        if origin.role == "materials":
+            quantity = models[origin.owner].quantity(short)
+        elif origin.role == "components":
+            quantity = Quantity(short, "m", 0.0, math.inf, short)
+        elif origin.role == "attitude" and short == POLE_LATITUDE.name:
             quantity = POLE_LATITUDE
         else:
-            low = 0.0 if short in COMPONENT_SIZES else -math.inf
-            quantity = Quantity(short, "m" if short in COMPONENT_SIZES else "", low, math.inf, short)
-        add(name, number, quantity)
+            quantity = Quantity(short, "", -math.inf, math.inf, short)
+        add(name, origin, numbers[name], quantity)
     given = scene.model.parameters
-    add("zero_point", given.get("zero_point", 0.0), ZERO_POINT)
+    add("zero_point", Origin("calibration", "", "zero_point"), given.get("zero_point", 0.0), ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:
-            name = effect.full_name(quantity.name)
+            name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
             if effect.by is not None:
                 centre = quantity.off or 0.0
                 prior = Prior(
                     "normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0
                 )
-                free += [
-                    Free(f"{name}[{one}]", prior, centre, quantity.unit, quantity.meaning)
-                    for one in row_index[effect.by][1]
-                ]
+                divide(name, origin, prior, centre, quantity, effect.by)
                 continue
-            number = given.get(name, given.get(f"{effect.name}.{quantity.name}"))
-            if effect.brdf is not None and isinstance(number, SceneFree) and number.per is not None:
-                place, expected = f"{name}.per", "one value for the whole recording: the effect is a part"
+            number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
+            whole = effect.brdf is not None or effect.stage == "material"
+            if whole and isinstance(number, SceneFree) and number.per is not None:
+                of = "a part" if effect.brdf is not None else "of a material"
+                place, expected = f"{name}.per", f"one value for the whole recording: the effect is {of}"
                 raise InputError(scene.source, f"model.parameters.{place}", f'"{number.per}"', expected)
-            add(name, number, quantity)
+            add(name, origin, number, quantity)
+    own = {origin: name for name, origin in scene.origins().items()}
     simplex = [
-        (f"{material}.{a}", f"{material}.{b}")
+        (own[Origin("materials", material, a)], own[Origin("materials", material, b)])
         for material in scene.materials
         for a, b in zip(models[material].simplex, models[material].simplex[1:], strict=False)
     ]
@@ -589,7 +637,7 @@ def _parameters(
         for effect in effects
         if {"r_spec", "r_diff"} <= {quantity.name for quantity in effect.quantities}
     ]
-    return ParameterSet(free, fixed, simplex)
+    return ParameterSet(free, fixed, simplex), divided, origins
 
 
 def _prior(number: SceneFree, quantity: Quantity) -> Prior:

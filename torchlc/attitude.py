@@ -89,9 +89,7 @@ class Attitude(nn.Module):
         attitude = scene.attitude
         self.mode = attitude.mode
         self.numbers = {
-            name: getattr(number, "value", number)
-            for name, number in scene.numbers().items()
-            if name.startswith("attitude.")
+            f"attitude.{key}": getattr(number, "value", number) for key, number in attitude.numbers().items()
         }
         self._spinning = attitude.spin_axis is not None
         if attitude.spin_axis is not None:

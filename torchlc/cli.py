@@ -169,9 +169,10 @@ def diagnose(
     """Find physics that the model lacks: which, where in the recording, and what it does to the materials."""
     use_threads(threads)
     from torchlc import api
+    from torchlc.effects import Entry
     from torchlc.output import without_nan
 
-    candidates = None if effects is None else [name.strip() for name in effects.split(",") if name.strip()]
+    candidates = None if effects is None else Entry.split(effects)
     with progress_bar(not (quiet or json)) as progress:
         result = api.diagnose(
             scene, recording, out=out, quick=quick, effects=candidates, seed=seed, use=use, trust=trust,

@@ -103,7 +103,7 @@ def find_modes(
         return [_evaluated(likelihood)], [], None
     generator = torch.Generator().manual_seed(seed)
     draws = parameters.sample_prior(max(starts - 1, 0), generator)
-    draws = _crowded(parameters.names, draws, generator)
+    draws = _crowded(parameters.quantities, draws, generator)
     points = torch.cat(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
@@ -241,8 +241,8 @@ def hazard(k: Tensor) -> Tensor:
 def noise_columns(likelihood: Likelihood) -> list[int]:
     """Which elements of theta belong to noise effects."""
     owners = {effect.name for effect in likelihood.model.assembly.stage("noise")}
-    names = likelihood.model.parameter_set.names
-    return [i for i, name in enumerate(names) if name.partition(".")[0] in owners]
+    free = likelihood.model.parameter_set.free
+    return [i for i, one in enumerate(free) if one.origin.role == "effects" and one.origin.owner in owners]
 
 
 def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, steps: int = 40) -> Tensor:
@@ -397,9 +397,9 @@ def _differences(
     return torch.nan_to_num((up - down) / (2 * size)), torch.nan_to_num(hessian / size[:, None] / size)
 
 
-def _crowded(names: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
+def _crowded(quantities: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
     """Every other start has its lobe reflectances near 0, where the best minimum of a faint lobe lies."""
-    columns = [i for i, name in enumerate(names) if name.endswith(("r_spec", ".f0"))]
+    columns = [i for i, name in enumerate(quantities) if name in ("r_spec", "f0")]
     if columns and len(draws):
         shrink = torch.rand(len(draws), len(columns), generator=generator, dtype=draws.dtype) ** 3
         shrink[1::2] = 1.0

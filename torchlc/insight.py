@@ -9,19 +9,20 @@ their ratios are known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.assemble import COMPONENT_SIZES, assemble
+from torchlc.assemble import assemble
 from torchlc.effects import GEOMETRY_STAGES
 from torchlc.effects.base import View
 from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.likelihood import Likelihood
 from torchlc.model import DARKEST, LightCurve
+from torchlc.naming import Origin
 from torchlc.orbit import angle_between
 from torchlc.parameters import Prior
 from torchlc.shape import Band, Dome
@@ -215,7 +216,8 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
     closest, shares = glints(view), material_shares(likelihood.model, best)
     for i, name in enumerate(parameters.names):
         if not informed[name] and name not in scale_of:
-            reason = _reason(likelihood.model, name, best, closest, shares) or _trade(
+            origin = parameters.free[i].origin
+            reason = _reason(likelihood.model, origin, best, closest, shares) or _trade(
                 parameters.names, i, flat
             )
             warnings.append(f"{name} is set by its prior: {reason}")
@@ -256,10 +258,14 @@ def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
     """
     if likelihood.kind != "flux":
         return []
-    names = likelihood.model.names
+    names, free = likelihood.model.names, likelihood.model.parameter_set.free
     found = []
-    for shorts in (SCALES, COMPONENT_SIZES):
-        index = [i for i, name in enumerate(names) if name.rpartition(".")[2] in shorts]
+    kinds: tuple[Callable[[Origin], bool], ...] = (
+        lambda origin: origin.quantity in SCALES and origin.target is None,
+        lambda origin: origin.role == "components",
+    )
+    for of_kind in kinds:
+        index = [i for i, one in enumerate(free) if of_kind(one.origin)]
         if not index:
             continue
         scaled = best.clone()
@@ -283,14 +289,14 @@ def _scale_sentence(group: Sequence[str]) -> str:
 
 def _reason(
     model: LightCurve,
-    name: str,
+    origin: Origin,
     best: Tensor,
     closest: Mapping[str, Glint | None],
     shares: Mapping[str, float],
 ) -> str | None:
     """Why a material's parameter is not informed, from the geometry; None if the geometry gives no reason."""
-    owner, _, short = name.rpartition(".")
-    if owner not in model.scene.materials or short in COMPONENT_SIZES:
+    owner, short = origin.owner, origin.quantity
+    if origin.role != "materials":
         return None
     glint = closest.get(owner)
     if glint is None:

@@ -186,16 +186,16 @@ class Likelihood:
         names = self.model.names
         groups: dict[str, list[int]] = {}
         rows = torch.ones(len(names), self.rows, dtype=torch.bool)
-        for index, ids in self.model.assembly.row_index.values():
+        for division, (index, ids) in self.model.assembly.row_index.items():
             if self.gains and not all(
                 len(set(index[self.curve == c].tolist())) == 1 for c in range(self.curves)
             ):
                 continue
-            for column, name in enumerate(names):
-                stem, _, one = name.partition("[")
-                if one and one.rstrip("]") in ids and all(f"{stem}[{other}]" in names for other in ids):
-                    groups.setdefault(stem, []).append(column)
-                    rows[column] = index == list(ids).index(one.rstrip("]"))
+            for column, free in enumerate(self.model.parameter_set.free):
+                origin = free.origin
+                if origin.division == division and origin.member is not None:
+                    groups.setdefault(free.name.removesuffix(f"[{origin.member}]"), []).append(column)
+                    rows[column] = index == list(ids).index(origin.member)
         if not any(len(group) > 1 for group in groups.values()):
             return None
         grouped = {column for group in groups.values() for column in group}

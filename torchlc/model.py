@@ -17,7 +17,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
-from torchlc.assemble import COMPONENT_SIZES, Assembly, assemble
+from torchlc.assemble import Assembly, assemble
 from torchlc.effects.base import (
     GEOMETRY_STAGES,
     Brightness,
@@ -45,6 +45,7 @@ from torchlc.table import pair_table
 from torchlc.tracing import apart, readable, transformed
 from torchlc.vectors import unit
 
+MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))
 RECENT_TABLES = 48
 """Compact tables of past geometries that a model keeps."""
 NODES = 9
@@ -116,7 +117,7 @@ class LightCurve(nn.Module):
 
     ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The
     free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as
-    ``free.<owner>.<name>``; ``names`` lists them in the order of theta and ``theta()`` gives their natural
+    ``free.<owner>.<name>`` with "." and "%" in names as %2E and %25; ``names`` lists them in the order of theta and ``theta()`` gives their natural
     values. Neglects everything that is not among ``effects``.
     """
 
@@ -134,9 +135,10 @@ class LightCurve(nn.Module):
         self.free = nn.ModuleDict()
         z = self.parameter_set.to_unconstrained(self.parameter_set.start())
         self._keys: list[tuple[str, str]] = []
-        for index, name in enumerate(self.parameter_set.names):
-            owner, _, short = name.rpartition(".") if "." in name else ("calibration", "", name)
-            owner, short = owner.replace(".", "_"), short.replace(".", "_")
+        for index, parameter in enumerate(self.parameter_set.free):
+            short = parameter.origin.short
+            label = parameter.name.removesuffix(f".{short}") if parameter.origin.owner else "calibration"
+            owner, short = module_key(label), module_key(short)
             if owner not in self.free:
                 self.free[owner] = nn.ParameterDict()
             self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
@@ -324,7 +326,7 @@ class LightCurve(nn.Module):
         """True if geometries of a batch are worked out together: few facets, of given sizes, and nothing
         that needs the geometry apart from the facets' angles."""
         a = self.assembly
-        sized = any(self.names[column].rpartition(".")[2] in COMPONENT_SIZES for column in a.geometry_columns)
+        sized = any(self.parameter_set.free[k].origin.role == "components" for k in a.geometry_columns)
         return (
             self.geometry_free
             and a.pairs <= MOST_GRIDDED * a.T
@@ -424,9 +426,18 @@ class LightCurve(nn.Module):
         """True for a mesh without lobes that only a clock's offset moves: its tables are smooth in the
         offset."""
         a = self.assembly
-        moved = {self.names[column].partition("[")[0] for column in a.geometry_columns}
         plain = all(model.additive for model in a.models.values()) and not a.stage("scatter")
-        return moved == {"time_offset.s"} and plain and a.traced_pairs > MOST_TRACED_PAIRS
+        clock = self._movers() == {("effects", "time_offset")}
+        return clock and plain and a.traced_pairs > MOST_TRACED_PAIRS
+
+    @property
+    def _clock_name(self) -> str:
+        return next(e for e in self.assembly.stage("clock") if e.name == "time_offset").full_name("s")
+
+    def _movers(self) -> set[tuple[str, str]]:
+        """Roles and owners of the free parameters that move the geometry."""
+        moving = (self.parameter_set.free[column].origin for column in self.assembly.geometry_columns)
+        return {(origin.role, origin.owner) for origin in moving}
 
     def _interpolated(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P) whose clock offsets differ, from tables at NODES offsets CLOCK_TURN_DEG of a
@@ -437,7 +448,7 @@ class LightCurve(nn.Module):
         columns = nodes[0].columns
         row = torch.arange(self.assembly.T) if columns is None else columns.row
         values = self.parameter_set.values(flat)
-        place = self.assembly.rows(values, "time_offset.s", row) / step
+        place = self.assembly.rows(values, self._clock_name, row) / step
         place = place.expand(len(flat), len(row)).clamp(-half, half) + half
         first_node = (place.detach().floor().long() - 1).clamp(0, NODES - 4)
         weights = _cubic(place - first_node)
@@ -472,7 +483,8 @@ class LightCurve(nn.Module):
         if detail not in self._nodes:
             with apart():
                 values = self.parameter_set.values(self.parameter_set.start())
-                clocks = [name for name in values if name.startswith("time_offset.s")]
+                clock = self._clock_name
+                clocks = [name for name in values if name == clock or name.startswith(f"{clock}[")]
                 made = []
                 for k in range(-(NODES // 2), NODES // 2 + 1):
                     offset = k * self._clock_step
@@ -633,6 +645,7 @@ class LightCurve(nn.Module):
             if axis is not None and key not in poses:
                 poses[key] = tracking_pose(like(axis, to_sun), like(front, to_sun), to_sun)
             keys.append(key)
+        sizes = a.size_values(values)
         view = View(
             nodes,
             state,
@@ -641,7 +654,7 @@ class LightCurve(nn.Module):
             to_observer,
             1e3 * range_km,
             tuple(map(poses.get, keys)),
-            tuple(part.facets(values) for part in a.shape.parts),
+            tuple(part.facets(sizes) for part in a.shape.parts),
             lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
             batch=batch,
         )
@@ -670,7 +683,7 @@ class LightCurve(nn.Module):
 
     def _condensable(self, material: str) -> bool:
         """Whether there is something to fit, and the material's lobe has one exponent, its own shape and a table."""
-        shared = f"{material}.n" in (*self.names, *self.parameter_set.fixed)
+        shared = self.assembly.has_number(material, "n")
         reshaped = any(effect.name == "lobe_tail" for effect in self.effects)
         return (
             bool(self.names)
@@ -805,6 +818,13 @@ class LightCurve(nn.Module):
     def extra_repr(self) -> str:
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.effects)) or "none"
         return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
+
+
+def module_key(text: str) -> str:
+    """A name as torch allows it for a child of a module, "." and "%" as codes, so that no two become one; one that a
+    module has for itself begins with a code."""
+    escaped = text.replace("%", "%25").replace(".", "%2E")
+    return f"%{ord(escaped[0]):02X}{escaped[1:]}" if escaped in MODULE_ATTRIBUTES else escaped
 
 
 def _per_instant(values: Mapping[str, Tensor], nodes: Nodes, batch: int) -> Mapping[str, Tensor]:

@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 from torch.distributions import constraints, transforms
 
+from torchlc.naming import NOBODY, Origin
+
 PRIORS = ("uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal")
 NEAR_POLE = 1e-24
 """Square of a latitude's cosine below which its slope against the sine is no longer followed: at a pole it has
@@ -239,13 +241,14 @@ class LatitudeTransform(transforms.Transform):
 
 @dataclass(frozen=True)
 class Free:
-    """A free parameter: its full name, its prior and the value to start from."""
+    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is."""
 
     name: str
     prior: Prior
     start: float
     unit: str = ""
     meaning: str = ""
+    origin: Origin = NOBODY
 
 
 def prior_of(quantity: Quantity) -> Prior:
@@ -286,6 +289,7 @@ class ParameterSet:
                 self.pairs.append((order.index(first), order.index(second)))
         self.free = [entries[name] for name in order]
         self.names = order
+        self.quantities = [parameter.origin.quantity for parameter in self.free]
         self._transforms = [parameter.prior.transform() for parameter in self.free]
         self._second = {second: first for first, second in self.pairs}
         self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}

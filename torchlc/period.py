@@ -1,7 +1,10 @@
 """An unknown spin from a recording alone: Lomb-Scargle, candidates, and the aliases each could be instead.
 
-The period is apparent: the Sun and the observer move, so that a body's sidereal period differs by about one
-turn in the time in which the bisector turns once. A body with two like sides shows two maxima a turn: its
+What changes slowly is taken off first: the range (and the Sun's distance) where the recording holds vectors, and a trend
+in time, phase angle and airmass, fitted together with two harmonics of the best period so that neither biases the other.
+
+The period is synodic: it is that of the light, whose pattern follows the bisector of Sun and observer. The sidereal period
+differs by up to one turn in the time in which the bisector turns once, and by that if it turns about the body's pole. A body with two like sides shows two maxima a turn: its
 period is twice what the periodogram prefers.
 """
 
@@ -9,8 +12,8 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,6 +47,10 @@ DAILY = (
 )
 DAY_S = 86400.0
 MIN_ROWS = 8
+LOWEST_DEG = 3.0
+"""Elevation below which the airmass counts as that there: 1/sin grows without end."""
+EQUAL = 0.8
+"""Share of a peak's power from which a frequency beyond Nyquist is listed: uneven steps tell it apart below."""
 SAME = 0.01
 """Peaks nearer than this in relative frequency differ in the number of turns between runs, and are aliases
 of the higher.
@@ -66,7 +73,8 @@ class Alias:
 class Candidate:
     """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance
     that a sinusoid explains; the false-alarm probability of the highest peak of noise; half of the range of
-    the sinusoid.
+    the sinusoid; ``sidereal_within_s`` bounds how far the sidereal period is from this synodic one if the light repeats once a turn
+    (m times that for m like sides), None where the recording has no vectors.
     """
 
     period_s: float
@@ -75,11 +83,13 @@ class Candidate:
     false_alarm_probability: float
     amplitude: float
     aliases: Sequence[Alias] = field(default_factory=tuple)
+    sidereal_within_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Periodogram:
-    """The search: candidates best first, with the range of periods (s) that was looked at."""
+    """The search: candidates best first, with the range of periods (s) that was looked at; ``sampling_s`` is the median
+    step between rows, ``trend_per_hour`` the slope in time that was taken off, by curve, in ``unit``."""
 
     candidates: Sequence[Candidate]
     rows: int
@@ -87,6 +97,9 @@ class Periodogram:
     searched_s: tuple[float, float]
     unit: str
     warnings: Sequence[str]
+    sampling_s: float = math.nan
+    trend_per_hour: Mapping[str, float] = field(default_factory=dict)
+    measured: str = "synodic"
 
     def to_table(self) -> Table:
         """One row a candidate, best first: period_s, period_sd_s, power, false_alarm_probability, amplitude."""
@@ -122,6 +135,9 @@ class Periodogram:
                 "span_s": self.span_s,
                 "searched_s": list(self.searched_s),
                 "amplitude_unit": self.unit,
+                "measured": self.measured,
+                "sampling_s": self.sampling_s,
+                "trend_per_hour": dict(self.trend_per_hour),
                 "candidates": told,
                 "warnings": list(self.warnings),
             }
@@ -139,13 +155,28 @@ class Periodogram:
             lines += [
                 f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases
             ]
-        return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
+        return "\n".join(
+            [*lines, *(f"  {text}" for text in self.notes()), *(f"  ! {text}" for text in self.warnings)]
+        )
+
+    def notes(self) -> list[str]:
+        """What was measured, and what was taken off before."""
+        known = [one.sidereal_within_s for one in self.candidates[:1] if one.sidereal_within_s is not None]
+        told = [
+            "periods are synodic, as the light shows them; the sidereal period of the first differs by at most "
+            f"{known[0]:.2g} s if it is a whole turn (the bisector of Sun and observer turned; m times that for m like sides)"
+            if known
+            else "periods are synodic, as the light shows them; without vectors of Sun and observer in the recording the "
+            "difference to the sidereal period is not known"
+        ]
+        slopes = [f"{slope:+.3g} {self.unit}/h ({curve})" for curve, slope in self.trend_per_hour.items()]
+        return [*told, f"taken off before: a trend of {', '.join(slopes[:4])}"]
 
 
 def find_period(
     recording: Recording, *, shortest_s: float | None = None, longest_s: float | None = None
 ) -> Periodogram:
-    """Candidate periods of a recording, each curve taken about its own mean.
+    """Candidate periods of a recording, each curve taken about its own trend.
 
     The search goes from twice the median cadence to half of the longest uninterrupted run unless told
     otherwise.
@@ -160,7 +191,8 @@ def find_period(
     if span <= 0:
         raise InputError(recording.source, "column time", "all rows at one time", "a stretch of time")
     low, high, warnings = _search_range(recording, seconds, span, shortest_s, longest_s)
-    search, unit = _periodogram(recording, rows)
+    about = _Detrended(recording, rows)
+    search, unit = about.search(None), about.unit
     count = max(100, math.ceil(OVERSAMPLING * span * (high - low)))
     if count > MOST_FREQUENCIES:
         high = low + MOST_FREQUENCIES / (OVERSAMPLING * span)
@@ -170,7 +202,11 @@ def find_period(
         )
     frequency = np.linspace(low, high, count)
     power = np.asarray(search.power(frequency, method="fast" if count > 2000 else "auto"))
+    search = about.search(float(frequency[np.argmax(power)]))
+    power = np.asarray(search.power(frequency, method="fast" if count > 2000 else "auto"))
     several_nights = len(recording.night_ids) > 1
+    sampling = float(np.median(np.diff(np.unique(seconds))))
+    turned = _bisector_turns(recording, rows)
     found: list[Candidate] = []
     taken: list[float] = []
     for group in _groups(search, frequency, power, span):
@@ -179,11 +215,57 @@ def find_period(
             continue
         candidate, related = _candidate(search, peak, counts, low, high, span, several_nights)
         taken += [peak, *related]
-        found.append(candidate)
+        beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
+        within = None if turned is None else turned / span * candidate.period_s**2
+        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond), sidereal_within_s=within))
         if len(found) == MOST_CANDIDATES:
             break
     found.sort(key=lambda one: -one.power)
-    return Periodogram(found, len(rows), span, (1 / high, 1 / low), unit, warnings)
+    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
+    if fast:
+        periods = ", ".join(spoken(alias.period_s) for alias in fast)
+        warnings.append(
+            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
+            f"and {periods} would explain the best candidate as well"
+        )
+    searched = (1 / high, 1 / low)
+    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+
+
+def _beyond_nyquist(
+    search: LombScargle, frequency: float, power: float, sampling: float, span: float, high: float
+) -> list[Alias]:
+    """Frequencies that rows ``sampling`` seconds apart cannot tell from this one, and do not: k/sampling +- f for the
+    first two k, where the power is at least EQUAL of the peak's."""
+    found = []
+    for k in (1, 2):
+        for other in (k / sampling - frequency, k / sampling + frequency):
+            if other <= high:
+                continue
+            refined = _refined(search, other, 1 / (OVERSAMPLING * span))
+            reached = float(search.power(refined, method="cython"))
+            if reached > EQUAL * power:
+                relation = f"beyond Nyquist: {k} turn{'s' if k > 1 else ''} more or fewer between rows {sampling:.4g} s apart"
+                found.append(Alias(1 / refined, reached, relation))
+    return found
+
+
+def _bisector_turns(recording: Recording, rows: np.ndarray) -> float | None:
+    """Turns that the bisector of Sun and observer made in inertial space from the first row to the last, along its way;
+    None without vectors."""
+    if recording.sun is None or recording.obs is None:
+        return None
+    order = rows[np.argsort(recording.seconds[rows], kind="stable")]
+    bisector = sum(
+        vectors[order] / np.linalg.norm(vectors[order], axis=1)[:, None]
+        for vectors in (recording.sun, recording.obs)
+    )
+    length = np.linalg.norm(bisector, axis=1)
+    if not (length > 1e-9).all():
+        return None
+    unit = bisector / length[:, None]
+    apart = np.linalg.norm(np.diff(unit, axis=0), axis=1)
+    return float((2 * np.arcsin(np.minimum(apart / 2, 1.0))).sum()) / (2 * math.pi)
 
 
 def spoken(seconds: float) -> str:
@@ -219,24 +301,79 @@ def _search_range(
     return low, high, warnings
 
 
-def _periodogram(recording: Recording, rows: np.ndarray) -> tuple[LombScargle, str]:
-    """Lomb-Scargle on magnitudes, or flux over its curve's mean, each curve about its own mean."""
-    from astropy.timeseries import LombScargle
+class _Detrended:
+    """Rows of a recording as magnitudes, or flux over its curve's mean, about what changes slowly.
 
-    values = recording.observed[rows].copy()
-    error = None if recording.error is None else recording.error[rows].copy()
-    curve = recording.curve[rows]
+    ``trend_per_hour`` holds the slopes in time, by curve.
+    """
+
+    def __init__(self, recording: Recording, rows: np.ndarray) -> None:
+        self.unit = "mag" if recording.kind == "mag" else ""
+        self.seconds = recording.seconds[rows]
+        self.values = recording.observed[rows].copy()
+        self.error = None if recording.error is None else recording.error[rows].copy()
+        self.curve, self.ids = recording.curve[rows], recording.curve_ids
+        self.trend_per_hour: dict[str, float] = {}
+        distance = _distances(recording, rows)
+        for one in np.unique(self.curve):
+            here = self.curve == one
+            if recording.kind == "flux":
+                self.values[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2)
+                scale = abs(float(self.values[here].mean())) or 1.0
+                self.values[here] = self.values[here] / scale - 1.0
+                if self.error is not None:
+                    self.error[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2) / scale
+            else:
+                self.values[here] -= 5 * np.log10(distance[here] / distance[here].mean())
+                self.values[here] -= self.values[here].mean()
+        self.slow = _slow_columns(recording, rows)
+
+    def search(self, frequency: float | None) -> LombScargle:
+        """The periodogram about the trend, which is fitted beside two harmonics of ``frequency`` if that is given."""
+        from astropy.timeseries import LombScargle
+
+        slow = self.slow
+        design = slow
+        if frequency is not None:
+            angle = 2 * np.pi * frequency * self.seconds[:, None] * np.array([1.0, 2.0])
+            design = np.concatenate([slow, np.cos(angle), np.sin(angle)], axis=1)
+        weight = np.ones(len(self.values)) if self.error is None else 1 / self.error
+        size = np.linalg.norm(design * weight[:, None], axis=0)
+        size[size == 0] = 1.0
+        found = np.linalg.lstsq(design * weight[:, None] / size, self.values * weight, rcond=1e-9)[0] / size
+        trend = slow @ found[: slow.shape[1]]
+        for number in np.unique(self.curve):
+            here = self.curve == number
+            hours = self.seconds[here] / 3600
+            slope = np.polyfit(hours, trend[here], 1)[0] if np.ptp(hours) > 0 else 0.0
+            self.trend_per_hour[self.ids[number]] = float(slope)
+        return LombScargle(self.seconds, self.values - trend, self.error)
+
+
+def _distances(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """What brightness falls with the square of, (N,): range times the Sun's distance where they are known, else 1."""
+    known = [one[rows] for one in (recording.sun, recording.obs) if one is not None]
+    return np.prod([np.linalg.norm(one, axis=1) for one in known], axis=0) if known else np.ones(len(rows))
+
+
+def _slow_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Design (N, K) of what changes slowly: an offset and a slope in time for each curve of at least MIN_ROWS rows, phase
+    angle and airmass for all."""
+    curve, hours = recording.curve[rows], recording.seconds[rows] / 3600
+    columns = []
     for one in np.unique(curve):
-        here = curve == one
-        mean = float(values[here].mean())
-        if recording.kind == "flux":
-            scale = abs(mean) or 1.0
-            values[here] = (values[here] - mean) / scale
-            if error is not None:
-                error[here] /= scale
-        else:
-            values[here] -= mean
-    return LombScargle(recording.seconds[rows], values, error), "mag" if recording.kind == "mag" else ""
+        here = (curve == one).astype(float)
+        columns.append(here)
+        if here.sum() >= MIN_ROWS:
+            columns.append(here * (hours - hours[here > 0].mean()))
+    if recording.sun is not None and recording.obs is not None:
+        units = [
+            one[rows] / np.linalg.norm(one[rows], axis=1)[:, None] for one in (recording.sun, recording.obs)
+        ]
+        columns.append(np.arccos(np.clip((units[0] * units[1]).sum(1), -1, 1)))
+    if recording.alt is not None:
+        columns.append(1 / np.sin(np.radians(np.maximum(recording.alt[rows], LOWEST_DEG))))
+    return np.stack(columns, axis=1)
 
 
 def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span: float) -> list[list[float]]:
@@ -321,7 +458,7 @@ def _candidate(
 
 def phase_curve(recording: Recording, period_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Phase in [0, 1) and the values about each curve's mean, (T,) each, sorted by phase."""
-    search, _ = _periodogram(recording, np.arange(len(recording)))
+    search = _Detrended(recording, np.arange(len(recording))).search(1 / period_s)
     phase = (recording.seconds / period_s) % 1.0
     order = np.argsort(phase)
     values = np.asarray(search.y)

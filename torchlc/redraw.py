@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.fit import noise_columns
 from torchlc.likelihood import MAG_PER_LN, Likelihood
 from torchlc.reflectances import REWEIGHTED, about, linear_columns, linear_light
 
@@ -44,12 +45,10 @@ class Redraw:
     def __init__(self, likelihood: Likelihood, theta: Tensor) -> None:
         self.likelihood = likelihood
         model = likelihood.model
-        names = model.names
-        held = set(model.assembly.geometry_columns)
-        held |= {i for i, name in enumerate(names) if name.partition(".")[0] in _noisy(likelihood)}
-        short = [name.partition("[")[0].rpartition(".")[2] for name in names]
+        short = model.parameter_set.quantities
+        held = set(model.assembly.geometry_columns) | set(noise_columns(likelihood))
         self.linear = [i for i in linear_columns(model) if i not in held]
-        self.others = [i for i in range(len(names)) if i not in held and i not in self.linear]
+        self.others = [i for i in range(len(short)) if i not in held and i not in self.linear]
         self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
         self.first = {second: first for first, second in model.parameter_set.pairs}
         bounds = [one.prior.flat_range() for one in model.parameter_set.free]
@@ -197,10 +196,6 @@ class Redraw:
             rest = 1.0 - x[:, self.first[column]]
             return low * rest, torch.minimum(high, rest) * rest
         return low, high
-
-
-def _noisy(likelihood: Likelihood) -> set[str]:
-    return {effect.name for effect in likelihood.model.assembly.stage("noise")}
 
 
 class CutNormal:

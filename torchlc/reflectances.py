@@ -22,12 +22,13 @@ REWEIGHTED = 2
 def linear_columns(model: LightCurve) -> list[int]:
     """Columns of theta that are reflectances, of which light is linear, and do not move the geometry."""
     moving = set(model.assembly.geometry_columns)
-    curved = {f"{owner}.{name}" for owner, law in model.assembly.models.items() for name in law.curved}
-    short = [name.partition("[")[0].rpartition(".")[2] for name in model.names]
+    places = [(parameter.origin, i) for i, parameter in enumerate(model.parameter_set.free)]
+    laws = model.assembly.models
+    curved = {(owner, name) for owner, law in laws.items() for name in law.curved}
     return [
         i
-        for i, name in enumerate(short)
-        if name in NAMES and i not in moving and model.names[i] not in curved
+        for origin, i in places
+        if origin.quantity in NAMES and i not in moving and (origin.owner, origin.quantity) not in curved
     ]
 
 

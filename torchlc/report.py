@@ -193,19 +193,22 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
     """Each material, with what the data say of it and what it is most like; then the other informed numbers."""
     informed, parameters = result.insight.informed, result.parameters()
     by_owner: dict[str, list[str]] = {}
-    for name in result.names:
-        owner, _, short = name.rpartition(".")
-        if informed[name]:
-            key = owner if owner in result.model.scene.materials else name
-            value = stated(parameters[name])
-            by_owner.setdefault(key, []).append(value if key == name else f"{short} = {value}")
+    by_name: dict[str, str] = {}
+    for free in result.model.parameter_set.free:
+        if not informed[free.name]:
+            continue
+        value = stated(parameters[free.name])
+        if free.origin.role == "materials":
+            by_owner.setdefault(free.origin.owner, []).append(f"{free.origin.quantity} = {value}")
+        else:
+            by_name[free.name] = value
     found = []
     matches = result.materials()
     for owner, values in by_owner.items():
         likely = [one for one in matches.get(owner, []) if one["probability"] >= GOOD_MATCH]
         like = f"; most like {_match_words(likely)}" if likely and likely[0]["name"] != OTHER else ""
         found.append((owner, ", ".join(values) + like))
-    return found
+    return [*found, *by_name.items()]
 
 
 def _quality(result: FitResult) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import html
 import math
+import unicodedata
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -249,12 +250,13 @@ class FitResult:
         """For each material with free parameters, the known materials, most probable first."""
         if self.posterior is None:
             return {}
-        draws = dict(zip(self.names, self.posterior.flat.numpy().T, strict=True))
+        draws: dict[str, dict[str, np.ndarray]] = {}
+        for free, column in zip(self.model.parameter_set.free, self.posterior.flat.numpy().T, strict=True):
+            if free.origin.role == "materials":
+                draws.setdefault(free.origin.owner, {})[free.origin.quantity] = column
         found = {}
         for name, material in self.model.scene.materials.items():
-            own = {
-                short: draws[f"{name}.{short}"] for short in material.parameters if f"{name}.{short}" in draws
-            }
+            own = draws.get(name)
             if own:
                 found[name] = [vars(one) for one in match(own, model=material.model)]
         return found
@@ -317,19 +319,17 @@ class FitResult:
 
     def to_arviz(self) -> arviz.InferenceData:
         """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",
-        which netCDF needs.
+        which netCDF needs, and the attribute ``parameter`` of each variable holds the name itself.
         """
         import arviz
 
         if self.posterior is None:
             raise ValueError("nothing was free: there is no posterior")
-        posterior = {
-            name.replace("/", "|"): self.posterior.theta[..., i].numpy()
-            for i, name in enumerate(self.posterior.names)
-        }
+        names = variable_names(self.posterior.names)
+        posterior = {name: self.posterior.theta[..., i].numpy() for i, name in enumerate(names)}
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "More chains", UserWarning)  # walkers, of a short chain
-            return arviz.from_dict(
+            data = arviz.from_dict(
                 posterior=posterior,
                 sample_stats={"lp": self.posterior.log_prob.numpy()},
                 observed_data={self.recording.kind: self.recording.observed},
@@ -341,6 +341,9 @@ class FitResult:
                     "seed": self.seed,
                 },
             )
+        for variable, name in names.items():
+            data["posterior"][variable].attrs["parameter"] = name
+        return data
 
     # ------------------------------------------------------------------ pictures
 
@@ -451,6 +454,20 @@ def rounded(value: float, digits: int) -> str:
     """``value`` to that many significant digits, without an exponent where it can be read without."""
     text = f"{value:.{digits}g}"
     return f"{float(text):g}" if abs(float(text)) < 1e6 else text
+
+
+def variable_names(names: Sequence[str]) -> dict[str, str]:
+    """Names of netCDF variables for parameters, all different also where signs are composed (Unicode's NFC, which
+    netCDF applies), and the parameters' own."""
+    variables: dict[str, str] = {}
+    composed: set[str] = set()
+    for name in names:
+        variable, copy = name.replace("/", "|"), 2
+        while unicodedata.normalize("NFC", variable) in composed:
+            variable, copy = f"{name.replace('/', '|')} ({copy})", copy + 1
+        composed.add(unicodedata.normalize("NFC", variable))
+        variables[variable] = name
+    return variables
 
 
 def _thinned(draws: Tensor, most: int) -> Tensor:

@@ -215,8 +215,11 @@ def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:
         state = bare_view(model, theta).state
         eclipse = None
         if track.supports("position") and state.position is not None:
-            air = model.values(theta).get("earth_shadow.h0", theta.new_tensor(DEFAULT_AIR_KM))
-            eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air[..., None])
+            air = theta.new_tensor([DEFAULT_AIR_KM])
+            for effect in model.effects:
+                if effect.name == "earth_shadow":
+                    air = model.assembly.own(effect, model.values(theta))["h0"]
+            eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air)
         found = {
             "range_km": track.range_km,
             "phase_angle_deg": track.phase_angle_deg,

@@ -159,7 +159,7 @@ def _options(path: Path, place: str, task: str, text: str) -> dict[str, Any]:
             path, place, f"options {text[:120]!r}: {error}", f"options as torchlc {task} takes them"
         ) from None
     if "effects" in found:
-        from torchlc.api import check_candidates
+        from torchlc.diagnose.candidates import check_candidates
 
         try:
             check_candidates(found["effects"])
@@ -187,7 +187,7 @@ def _parser(task: str) -> argparse.ArgumentParser:
         parser.add_argument("--walkers", type=_whole(2))
     else:
         parser.add_argument("--quick", action="store_true")
-        parser.add_argument("--effects", type=_names)
+        parser.add_argument("--effects", type=_entries)
     return parser
 
 
@@ -202,8 +202,10 @@ def _whole(least: int, most: int | None = None) -> Any:
     return read
 
 
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
+def _entries(text: str) -> list[str]:
+    from torchlc.effects import Entry
+
+    return Entry.split(text)
 
 
 def _typed(value: Any) -> str:

@@ -4,7 +4,7 @@ held-out scores need."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -295,7 +295,7 @@ def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: to
     columns = []
     for column in effect_columns(parameters, effect):
         free = parameters.free[column]
-        quantity = quantities[free.name.partition(".")[2].partition("[")[0]]
+        quantity = quantities[free.origin.quantity]
         u = torch.rand(count, generator=generator, dtype=torch.float64)
         draw = free.prior.quantile(0.02 + 0.96 * u)
         if entry.per is not None:
@@ -312,13 +312,10 @@ def effect_starts(likelihood: Likelihood, effect: str, count: int, generator: to
 def effect_columns(parameters: ParameterSet, effect: str) -> list[int]:
     """Indices in theta of the parameters of one effect entry."""
     entry = Entry.parse(effect)
-    target = f"[{entry.target}]" if entry.target else ""
     return [
         index
-        for index, one in enumerate(parameters.names)
-        if one.partition(".")[0] == entry.name and (not target or one.endswith(target))
+        for index, free in enumerate(parameters.free)
+        if free.origin.role == "effects"
+        and free.origin.owner == entry.name
+        and entry.target in (None, free.origin.target)
     ]
-
-
-def values_of(refit_: Refit) -> Mapping[str, float]:
-    return {name: float(value) for name, value in zip(refit_.names, refit_.theta, strict=True)}

@@ -20,7 +20,7 @@ from torchlc.diagnose.refit import Refit, effect_columns
 from torchlc.diagnose.rivals import told
 from torchlc.diagnose.search import Found
 from torchlc.diagnose.where import Where, as_json
-from torchlc.effects.base import Entry
+from torchlc.effects.base import Effect, Entry
 from torchlc.insight import limits
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
@@ -102,20 +102,7 @@ class Diagnosis:
         scene = self.baseline.refit.model.scene
         if self.verdict != "missing_physics":
             return scene
-        entries = [str(Entry(effect.name, effect.target)) for effect in self.final.refit.model.effects]
-        divided = {
-            effect.full_name(quantity.name): Free(
-                value=quantity.mean or 0.0, sigma=effect.width, per=cast(Any, effect.by)
-            )
-            for effect in self.final.refit.model.effects
-            if effect.by is not None and effect.width is not None
-            for quantity in effect.quantities
-        }
-        update = {
-            "effects": entries,
-            "parameters": scene.model.parameters | divided,
-        }
-        return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
+        return completed_scene(scene, self.final.refit.model.effects)
 
     @cached_property
     def limits(self) -> list[str]:
@@ -243,6 +230,27 @@ class Diagnosis:
         return {"global_p": p, "note": note}
 
 
+def completed_scene(scene: Scene, effects: Sequence[Effect]) -> Scene:
+    """``scene`` with these effects as its list; an offset that is divided gets its prior in the parameters, one value
+    for each curve or night."""
+    divided = {
+        effect.origin(quantity.name).full_name(): Free(
+            value=quantity.off or 0.0,
+            sigma=effect.width or quantity.sigma or 1.0,
+            prior="normal",
+            per=cast(Any, effect.by),
+        )
+        for effect in effects
+        if effect.by is not None
+        for quantity in effect.quantities
+    }
+    update = {
+        "effects": [Entry(effect.name, effect.target).plain for effect in effects],
+        "parameters": scene.model.parameters | divided,
+    }
+    return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
+
+
 def _names(entry: str) -> dict[str, str | None]:
     parsed = Entry.parse(entry)
     return {"effect": parsed.name, "target": parsed.target, "per": parsed.per}
@@ -252,8 +260,7 @@ def materials(refit: Refit) -> dict[str, dict[str, float]]:
     """Median, sd and 90 % interval of every free material parameter, from the posterior's minima, each linear in
     flat coordinates and weighed by its mass."""
     parameters = refit.model.parameter_set
-    owners = set(refit.model.scene.materials)
-    names = [i for i, name in enumerate(parameters.names) if name.rpartition(".")[0] in owners]
+    names = [i for i, free in enumerate(parameters.free) if free.origin.role == "materials"]
     if not names:
         return {}
     generator = torch.Generator().manual_seed(0)
@@ -287,8 +294,7 @@ def effect_parameters(refit: Refit, entry: str) -> dict[str, dict[str, Any]]:
         free = parameters.free[column]
         sd = float(torch.sqrt(covariance[column, column].clamp(min=0)))
         sd *= math.exp(float(free.prior.log_slope(refit.y[column])))
-        short = free.name.partition(".")[2]
-        found[short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
+        found[free.origin.short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
     return found
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import torch
 
 from torchlc.assemble import assemble
+from torchlc.diagnose.candidates import check_candidates
 from torchlc.diagnose.coordinates import coordinates
 from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnose.families import families
@@ -35,9 +36,7 @@ from torchlc.diagnose.search import (
 from torchlc.diagnose.sizes import resized
 from torchlc.diagnose.strangers import stranger, told_of
 from torchlc.diagnose.where import Where, best_coordinate, intervals, locate
-from torchlc.effects import registry
 from torchlc.effects.base import Entry
-from torchlc.errors import InputError
 from torchlc.fit import find_modes
 from torchlc.recording import Recording
 from torchlc.scene import Scene
@@ -70,15 +69,14 @@ def diagnose(
 ) -> Diagnosis:
     """What the scene's model leaves out of a recording.
 
-    ``effects`` restricts the candidates (noise is always considered); ``quick`` makes at most QUICK_REFITS
-    refits in the first round, and stays with the scene's law of reflection. Upper limits are left out, and counted
-    as dropped: evidence, held-out scores and the gate are those of measured rows. Raises InputError for an unknown
-    effect name.
+    ``effects`` restricts the candidates (noise is always considered), each as :func:`check_candidates` takes it;
+    ``quick`` makes at most QUICK_REFITS refits in the first round, and stays with the scene's law of reflection. Upper
+    limits are left out, and counted as dropped: evidence, held-out scores and the gate are those of measured rows.
+    Raises InputError for an unknown effect name.
     """
-    for name in effects or ():
-        if name not in registry():
-            raise InputError(None, "--effects", f"{name!r} is no effect", f"some of {', '.join(registry())}")
     recording = recording.keep(~recording.upper_limit, "upper limit, which a diagnosis does not use")
+    if effects is not None:
+        check_candidates(effects, assemble(scene, recording))
     own = Start(scene, recording, seed)
     found = _under_one_law(own, quick=quick, effects=effects, progress=progress)
     if quick or not _left_over(found):

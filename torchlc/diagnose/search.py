@@ -120,9 +120,15 @@ def judged(fitted: Refit, scorer: Scorer) -> Found:
 
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
     """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
-    ``name[target]``."""
-    named = {name: cls for name, cls in registry().items() if only is None or name in only}
-    return _carried(bench, named)
+    ``name[target]``; of those in ``only`` if given, where a name stands for all its targets and divisions."""
+    entries = _carried(bench, registry())
+    if only is None:
+        return entries
+    return [
+        entry
+        for entry in entries
+        if {entry, (parsed := Entry.parse(entry)).name, Entry(parsed.name, parsed.target).plain} & set(only)
+    ]
 
 
 def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]:
@@ -381,12 +387,11 @@ class Size:
 
 def sizes_of(at: Refit) -> list[Size]:
     """The sizes of all added effects."""
-    names = at.model.parameter_set.names
     found = []
     for entry in at.hypothesis.added:
         quantities = {quantity.name: quantity for quantity in effect_class(entry).quantities}
         for column in effect_columns(at.model.parameter_set, entry):
-            quantity = quantities[names[column].partition(".")[2].partition("[")[0]]
+            quantity = quantities[at.model.parameter_set.quantities[column]]
             if quantity.off is not None:
                 found.append(Size(column, quantity, float(at.theta[column]), quantity.off))
     return found

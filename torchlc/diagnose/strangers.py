@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from torchlc.diagnose.evidence import Scorer
 from torchlc.diagnose.probes import probe
-from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy, values_of
+from torchlc.diagnose.refit import Refit, Workbench, effect_columns, is_heavy
 from torchlc.diagnose.search import EVIDENCE_GAIN, Found, affordable, extended, nameable, unlisted_entries
 from torchlc.effects import effect_class
 
@@ -53,9 +53,10 @@ def told_of(found: Found) -> str:
     cls = effect_class(entry)
     what = inspect.getdoc(inspect.getmodule(cls)) or cls.name
     units = {quantity.name: quantity.unit for quantity in cls.quantities}
+    parameters = found.refit.model.parameter_set
     numbers = ", ".join(
-        f"{name.partition('.')[2]} = {value:.3g} {units[name.partition('.')[2]]}"
-        for name, value in values_of(found.refit).items()
-        if name.partition(".")[0] == cls.name
+        f"{parameters.quantities[column]} = {float(found.refit.theta[column]):.3g} "
+        f"{units[parameters.quantities[column]]}"
+        for column in effect_columns(parameters, entry)
     )
     return f"what describes it has no name there: {what[0].lower()}{what[1:].rstrip('.')} ({numbers})"

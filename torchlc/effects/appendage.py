@@ -48,13 +48,14 @@ class Appendage(Effect):
     )
 
     def surface(self, patches, view, p, context):
-        lon, lat = torch.deg2rad(p["lon"][..., 0]), torch.deg2rad(p["lat"][..., 0])
+        lon, lat = (torch.deg2rad(p[name][..., 0]) for name in ("lon", "lat"))
+        lon, lat = torch.broadcast_tensors(lon, lat)  # in a batch, one may be free and the other fixed
         east = torch.stack([-torch.sin(lon), torch.cos(lon), torch.zeros_like(lon)], -1)
         up = torch.stack(
             [torch.cos(lat) * torch.cos(lon), torch.cos(lat) * torch.sin(lon), torch.sin(lat)], -1
         )
         plate = Patch(
-            component=self.name, material=self.name, model=AshikhminShirley, faces=["front", "back"],
+            component=self.label, material=self.material_key, model=AshikhminShirley, faces=["front", "back"],
             normal=torch.stack([up, -up], -2), u=torch.stack([east, east], -2),
             area=p["area"].expand(*p["area"].shape[:-1], 2),
         )  # fmt: skip

@@ -27,6 +27,7 @@ Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C c
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -36,6 +37,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf
+from torchlc.naming import ENTRY, Origin
 from torchlc.parameters import Quantity
 
 if TYPE_CHECKING:
@@ -417,10 +419,17 @@ class Entry:
 
     @classmethod
     def parse(cls, text: str) -> Entry:
-        plain, _, width = text.partition("~")
-        plain, _, per = plain.partition("@")
-        name, _, target = plain.partition("[")
-        return cls(name, target.rstrip("]") or None, per or None, float(width) if width else None)
+        """The parts of an item; the whole of one that has another form counts as a name, which no effect has."""
+        match = ENTRY.fullmatch(text)
+        if match is None:
+            return cls(text)
+        width = match["width"]
+        return cls(match["name"], match["target"], match["per"], float(width) if width else None)
+
+    @classmethod
+    def split(cls, text: str) -> list[str]:
+        """Items of a list as it is typed: commas divide it, those in brackets belong to a target."""
+        return [item.strip() for item in re.split(r",(?![^\[]*\])", text) if item.strip()]
 
     @property
     def plain(self) -> str:
@@ -455,7 +464,8 @@ class Effect:
     about the body axes and the time; ``brdf`` is the
     reflection model of a surface that it adds; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
-    the division of this one, ``width`` the spread of its values); ``unable`` says why what is not among its
+    the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
+    components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
     scatter that is worked out for mid-exposure alone."""
 
@@ -478,6 +488,7 @@ class Effect:
     width: float | None = None
     spans_exposure: ClassVar[bool] = False
     at_middle: ClassVar[bool] = False
+    taken: frozenset[str] = frozenset()
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:
@@ -491,8 +502,23 @@ class Effect:
         """Itself as a scene's list of effects has it."""
         return str(Entry(self.name, self.target, self.by, self.width))
 
+    def origin(self, quantity: str) -> Origin:
+        """Whose this number is: the effect's, as a list of parameters in a scene names it."""
+        return Origin("effects", self.name, quantity, self.target)
+
     def full_name(self, quantity: str) -> str:
-        return f"{self.name}.{quantity}" + (f"[{self.target}]" if self.target else "")
+        """The number's full name, which no number of the scene has."""
+        return self.origin(quantity).full_name(self.taken)
+
+    @property
+    def label(self) -> str:
+        """Name of the component that it adds; with its role where the scene has a component of this name."""
+        return f"effects[{self.name}]" if self.name in self.taken else self.name
+
+    @property
+    def material_key(self) -> str:
+        """Name of the material that it brings, which no scene's material can have."""
+        return f"effects[{self.name}]"
 
     def missing(self, context: Context) -> str | None:
         """Why these data cannot carry the effect, in words; None if they can."""

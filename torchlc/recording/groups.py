@@ -37,9 +37,16 @@ def repeats(columns: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def compact(codes: np.ndarray, ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Indices (T,) into ``ids`` renumbered so that every id left is in use."""
+    """Indices (T,) into ``ids`` renumbered so that every id left is in use; equal ids of different codes are
+    numbered, "a" and "a (2)"."""
     used, renumbered = np.unique(codes, return_inverse=True)
-    return renumbered.astype(np.int64), tuple(str(ids[code]) for code in used)
+    distinct: dict[str, None] = {}
+    for code in used:
+        name, copy = str(ids[code]), 2
+        while name in distinct:
+            name, copy = f"{ids[code]} ({copy})", copy + 1
+        distinct[name] = None
+    return renumbered.astype(np.int64), tuple(distinct)
 
 
 def local_nights(

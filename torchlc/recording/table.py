@@ -18,6 +18,8 @@ from torchlc.files import readable_file
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
+MOST_LABEL = 200
+"""Characters of a name of a station, band or curve."""
 BLOCK_BYTES = 1 << 20
 MAX_HEADER_LINES = 10_000
 CHUNK_ROWS = 50_000
@@ -255,7 +257,13 @@ class LabelReader:
         return tuple(self._codes)
 
     def __call__(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
-        codes = self._codes
-        return np.array(
+        codes, known = self._codes, len(self._codes)
+        read = np.array(
             [codes.setdefault(cell, len(codes)) for cell in map(str.strip, cells)], dtype=np.int64
         )
+        for cell in list(codes)[known:]:
+            if len(cell) > MOST_LABEL or not cell.isprintable():
+                row = start + int(np.flatnonzero(read == codes[cell])[0])
+                expected = f"a name of at most {MOST_LABEL} printable characters"
+                raise InputError(header.source, row_place(row, name), repr(cell[:40]), expected)
+        return read

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from torchlc import brdf
 from torchlc.errors import InputError
 from torchlc.materials import preset as preset_values
+from torchlc.naming import ENTRY
 from torchlc.scene.numbers import Free, value_of, within
 from torchlc.scene.parts import AXES_OF_A_MESH, Material, Mesh
 from torchlc.scene.problems import shown
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from torchlc.scene.scene import Scene
 
 MAX_FILE_BYTES = 100_000_000
-PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[[^\[\]]+\])?")
+PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[(?P<target>[^\[\]]+)\])?")
 
 
 def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None) -> Scene:
@@ -43,6 +44,11 @@ def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None)
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
     check.axes_of_meshes(completed)
     return scene.model_copy(update={"materials": completed})
+
+
+def key_text(key: str) -> str:
+    """A key of the file as an error names it: as it is if that is plain and short."""
+    return key if key.isprintable() and len(key) <= 60 else shown(key)
 
 
 class _Checks:
@@ -156,7 +162,9 @@ class _Checks:
         for key in given:
             if key not in names:
                 expected = f"one of {', '.join(names)} ({reflection.model})"
-                raise self.error(f"{place}.{key}", "unknown key", expected, did_you_mean(key, names))
+                raise self.error(
+                    f"{place}.{key_text(key)}", "unknown key", expected, did_you_mean(key, names)
+                )
         for short, long in reflection.shared.items():
             twice = [key for key in long if short in given and key in given]
             if twice:
@@ -209,19 +217,34 @@ class _Checks:
     def effects(self, known: Collection[str] | None) -> None:
         listed = self.scene.model.effects or []
         self.unique("model.effects", "name", listed)
-        if known is not None:
-            for index, name in enumerate(listed):
-                if name not in known:
-                    raise self._unknown_effect(f"model.effects[{index}]", name, known)
+        targets = [*self.scene.materials, *(component.name for component in self.scene.components)]
+        for index, entry in enumerate(listed):
+            match, place = ENTRY.fullmatch(entry), f"model.effects[{index}]"
+            name = entry if match is None else match["name"]
+            if known is not None and name not in known:
+                raise self._unknown_effect(place, name, known)
+            if match is None or (known is not None and match["per"]):
+                hint = 'A value for each curve is per = "curve" of a number in [model.parameters].'
+                raise self.error(place, shown(entry), "effect or effect[material or component]", hint)
+            if match["target"] is not None and match["target"] not in targets:
+                raise self._unknown_target(place, match["target"], targets)
         for key in self.scene.model.parameters:
             match = PARAMETER_KEY.fullmatch(key)
-            place = f'model.parameters."{key}"'
+            place = f'model.parameters."{key_text(key)}"'
             if key != "zero_point" and match is None:
                 expected = 'zero_point, band_sun_magnitude, or "effect.parameter"'
                 hint = did_you_mean(key, ["zero_point", "band_sun_magnitude"])
                 raise self.error(place, "unknown key", expected, hint)
             if match and known is not None and match["effect"] not in known:
                 raise self._unknown_effect(place, match["effect"], known)
+            if match and match["target"] is not None and match["target"] not in targets:
+                raise self._unknown_target(place, match["target"], targets)
+
+    def _unknown_target(self, place: str, target: str, targets: Sequence[str]) -> InputError:
+        expected = f"one of {', '.join(targets[:12])}"
+        return self.error(
+            place, f"no material or component {shown(target)}", expected, did_you_mean(target, targets)
+        )
 
     def _unknown_effect(self, place: str, name: str, known: Collection[str]) -> InputError:
         names = sorted(known)

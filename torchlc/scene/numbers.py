@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
+MOST_NAME, MOST_TITLE = 100, 300
+"""Characters of a name, which stands in tables and figures, and of a scene's title."""
+CONTROLS = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode's categories of control characters, surrogates and separators of lines."""
 FIXED, FREE = "#fixed", "#free"
 WHOLE, SIDES = "#whole", "#sides"
 """Tags of the two forms of a number, and of a mesh's directions; they never reach a person."""
@@ -151,10 +156,23 @@ def _direction(vector: tuple[float, float, float]) -> tuple[float, float, float]
 
 
 def _name(text: str) -> str:
-    if not text or text != text.strip() or len(text) > 100 or not text.isprintable() or set(text) & set("[]"):
+    if (
+        not text
+        or text != text.strip()
+        or len(text) > MOST_NAME
+        or not text.isprintable()
+        or set(text) & set("[]")
+    ):
         raise problem(
-            repr(text[:40]), "a name of 1 to 100 printable characters without brackets or outer blanks"
+            repr(text[:40]),
+            f"a name of 1 to {MOST_NAME} printable characters without brackets or outer blanks",
         )
+    return text
+
+
+def _title(text: str) -> str:
+    if len(text) > MOST_TITLE or any(unicodedata.category(sign) in CONTROLS for sign in text):
+        raise problem(repr(text[:40]), f"at most {MOST_TITLE} characters, in one line, none for control")
     return text
 
 
@@ -165,3 +183,4 @@ Size = Annotated[Constant, between(0.0, above=True)]
 Vector = tuple[Real, Real, Real]
 Direction = Annotated[tuple[Real, Real, Real], AfterValidator(_direction)]
 Name = Annotated[str, AfterValidator(_name)]
+Title = Annotated[str, AfterValidator(_title)]

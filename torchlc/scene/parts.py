@@ -113,14 +113,16 @@ class Attitude(Table):
     epoch: Epoch | None = None
     file: str | None = None
 
-    def number_keys(self) -> list[str]:
-        """The keys of this mode that hold one number each."""
+    def numbers(self) -> dict[str, float | Free]:
+        """The numbers of this mode by the end of their full name, e.g. "spin_rate"."""
         needed, allowed = self.MODE_KEYS[self.mode]
-        return [
-            key
-            for key in ("spin_rate", "spin_phase", "x_angle", "period", "phase")
-            if key in needed + allowed
-        ]
+        keys = ("spin_rate", "spin_phase", "x_angle", "period", "phase")
+        numbers: dict[str, float | Free] = {
+            key: getattr(self, key) for key in keys if key in needed + allowed
+        }
+        if self.pole is not None:
+            numbers["pole_lon"], numbers["pole_lat"] = self.pole
+        return numbers
 
     @model_validator(mode="after")
     def _keys_suit_the_mode(self) -> Attitude:

@@ -65,7 +65,11 @@ def place_of(location: Sequence[str | int], key: str = "") -> str | None:
         parts = parts[:2] + parts[3:]
     if parts[:2] == ["model", "band_sun_magnitude"]:
         parts.insert(1, "parameters")
-    names = [f"[{part}]" if isinstance(part, int) else part for part in (*parts, key) if part != ""]
+    names = [
+        f"[{part}]" if isinstance(part, int) else part if len(part) <= 110 else f"{part[:60]}..."
+        for part in (*parts, key)
+        if part != ""
+    ]
     joined = "".join(name if name.startswith("[") else f".{name}" for name in names)
     return "".join(c if c.isprintable() else "?" for c in joined.removeprefix(".")) or None
 

@@ -12,8 +12,9 @@ from pydantic import Field, PrivateAttr, ValidationError
 
 from torchlc.errors import InputError
 from torchlc.files import readable_file
+from torchlc.naming import Origin, full_names
 from torchlc.scene.checks import checked
-from torchlc.scene.numbers import Free, Name, Table
+from torchlc.scene.numbers import Free, Name, Table, Title
 from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
 from torchlc.scene.problems import of_toml, of_validation
 from torchlc.scene.writer import toml_key, toml_table, toml_value
@@ -25,7 +26,7 @@ class Scene(Table):
     """The checked content of one scene file; see docs/formats for the meaning of every key."""
 
     format: Literal["torchlc-scene/1"]
-    name: str
+    name: Title
     orbit: Orbit
     stations: list[Station] = Field(default_factory=list)
     attitude: Attitude
@@ -122,17 +123,23 @@ class Scene(Table):
 
     def numbers(self) -> dict[str, float | Free]:
         """Numbers of materials, attitude and components by full name, e.g. "panel.n", "body.size_x"."""
-        numbers: dict[str, float | Free] = {}
+        values = self._values()
+        return {name: values[origin] for name, origin in full_names(values).items()}
+
+    def origins(self) -> dict[str, Origin]:
+        """Whose each of :meth:`numbers` is."""
+        return full_names(self._values())
+
+    def _values(self) -> dict[Origin, float | Free]:
+        values: dict[Origin, float | Free] = {}
         for name, material in self.materials.items():
-            numbers |= {f"{name}.{parameter}": number for parameter, number in material.parameters.items()}
-        attitude = self.attitude
-        for key in attitude.number_keys():
-            numbers[f"attitude.{key}"] = getattr(attitude, key)
-        if attitude.pole is not None:
-            numbers["attitude.pole_lon"], numbers["attitude.pole_lat"] = attitude.pole
+            values |= {Origin("materials", name, key): number for key, number in material.parameters.items()}
+        attitude = self.attitude.numbers()
+        values |= {Origin("attitude", "attitude", key): number for key, number in attitude.items()}
         for component in self.components:
-            numbers |= {f"{component.name}.{size}": number for size, number in component.numbers().items()}
-        return numbers
+            sizes = component.numbers()
+            values |= {Origin("components", component.name, key): number for key, number in sizes.items()}
+        return values
 
     def files(self) -> dict[str, str]:
         """Names of the files that the scene needs, by their place in it."""

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import InputError, MissingExtraError
+from torchlc.shape.mesh_files import MOST_FACES, Faces, read_faces
 from torchlc.shape.part import Facets, Part, frame_about, number, unit
+from torchlc.shape.triangulation import FLAT, triangles
 
 FORMATS = {".obj", ".stl", ".ply"}
-MOST_FACES = 200_000
 MOST_BYTES = 100_000_000
 PERPENDICULAR = 1e-3
 """Sine of the angle between a facet's normal and a direction below which the direction gives the facet no axis. Files
@@ -114,23 +115,16 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
         raise InputError(
             path, place, f"{path.stat().st_size / 1e6:.0f} MB", f"at most {MOST_BYTES / 1e6:.0f} MB"
         )
-    try:
-        mesh = trimesh.load_mesh(path, skip_materials=True)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
-    except Exception as error:  # the readers of trimesh raise whatever the broken text makes them raise
-        raise InputError(
-            path, place, f"not readable as a mesh ({error})", "an OBJ, STL or PLY of triangles"
-        ) from error
-    if not len(faces):
-        raise InputError(path, place, "a mesh without faces", "at least one triangle")
-    if not np.isfinite(vertices).all():
-        raise InputError(path, place, "corners that are not finite numbers", "finite coordinates")
+    whole, warnings = _cut(read_faces(path, place), path.name)
+    mesh = trimesh.Trimesh(whole.corners, whole.faces, process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     if len(faces) > MOST_FACES:
-        raise InputError(path, place, f"{len(faces)} faces", f"at most {MOST_FACES}", "Decimate the mesh.")
-    warnings = []
-    triangles = vertices[faces]
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        raise InputError(
+            path, place, f"{len(faces)} triangles", f"at most {MOST_FACES}", "Decimate the mesh."
+        )
+    shown = vertices[faces]
+    cross = np.cross(shown[:, 1] - shown[:, 0], shown[:, 2] - shown[:, 0])
     sound = np.linalg.norm(cross, axis=1) > 1e-14 * np.ptp(vertices, axis=0).max() ** 2
     if not sound.any():
         raise InputError(path, place, "a mesh without area", "triangles that are not lines or points")
@@ -150,6 +144,39 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
                 f"{path.name}: {flipped} of {len(before)} faces were inside out and have been turned round"
             )
     return np.asarray(mesh.vertices, dtype=float)[np.asarray(mesh.faces)[sound]], warnings
+
+
+def _cut(mesh: Faces, name: str) -> tuple[Faces, list[str]]:
+    """The mesh with its polygons cut into triangles, and what is to be said of them; polygons without area are left
+    as a triangle of none, which is counted later."""
+    cut: list[list[int]] = []
+    bent = again = 0
+    seen: set[tuple[int, ...]] = set()
+    _, same = np.unique(mesh.corners, axis=0, return_inverse=True)
+    same = same.reshape(-1).tolist()
+    for face in mesh.faces:
+        # the same corners in the same sense, wherever the face begins; the other sense is the back of a sheet
+        loop = [same[corner] for corner in face]
+        least = loop.index(min(loop))
+        key = (*loop[least:], *loop[:least])
+        if key in seen:
+            again += 1
+            continue
+        seen.add(key)
+        if len(face) == 3:
+            cut.append(face)
+            continue
+        found, bend = triangles(mesh.corners[face])
+        bent += bend > FLAT
+        cut += [[face[i] for i in three] for three in found] or [[face[0], face[0], face[0]]]
+    warnings = []
+    if again:
+        warnings.append(f"{name}: {again} faces are there twice and count once")
+    if bent:
+        warnings.append(
+            f"{name}: {bent} faces of four corners or more are not flat; they are bent along the cuts into triangles"
+        )
+    return Faces(mesh.corners, cut), warnings
 
 
 def _kept(before: np.ndarray, after: np.ndarray) -> int:

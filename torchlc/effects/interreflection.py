@@ -91,10 +91,10 @@ class Interreflection(Effect):
                 twice = twice + diffuse_1 * (diffuse_lobe * lobe_2 + diffuse * diffuse_2)
                 twice = p["gain"] * twice.sum(-2)
                 total[component] = total[component] + twice if component in total else twice
-            for component, surfaces, of_patch, exchange in inside:
+            for component, surfaces, of_patch, (share, source, sink, area) in inside:
                 albedos = [reflect(surface)[1].mean(-1) for surface in surfaces]
                 albedo = torch.stack(torch.broadcast_tensors(*albedos), -2)[..., of_patch, :]
-                often = p["gain"] * returned(*exchange, albedo)
+                often = p["gain"] * returned(share, source, sink, area, albedo)
                 total[component] = total[component] + often if component in total else often
             return total
 

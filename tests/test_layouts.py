@@ -149,8 +149,11 @@ class TestAlcdef:
         assert recording.curve_ids == ("1",)
 
     def test_light_time(self, read):
-        both = ALCDEF.replace("REDUCEDMAGS", "LTCTYPE=POINT\nREDUCEDMAGS")
-        assert read(both).light_time_corrected
+        """LTCAPP tells whether it was applied, LTCTYPE only where LTCAPP is silent."""
+        silent = ALCDEF.replace("LTCAPP=NONE\n", "").replace("REDUCEDMAGS", "LTCTYPE=POINT\nREDUCEDMAGS")
+        assert read(silent).light_time_corrected
+        denied = read(ALCDEF.replace("LTCAPP=NONE", "LTCAPP=NONE\nLTCTYPE=POINT\nLTCDAYS=-0.01"))
+        assert not denied.light_time_corrected and "whatever LTCTYPE says" in denied.warnings[0]
         with pytest.raises(InputError, match="with and without light-time correction"):
             read(ALCDEF.replace("LTCAPP=NONE", "LTCAPP=AVERAGE"))
 

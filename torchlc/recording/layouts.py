@@ -186,7 +186,7 @@ def alcdef(path: Path, comments: Sequence[str], first: str) -> Header | None:
                 date = repr(checked_decimal(date, path, place) + later)
             mag = checked_decimal(cells[1], path, place)
             error = checked_decimal(cells[2], path, place) if len(cells) > 2 and cells[2].strip() else None
-            beyond = abs(mag) > BEYOND_MAG or (error is not None and abs(error) > BEYOND_MAG)
+            beyond = not abs(mag) <= BEYOND_MAG or (error is not None and abs(error) > BEYOND_MAG)
             if block.line not in curves:
                 curves[block.line] = f"{len(curves) + 1} {block.said.get('SESSIONDATE', '')}".strip()
             band = block.said.get("MAGBAND") or block.said.get("FILTER") or "unknown"

@@ -68,6 +68,8 @@ def instant(value: str | float, scale: str) -> Time:
     if isinstance(value, str):
         jd1, jd2 = julian_dates_of_iso([value], scale)
     else:
+        if not np.isfinite(value):
+            raise UnreadableTime(0, str(value), "a finite Julian date")
         jd1, jd2 = julian_dates_of_numbers(np.array([float(value)]), scale)
     return cast(Time, Time(jd1[0], jd2[0], format="jd", scale=scale))
 

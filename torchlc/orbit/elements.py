@@ -107,7 +107,8 @@ class ElementSet:
         epoch: Any = Time(self._satellite.jdsatepoch, self._satellite.jdsatepochF, format="jd", scale="utc")
         reason = REASONS[int(codes[bad[0]])]
         if codes[bad[0]] == DECAYED:
-            reason = f"the orbit of these elements has decayed ({reason})"
+            state = "has decayed" if days >= 0 else "is below the ground"
+            reason = f"the orbit of these elements {state} ({reason})"
         raise InputError(
             self.source,
             "orbit.tle",

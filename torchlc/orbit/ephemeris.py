@@ -28,7 +28,7 @@ NODES = 4
 is some ten metres off, at 2 min less than SGP4 and its own velocities differ."""
 LONGEST_TURN = np.pi / 2
 """Between states, rad. A circle of radius r through states h rad apart is left by r h^8 / 128000 (degree 7, middle of
-four states): 0.02 degrees seen from the Earth's centre at a quarter of a revolution, 0.4 at a third.
+four states): 0.02 degrees seen from the Earth's centre at a quarter of a revolution, 0.2 at a third.
 """
 LOWEST_KM = 6350.0
 """From the Earth's centre; the poles are at 6357 km."""

@@ -46,12 +46,16 @@ def plain_columns(table: Any) -> dict[str, Any]:
     return columns
 
 
-def described(source: Path, time: Time | None, columns: dict[str, Any], meta: dict[str, Any]) -> dict[str, Any]:
+def described(
+    source: Path, time: Time | None, columns: dict[str, Any], meta: dict[str, Any]
+) -> dict[str, Any]:
     """Fields of a Header: ``time`` (T,), where there is one, as ISO text of a scale of ``KEPT``, and
     ``columns``.
     """
     names = list(columns)
-    cells: list[Callable[[], list[str]]] = [lambda column=column: _cells(column) for column in columns.values()]
+    cells: list[Callable[[], list[str]]] = [
+        lambda column=column: _cells(column) for column in columns.values()
+    ]
     if time is not None:
         scale = KEPT.get(time.scale, "utc")
         texts = _iso(source, time, scale)
@@ -67,7 +71,9 @@ def described(source: Path, time: Time | None, columns: dict[str, Any], meta: di
         "delimiter": ",",
         "ecsv": False,
         "units": {name: str(one.unit) for name, one in columns.items() if getattr(one, "unit", None)},
-        "descriptions": {name: str(getattr(one.info, "description", "") or "") for name, one in columns.items()},
+        "descriptions": {
+            name: str(getattr(one.info, "description", "") or "") for name, one in columns.items()
+        },
         "meta": meta,
         "rows": rows,
     }
@@ -81,10 +87,10 @@ def described_table(path: Path, table: Table) -> dict[str, Any]:
         if not isinstance(time, Time):
             kind = "durations" if isinstance(time, TimeBase) else type(time).__name__
             raise InputError(path, "column time", kind, "instants: ISO text, Julian dates or astropy's Time")
-    said = {key: value for key, value in table.meta.items() if key != "__serialized_columns__"}
+    said = {key: value for key, value in (table.meta or {}).items() if key != "__serialized_columns__"}
     fields = described(path, time, columns, said)
     if time is not None:
-        fields["descriptions"]["time"] = str(time.info.description or "")
+        fields["descriptions"]["time"] = str(getattr(time.info, "description", "") or "")
     return fields
 
 

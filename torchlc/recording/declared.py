@@ -28,13 +28,21 @@ ZEROS = {"jd": 0.0, "mjd": MJD_ZERO, "jd-2400000": REDUCED_ZERO}
 """Julian date from which the numbers of a time format count days."""
 SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
 """Time scales that can be used, as people name them."""
-ON_A_CLOCK = re.compile(r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])")
-AT_THE_SUN = re.compile(r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*)(?![A-Za-z])", re.IGNORECASE)
+ON_A_CLOCK = re.compile(
+    r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])"
+)
+AT_THE_SUN = re.compile(
+    r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*)(?![A-Za-z])", re.IGNORECASE
+)
 _EXPOSED = r"(expos\w*|integration|frame|shutter|observation)"
 _OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
 MARKS = {
-    "start": re.compile(rf"\b{_OPENS}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_OPENS}\b|^{_OPENS}$", re.I),
-    "end": re.compile(rf"\b{_CLOSES}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_CLOSES}\b|^{_CLOSES}$", re.I),
+    "start": re.compile(
+        rf"\b{_OPENS}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_OPENS}\b|^{_OPENS}$", re.I
+    ),
+    "end": re.compile(
+        rf"\b{_CLOSES}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_CLOSES}\b|^{_CLOSES}$", re.I
+    ),
 }
 """How people say that a time stamp is not the middle of its exposure."""
 MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
@@ -43,7 +51,13 @@ ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
 OF_ANOTHER_CLOCK = re.compile(r"\blocal\b", re.IGNORECASE)
 PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
 """Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
-FALSE_FRIENDS = ("exptime", *(f"{p}_{axis}" for p in VECTORS.values() for axis in "xyz"), *UNITS, "flux", "flux_err")
+FALSE_FRIENDS = (
+    "exptime",
+    *(f"{p}_{axis}" for p in VECTORS.values() for axis in "xyz"),
+    *UNITS,
+    "flux",
+    "flux_err",
+)
 """Columns of ours, never offered for another one that is missing."""
 TIMES_OF_OTHERS = re.compile(r"jd(_?utc)?|date[-_ ]?obs|utc|date[-_ ]?time|date_utc|dateobs", re.IGNORECASE)
 
@@ -113,9 +127,11 @@ def timing(header: Header) -> Timing:
             elif pattern.search(text):
                 mark = name
                 notes.append(f"{place} says {text[:60]!r}: half of exptime is {_moved(name)} every time")
-    for text in _remarks(header):
-        if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK)):
-            notes.append(f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}")
+    notes += [
+        f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}"
+        for text in _remarks(header)
+        if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK))
+    ]
     if mark != "mid" and "exptime" not in header.names:
         raise InputError(
             header.source,
@@ -139,7 +155,9 @@ def _statements(header: Header) -> list[tuple[str, str]]:
             continue
         if key.lower() in ("tz", "timezone", "time_zone"):
             if not re.fullmatch(r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?", value.strip(), re.IGNORECASE):
-                raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", "Convert it first.")
+                raise InputError(
+                    header.source, f"metadata {key}", repr(value[:40]), "UTC", "Convert it first."
+                )
         elif ABOUT_TIME.search(key):
             found.append((f"metadata {key}", value))
     return [(place, text) for place, text in found if text.strip()]
@@ -149,7 +167,9 @@ def _remarks(header: Header) -> list[str]:
     """Comment lines, of a CSV or kept by astropy, that speak of time."""
     kept = header.meta.get("comments", [])
     lines = [*header.comments, *(kept if isinstance(kept, list) else [kept])]
-    return [str(line) for line in lines if re.search(r"time|date|jd|utc|expos|stamp", str(line), re.IGNORECASE)]
+    return [
+        str(line) for line in lines if re.search(r"time|date|jd|utc|expos|stamp", str(line), re.IGNORECASE)
+    ]
 
 
 def _stated_scale(header: Header, place: str, text: str, given: str | None) -> str | None:
@@ -172,11 +192,15 @@ def _stated_scale(header: Header, place: str, text: str, given: str | None) -> s
 
 
 def _time_format(header: Header) -> str:
-    text = str(header.meta.get("time_format", "")).strip().lower().replace(" ", "").replace("2400000.0", "2400000")
+    text = (
+        str(header.meta.get("time_format", ""))
+        .strip()
+        .lower()
+        .replace(" ", "")
+        .replace("2400000.0", "2400000")
+    )
     if text not in TIME_FORMATS:
-        raise InputError(
-            header.source, "metadata time_format", repr(text[:40]), "jd, mjd, jd-2400000 or iso"
-        )
+        raise InputError(header.source, "metadata time_format", repr(text[:40]), "jd, mjd, jd-2400000 or iso")
     unit = header.units.get("time", "d").lower()
     if unit not in ("d", "day", "days", "jd", "mjd", "utc"):
         raise InputError(header.source, "column time", f"unit {unit[:40]}", "d, for Julian dates")

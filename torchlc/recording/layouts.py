@@ -93,7 +93,9 @@ class _Block:
     @property
     def _told(self) -> bool:
         """One amount for all rows; 0, the default of the format, is none: r and Delta of 1 au do not last."""
-        return self.word("REDUCEDMAGS") in ("AVERAGE", "TRUE") and bool(re.search("[1-9]", self.word("UCORMAG")))
+        return self.word("REDUCEDMAGS") in ("AVERAGE", "TRUE") and bool(
+            re.search("[1-9]", self.word("UCORMAG"))
+        )
 
     @property
     def light_time_corrected(self) -> bool:
@@ -139,11 +141,15 @@ class _Block:
             )
         elif not relative and self.correction(path):
             names = " and ".join(
-                key for key in ("MAGADJUST", "UCORMAG") if key in self.said and (key != "UCORMAG" or self.reduced)
+                key
+                for key in ("MAGADJUST", "UCORMAG")
+                if key in self.said and (key != "UCORMAG" or self.reduced)
             )
             told.append(f"{place}: {self.correction(path):+g} mag are added ({names})")
         if self.half_exposure_days(path):
-            told.append(f"{place}: dates of the {self.word('EXPJD').lower()} of exposures are moved to their middle")
+            told.append(
+                f"{place}: dates of the {self.word('EXPJD').lower()} of exposures are moved to their middle"
+            )
         if self.word("LTCAPP") in ("NONE", "FALSE") and self.word("LTCTYPE") not in NOT_APPLIED:
             told.append(f"{place}: LTCAPP says that light time is not corrected, whatever LTCTYPE says")
         return told
@@ -161,11 +167,15 @@ def alcdef(path: Path, comments: Sequence[str], first: str) -> Header | None:
         return None
     blocks = [block for block, _, cells in _alcdef_lines(path) if not cells]
     if not blocks:
-        raise InputError(path, None, "no session with data", "STARTMETADATA, ENDMETADATA, DATA=... and ENDDATA")
+        raise InputError(
+            path, None, "no session with data", "STARTMETADATA, ENDMETADATA, DATA=... and ENDDATA"
+        )
     for key in ("OBJECTNAME", "OBJECTNUMBER"):
         names = sorted({block.said[key] for block in blocks if key in block.said and block.said[key] != "0"})
         if len(names) > 1:
-            raise InputError(path, None, f"{len(names)} objects ({', '.join(names)[:100]})", "one object a file")
+            raise InputError(
+                path, None, f"{len(names)} objects ({', '.join(names)[:100]})", "one object a file"
+            )
     corrected = {block.light_time_corrected for block in blocks}
     if len(corrected) > 1:
         raise InputError(
@@ -221,7 +231,9 @@ def _alcdef_lines(path: Path) -> Iterator[tuple[_Block, int, list[str]]]:
         word = text.upper()
         if word in BEGINS:
             if inside:
-                raise InputError(path, f"line {number}", f"{word} inside the data of a session", "ENDDATA before it")
+                raise InputError(
+                    path, f"line {number}", f"{word} inside the data of a session", "ENDDATA before it"
+                )
             block, inside = _Block(number), False
         elif not text or word == "ENDBLOCK":
             continue
@@ -237,7 +249,9 @@ def _alcdef_lines(path: Path) -> Iterator[tuple[_Block, int, list[str]]]:
             if not equals:
                 raise InputError(path, f"line {number}", repr(text[:40]), "KEYWORD=value")
             if key.upper() == "DATA":
-                raise InputError(path, f"line {number}", "DATA outside a session's data", "ENDMETADATA before it")
+                raise InputError(
+                    path, f"line {number}", "DATA outside a session's data", "ENDMETADATA before it"
+                )
             if value:
                 block.said[key.upper()], block.lines[key.upper()] = value, number
         else:
@@ -305,7 +319,9 @@ def damit(path: Path, comments: Sequence[str], first: str) -> Header | None:
         if number:
             found = f"{line.strip()[:40]!r} after the last point that the file announces"
             expected = "as many curves and points as it says"
-            raise InputError(path, f"line {number}", found, expected, "Correct the counts, or take the lines out.")
+            raise InputError(
+                path, f"line {number}", found, expected, "Correct the counts, or take the lines out."
+            )
 
     said = dict(line.split(": ", 1) for line in comments if ": " in line)
     meta: Mapping[str, object] = {

@@ -154,7 +154,7 @@ def _too_long(path: Path) -> InputError:
 
 
 def encoding_of(path: Path) -> str:
-    """"utf-8-sig", or "cp1252" (which holds Latin-1) for a text that is no UTF-8; InputError for no text."""
+    """ "utf-8-sig", or "cp1252" (which holds Latin-1) for a text that is no UTF-8; InputError for no text."""
     decoder = codecs.getincrementaldecoder("utf-8")()
     try:
         with path.open("rb") as stream:
@@ -279,9 +279,7 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
         except ValueError:
             if cell.strip().lower() not in BLANK:
                 place = row_place(start + index, name)
-                raise InputError(
-                    header.source, place, repr(cell[:40]), "a number", advice(cell)
-                ) from None
+                raise InputError(header.source, place, repr(cell[:40]), "a number", advice(cell)) from None
             numbers[index] = np.nan
     return numbers
 

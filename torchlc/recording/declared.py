@@ -48,7 +48,12 @@ MARKS = {
 MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
 ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
 """Keys of metadata that may say what the time stamps are."""
-OF_ANOTHER_CLOCK = re.compile(r"\blocal\b", re.IGNORECASE)
+OF_ANOTHER_CLOCK = re.compile(
+    r"\b(?i:local)\b"
+    r"|\b(CES?T|WES?T|EES?T|[ECMP][SD]T|BST|MSK|JST|KST|AE[SD]T)\b"
+    r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
+)
+"""Local time, by a word, the name of a zone or an offset from UTC."""
 PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
 """Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
 FALSE_FRIENDS = (
@@ -59,7 +64,19 @@ FALSE_FRIENDS = (
     "flux_err",
 )
 """Columns of ours, never offered for another one that is missing."""
-TIMES_OF_OTHERS = re.compile(r"jd(_?utc)?|date[-_ ]?obs|utc|date[-_ ]?time|date_utc|dateobs", re.IGNORECASE)
+TIMES_OF_OTHERS = (
+    (
+        r"jd([-_ ]?utc)?|date[-_ ]?obs|utc|date[-_ ]?time|date[-_ ]?utc",
+        "Rename {} to time if it is UTC at mid-exposure",
+    ),
+    (r"mjd([-_ ]?utc)?", "Rename {} to time and say time_format: mjd {}"),
+    (r"r?jd ?-? ?24000?00(\.0*)?", "Rename {} to time and say time_format: jd-2400000 {}"),
+    (
+        r"[hb]m?jd.*",
+        "{} holds times at the Sun, up to 8.3 minutes off: a column time needs UTC at the telescope",
+    ),
+)
+"""Names of columns of time elsewhere, and what to do about them; the first that is there is taken."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +95,27 @@ class Timing:
 def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
     hint = did_you_mean(name, [other for other in header.names if other not in FALSE_FRIENDS])
-    other = next((other for other in header.names if TIMES_OF_OTHERS.fullmatch(other)), None)
     if len(header.names) == 1:
         hint = "The header holds one name only: is the delimiter a comma?"
-    elif name == "time" and other is not None:
-        hint = f"Rename {other} to time if it is UTC at mid-exposure"
+    elif name == "time" and _time_of_others(header):
+        hint = _time_of_others(header)
     elif name == "time" and hint is None:
         hint = "Columns are named time, mag and mag_err, or time, flux and flux_err: rename yours"
     found = f"no column {name} among {', '.join(header.names)}"[:200]
     return InputError(header.source, "header", found, expected, hint)
+
+
+def metadata_hint(header: Header) -> str:
+    """Where a file of this kind says its metadata."""
+    return "in the metadata" if header.ecsv else "in a line above the header that begins with #"
+
+
+def _time_of_others(header: Header) -> str | None:
+    for pattern, hint in TIMES_OF_OTHERS:
+        for name in header.names:
+            if re.fullmatch(pattern, name, re.IGNORECASE):
+                return hint.format(name, metadata_hint(header))
+    return None
 
 
 def brightness(header: Header, use: str | None) -> str:

@@ -141,9 +141,7 @@ class _Reader:
             return advice(found)
         if self.time_format != "jd" or not REDUCED[0] < number < REDUCED[1]:
             return None
-        line = "the metadata" if self.header.ecsv else "a line above the header,"
-        mark = "" if self.header.ecsv else "# "
-        return f"Or say {line} {mark}time_format: mjd, or {mark}time_format: jd-2400000"
+        return f"Or say time_format: mjd, or time_format: jd-2400000, {declared.metadata_hint(self.header)}"
 
     def recording(self, min_rows: int) -> Recording:
         self._move_to_middle()

@@ -29,6 +29,7 @@ TRUE, FALSE = frozenset({"true", "t", "yes", "1", "1.0"}), frozenset({"false", "
 BEYOND_MAG = 90.0
 """Magnitudes and their errors beyond it, such as 99.0 and -99.9, mark missing values: the Sun has -26.7."""
 FORMAT = "CSV with a header line, or ECSV"
+AS_A_LIMIT = "Write a limit as a number, and true in a column upper_limit."
 METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
 """What comment lines ``# key: value`` above the header of a CSV may say, as the metadata of an ECSV."""
 NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
@@ -278,8 +279,9 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             numbers[index] = decimal(cell)
         except ValueError:
             if cell.strip().lower() not in BLANK:
+                hint = AS_A_LIMIT if re.match(r"\s*[<>]", cell) else advice(cell)
                 place = row_place(start + index, name)
-                raise InputError(header.source, place, repr(cell[:40]), "a number", advice(cell)) from None
+                raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan
     return numbers
 

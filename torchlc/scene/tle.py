@@ -50,6 +50,8 @@ FIELDS = (
 
 MAX_ELEMENT_BYTES = 50_000_000
 JD_OF_2000 = 2451544.5
+LIKE_ELEMENTS = re.compile(r"(?<![\w.])[12]\s{1,2}(?:x{5}|[ \dA-Za-z][ \d]{4})[A-Za-z]?\s")
+"""A line number and a catalogue number, the placeholder of papers included."""
 LONGEST_NAME = 30
 """Characters of a line that may be a name: NORAD's have 24."""
 
@@ -80,32 +82,29 @@ def read_elements(path: str | Path) -> list[Elements]:
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
     texts = re.split(r"\r\n|\r|\n", content.decode("utf-8-sig", errors="replace"))
-    lines = [(number, text.rstrip()) for number, text in enumerate(texts, 1)]
+    lines = [(number, text.lstrip("\ufeff \t").rstrip()) for number, text in enumerate(texts, 1)]
     lines = [(number, text) for number, text in lines if text and not text.startswith("#")]
-    found, k = [], 0
+    found, lacking, k = [], None, 0
     while k < len(lines):
         number, line = lines[k]
+        following = lines[k + 1] if k + 1 < len(lines) else (number, "")
         if not _is_elements(line):
             k += 1
-            continue
-        following = lines[k + 1] if k + 1 < len(lines) else (number, "")
-        if line[0] == "2" or not (following[1].startswith("2 ") and _is_elements(following[1])):
-            lacks = "1, above it" if line[0] == "2" else "2, below it"
-            raise InputError(
-                path, f"line {number}", f"{line!r}, without its line {lacks}", "both lines of each set"
-            )
-        above = lines[k - 1][1] if k else ""
-        title = None if not above or _is_elements(above) else above.removeprefix("0 ").strip() or None
-        try:
-            checked = checked_lines((_cut(line), _cut(following[1])))
-        except PydanticCustomError as error:
-            said: Any = error.context
-            place = f"line {following[0] if said['key'] == '[1]' else number}"
-            raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
-        found.append(Elements(title, checked))
-        k += 2
+        elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
+            lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
+            told = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
+            lacking = lacking or (f"line {number}", f"{line[:90]!r}{told}")
+            k += 1
+        else:
+            above = lines[k - 1][1] if k else ""
+            name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
+            found.append(Elements(name, _checked(path, (number, line), following)))
+            k += 2
     if not found:
-        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '")
+        hint = f"{lacking[0]}: {lacking[1]}" if lacking else None
+        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", hint)
+    if lacking:
+        raise InputError(path, *lacking, "both lines of each set, one below the other")
     numbers = sorted({one.lines[0][2:7] for one in found})
     if len(numbers) > 1:
         listed = ", ".join(numbers[:8])
@@ -115,9 +114,19 @@ def read_elements(path: str | Path) -> list[Elements]:
     return found
 
 
+def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tuple[str, str]:
+    """The two lines, given with their numbers in the file, as :func:`checked_lines` has them."""
+    try:
+        return checked_lines((_cut(first[1]), _cut(second[1])))
+    except PydanticCustomError as error:
+        said: Any = error.context
+        place = f"line {second[0] if said['key'] == '[1]' else first[0]}"
+        raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
+
+
 def _is_elements(line: str) -> bool:
-    """Is it a line of elements, whole or not? A name that begins with 1 or 2 is shorter and has no such number."""
-    return len(line) > LONGEST_NAME and re.match(r"[12] [ \dA-Za-z]{5}", line) is not None
+    """Does it hold a line of elements, whole or not, and in whatever wrapping? Names are shorter."""
+    return len(line) > LONGEST_NAME and LIKE_ELEMENTS.search(line) is not None
 
 
 def _cut(line: str) -> str:

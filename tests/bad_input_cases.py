@@ -292,6 +292,7 @@ SCENE_CASES = [
     ),
     _scene("checksum, line 1", "9993", "9994", "orbit.tle[0]: checksum '4'; expected 3"),
     _scene("checksum, line 2", "67.2351", "67.2352", "orbit.tle[1]: checksum '6'; expected 7"),
+    _scene("TLE, a comma", "  67.2351", "  67,2351", "orbit.tle[1]: column 21: ','"),
     _scene("short TLE line", " 15966", "15966", "orbit.tle[1]: 68 characters"),
     _scene("TLE lines swapped", '"1 00001U', '"2 00001U', "orbit.tle[0]"),
     _scene("two satellites", "2 00001 ", "2 00010 ", "catalogue numbers 00001 and 00010"),
@@ -382,6 +383,11 @@ RECORDING_CASES = [
     _rows("error of 0", "12.31,0.02", "12.31,0", "row 2, column mag_err: 0; expected > 0"),
     _rows("negative error", "12.31,0.02", "12.31,-0.02", "row 2, column mag_err: -0.02"),
     _rows("marker for missing", "12.31", "99.99", "beyond 90 mag", outcome="dropped"),
+    _rows("underscore in a number", "12.31", "1_2.31", "Leave out the underscores."),
+    _rows("digits of another script", "12.31", "\uff11\uff12.31", "row 2, column mag: '\uff11\uff12.31'"),
+    _rows("exponent with d", "12.31", "1.231d1", "Write the exponent with e"),
+    _rows("error of 1e-300", "12.31,0.02", "12.31,1e-300", "row 2, column mag_err: 1e-300; expected > 0"),
+    _rows("a limit as text", "12.31", ">12.31", "true in a column upper_limit"),
     _rows("unreadable time", SECOND, "17 October 2020", "row 2, column time: '17 October 2020'"),
     _rows("blank time", SECOND, "", "row 2, column time: ''"),
     _rows("date without time", SECOND, "2020-10-17", "a time of day beside the date"),
@@ -424,6 +430,11 @@ RECORDING_CASES = [
         "unknown time format", "time_scale: utc", "time_format: unix", "metadata time_format: 'unix'", ECSV
     ),
     _rows("ISO said to be JD", "time_scale: utc", "time_format: jd", "row 1, column time", ECSV),
+    _rows(
+        "HJD by description", "name: time,", "name: time, description: HJD,", "times at the observer", ECSV
+    ),
+    _rows("GPS by description", "name: time,", "name: time, description: GPS time,", "one time scale", ECSV),
+    _rows("start of exposure", "name: time,", "name: time, description: exposure start,", "exptime", ECSV),
     _rows("local by description", "name: time,", "name: time, description: local time,", "local time", ECSV),
     _rows("magnitudes in km", "{name: mag, unit: mag", "{name: mag, unit: km", "column mag: unit km", ECSV),
     _rows("unknown unit", "{name: mag, unit: mag", "{name: mag, unit: magn", "column mag: unit magn", ECSV),

@@ -111,6 +111,9 @@ def _rows(path: Path, scale: str) -> tuple[Time, np.ndarray]:
         return np.stack(dates, axis=-1)
 
     header = read_header(path)
+    stated = str(header.meta.get("time_scale", scale)).strip().lower()
+    if stated != scale:
+        raise InputError(path, "metadata time_scale", repr(stated[:40]), f"{scale}, as in the recording")
     for name in ("time", *COMPONENTS):
         if name not in header.names:
             raise InputError(path, "header", f"no column {name}", "time," + ",".join(COMPONENTS))

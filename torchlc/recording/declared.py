@@ -206,8 +206,8 @@ def _stated_scale(header: Header, place: str, text: str, given: str | None) -> s
     if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", "Convert it first.")
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
-    if "utc" in named or given is not None:
-        named -= {"gps", "gpst"}  # what keeps the clock, beside a scale that is told
+    if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
+        named -= {"gps"}  # what keeps the clock, beside a scale that is told
     known = {SCALES[name] for name in named if name in SCALES}
     if given is not None and (not named or given in known):
         return given

@@ -143,14 +143,70 @@ class TestAlcdef:
         relative = recording.error[1] / recording.observed[1]
         assert relative == pytest.approx(0.005 * math.log(10) / 2.5, rel=1e-12)
 
+    @pytest.mark.parametrize(
+        ("said", "added"),
+        [
+            ("REDUCEDMAGS=NONE\nUCORMAG=-1.8\n", 0.0),
+            ("UCORMAG=-1.8\n", 0.0),
+            ("REDUCEDMAGS=\nUCORMAG=\n", 0.0),
+            ("REDUCEDMAGS=AVERAGE\nUCORMAG=-1.8\n", 1.8),
+            ("reducedmags=average\nucormag=+0.4\n", -0.4),
+            ("MAGADJUST=0.5\n", 0.5),
+            ("MAGADJUST=\n", 0.0),
+            ("MAGADJUST=-0.25\nREDUCEDMAGS=AVERAGE\nUCORMAG=-1\n", 0.75),
+        ],
+    )
+    def test_what_is_added_to_a_magnitude(self, read, said: str, added: float):
+        """The standard: MAGADJUST is the value to add; UCORMAG was added if REDUCEDMAGS says so, else it only
+        tells what would be. A keyword without a value is absent.
+        """
+        recording = read(ALCDEF.replace("REDUCEDMAGS=NONE\n", said))
+        np.testing.assert_allclose(recording.observed, [7.328 + added, 7.331 + added, 7.328], atol=1e-12)
+        assert (f"{added:+g} mag are added" in " ".join(recording.warnings)) == (added != 0)
+
+    @pytest.mark.parametrize(
+        "said", ["AVERAGE\nUCORMAG=", "AVERAGE\nUCORMAG=0.00", "AVERAGE", "POINT\nUCORMAG=-1"]
+    )
+    def test_reduced_by_an_amount_that_is_not_told(self, read, said: str):
+        recording = read(ALCDEF.replace("REDUCEDMAGS=NONE", f"REDUCEDMAGS={said}"))
+        assert recording.kind == "flux"
+        assert -2.5 * math.log10(recording.observed[1] / recording.observed[0]) == pytest.approx(0.003)
+        assert "reduced to unit distances by amounts that it does not tell" in " ".join(recording.warnings)
+
+    @pytest.mark.parametrize(("mark", "moved_s"), [("START", 30.0), ("END", -30.0), ("MID", 0.0), ("", 0.0)])
+    def test_dates_of_the_start_or_end_of_exposures(self, read, mark: str, moved_s: float):
+        recording = read(ALCDEF.replace("FILTER=C", f"FILTER=C\nEXPOSURE=60\nEXPJD={mark}"))
+        assert (jd(recording)[0] - 2455817.735937) * 86400 == pytest.approx(moved_s, abs=1e-4)  # JD: 40 us
+
+    @pytest.mark.parametrize("name", ["COMMA", "SEMICOLON", "SPACE", "TAB", "PIPE"])
+    def test_delimiters(self, read, name: str):
+        mark = {"COMMA": ",", "SEMICOLON": ";", "SPACE": " ", "TAB": "\t", "PIPE": "|"}[name]
+        text = ALCDEF.replace("DELIMITER=PIPE", f"DELIMITER={name}").replace("|", mark)
+        np.testing.assert_allclose(read(text).observed, [7.328, 7.331, 7.328], atol=1e-12)
+
+    @pytest.mark.parametrize("differential", [False, True])
+    @pytest.mark.parametrize("marker", ["99.0", "-99.9", "nan"])
+    def test_a_marker_of_a_missing_value_loses_its_row_only(self, read, marker: str, differential: bool):
+        text = ALCDEF.replace("+7.328", marker)
+        recording = read(text.replace("DIFFERMAGS=FALSE", "DIFFERMAGS=TRUE") if differential else text)
+        assert len(recording) == 2 and sum(recording.dropped.values()) == 1
+
+    def test_latin_1(self, tmp_path: Path):
+        path = tmp_path / "a.txt"
+        path.write_bytes(ALCDEF.replace("FILTER=C", "FILTER=C\nCONTACTNAME=P. Mu\u00f1oz").encode("latin-1"))
+        np.testing.assert_allclose(load_recording(path).observed, [7.328, 7.331, 7.328], atol=1e-12)
+
     def test_simple(self, read):
         recording = read(SIMPLE)
         np.testing.assert_array_equal(recording.observed, [18.377, 18.489])
         assert recording.curve_ids == ("1",)
 
     def test_light_time(self, read):
-        both = ALCDEF.replace("REDUCEDMAGS", "LTCTYPE=POINT\nREDUCEDMAGS")
-        assert read(both).light_time_corrected
+        """LTCAPP tells whether it was applied, LTCTYPE only where LTCAPP is silent."""
+        silent = ALCDEF.replace("LTCAPP=NONE\n", "").replace("REDUCEDMAGS", "LTCTYPE=POINT\nREDUCEDMAGS")
+        assert read(silent).light_time_corrected
+        denied = read(ALCDEF.replace("LTCAPP=NONE", "LTCAPP=NONE\nLTCTYPE=POINT\nLTCDAYS=-0.01"))
+        assert not denied.light_time_corrected and "whatever LTCTYPE says" in denied.warnings[0]
         with pytest.raises(InputError, match="with and without light-time correction"):
             read(ALCDEF.replace("LTCAPP=NONE", "LTCAPP=AVERAGE"))
 
@@ -162,6 +218,20 @@ class TestAlcdef:
             (("OBJECTNAME=Eros\nSESSIONDATE=2011-09-14", "OBJECTNAME=Ida"), "2 objects"),
             (("OBJECTNUMBER=433", "OBJECTNUMBER"), "expected KEYWORD=value"),
             (("+0.004|2.224", "0|2.224"), "row 1, column mag_err: 0; expected > 0"),
+            (("+7.331", "7_3.31"), "line 14: '7_3.31'; expected a number. Leave out the underscores"),
+            (("REDUCEDMAGS=NONE", "MAGADJUST=some"), "line 10, MAGADJUST: 'some'"),
+            (("FILTER=C", "EXPJD=START"), "line 6, EXPJD: START, and no EXPOSURE"),
+            (("FILTER=C", "EXPJD=WHEN"), "line 6, EXPJD: 'WHEN'"),
+            (("DELIMITER=PIPE", "DELIMITER=BAR"), "DELIMITER: 'BAR'"),
+            (("ENDMETADATA\n", ""), "line 12: DATA outside a session's data"),
+            (("ENDDATA\n", ""), "inside the data of a session; expected ENDDATA"),
+            (
+                (
+                    "OBJECTNUMBER=433",
+                    "OBJECTNUMBER=433\nENDBLOCK\nSTARTMETADATA\nOBJECTNAME=Ida\nENDMETADATA\nENDDATA\nSTARTMETADATA",
+                ),
+                "2 objects",
+            ),
         ],
     )
     def test_damage_is_named(self, read, change: tuple[str, str], message: str):
@@ -190,6 +260,9 @@ class TestDamit:
             (("1 1\n", "1 2\n"), "points and 0 or 1 of curve 2"),
             (("2\n2 0", "3\n2 0"), "points and 0 or 1 of curve 3"),
             (("0.9490716", "x"), "row 1, column flux: 'x'"),
+            (("0.9490716", "0.94_9"), "Leave out the underscores"),
+            (("2 0\n", "1 0\n"), "line 4: '2441533.852378805"),
+            (("2\n2 0", "1\n2 0"), "line 6: '1 1' after the last point that the file announces"),
         ],
     )
     def test_damage_is_named(self, read, change: tuple[str, str], message: str):

@@ -17,9 +17,13 @@ import torchlc
 from tests.bad_input_cases import SCENE, TLE
 from torchlc.errors import InputError
 from torchlc.orbit import make_track
+from torchlc.orbit.elements import ElementSet
 from torchlc.orbit.motion import GM_EARTH
 from torchlc.recording import load_recording
 from torchlc.scene import Scene, load_scene
+from torchlc.scene.tle import Elements, nearest, read_elements
+
+CASES = Path(__file__).parents[2] / "shared" / "cases" / "tle"
 
 ISS = (
     "1 25544U 98067A   20045.18587073  .00000950  00000-0  25302-4 0  9990",
@@ -121,7 +125,232 @@ class TestElementFiles:
             make_track(scene, rows(tmp_path, scene, Time(["2020-10-17T15:00:00"])))
 
 
+def with_checksum(line: str) -> str:
+    """The line with its check digit: digits count themselves, minus signs 1 (Hoots & Roehrich 1980)."""
+    return line[:68] + str(sum(int(c) if c in "0123456789" else c == "-" for c in line[:68]) % 10)
+
+
+def changed(line: str, old: str, new: str) -> str:
+    assert old in line and len(old) == len(new)
+    return with_checksum(line.replace(old, new, 1))
+
+
+class TestElementLines:
+    """What catalogues write, and what no orbit has."""
+
+    def read(self, folder: Path, content: str | bytes) -> list[Elements]:
+        (folder / "e.txt").write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_elements(folder / "e.txt")
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            "\ufeff{0}\n{1}\n{2}\n{1}\n",
+            "\ufeff0 A SAT\n{0}\n{1}\n\ufeff{2}\n{1}\n",
+            "{0}\r\n{1}\r\n{2}\r\n{1}\r\n",
+            "{0}\r{1}\r{2}\r{1}",
+            "# from a catalogue\n\n{0}  \t\n\n{1}   \n  {2}\n\t{1}\n",
+            "1 NAME OF ONE\n{0}\n{1}\n2 NAME\n{2}\n{1}\n",
+            "{0} 1 more\n{1} 2 more\n{2}\n{1}\n",
+        ],
+        ids=["BOM", "two BOMs", "Windows", "old Mac", "blanks", "names with numbers", "remarks behind"],
+    )
+    def test_no_set_is_lost(self, tmp_path: Path, content: str):
+        found = self.read(tmp_path, content.format(GEO_1, GEO_2, LATER))
+        assert [one.lines for one in found] == [(GEO_1, GEO_2), (LATER, GEO_2)]
+        assert [round(one.epoch, 5) for one in found] == [2459132.57341, 2459142.57341]
+
+    def test_names_above(self, tmp_path: Path):
+        found = self.read(
+            tmp_path, f"0 FIRST\n{GEO_1}\n{GEO_2}\nSECOND B\n{LATER}\n{GEO_2}\n{GEO_1}\n{GEO_2}\n"
+        )
+        assert [one.name for one in found] == ["FIRST", "SECOND B", None]
+
+    @pytest.mark.parametrize(
+        ("line", "old", "new"),
+        [
+            (1, " -.00000354", " 0.00000354"),
+            (1, " -.00000354", " +.00000354"),
+            (1, " 00000-0 ", " 00000+0 "),
+            (1, " 00000+0 ", "000000+0 "),
+            (1, " 00000+0 ", " 00000 0 "),
+            (1, " 00000+0 ", " 0000000 "),
+            (1, "00001U", "00001u"),
+            (1, "00001U", "00001 "),
+            (1, "16037A  ", "        "),
+            (1, " 999", "   0"),
+            (2, "  67.2351", " 067.2351"),
+            (2, "0007471", "  07471"),
+        ],
+    )
+    def test_variants_that_sgp4_reads_alike(self, tmp_path: Path, line: int, old: str, new: str):
+        """The library's own reader finds the same numbers in the lines that are let through."""
+        lines = [GEO_1, GEO_2]
+        lines[line - 1] = changed(lines[line - 1], old, new)
+        (one,) = self.read(tmp_path, "\n".join(lines))
+        ours, plain = (Satrec.twoline2rv(*two, WGS72) for two in (one.lines, (GEO_1, GEO_2)))
+        for name in ("jdsatepoch", "jdsatepochF", "bstar", "nddot", "ecco", "inclo", "nodeo", "argpo", "mo"):
+            assert getattr(ours, name) == getattr(plain, name)
+
+    @pytest.mark.parametrize("number", ["A0001", "Z9999", "    1"])
+    def test_catalogue_numbers(self, tmp_path: Path, number: str):
+        lines = [changed(line, " 00001", f" {number}") for line in (GEO_1, GEO_2)]
+        if " " in number:
+            with pytest.raises(
+                InputError, match=r"line 1: column 4: ' ' in '1     1U 16037A   20284.*with its zeros"
+            ):
+                self.read(tmp_path, "\n".join(lines))
+        else:
+            assert len(self.read(tmp_path, "\n".join(lines))) == 1
+
+    @pytest.mark.parametrize(
+        ("line", "old", "new", "message"),
+        [
+            (1, "20284.07", "20400.07", "columns 21-32, day of the year"),
+            (1, "20284.07", "202 4.07", "without blanks inside"),
+            (1, "20284.07", "20284,07", r"column 24: ',' in '1 00001U 16037A   20284,07"),
+            (1, " 00001U", " I0001U", "column 3: 'I' .*a letter other than I and O"),
+            (1, "00000+0", "0000o+0", "column 59: 'o' .*a digit or a blank"),
+            (1, "16037A", "16\x0037A", r"column 12: '\\x00'"),
+            (2, "1.7237", "1-7237", r"column 12: '-' .*expected '\.'"),
+            (2, "   1.7237", " 181.7237", "columns 9-16, inclination: .*expected 0 to 180"),
+            (2, "  67.2351", " 467.2351", "right ascension of the node"),
+            (2, " 1.00273124", " 0.00000000", "mean motion"),
+            (2, " 1.00273124", "31.00273124", "mean motion"),
+        ],
+    )
+    def test_the_column_at_fault_is_named(self, tmp_path: Path, line: int, old: str, new: str, message: str):
+        lines = [GEO_1, GEO_2]
+        lines[line - 1] = with_checksum(lines[line - 1].replace(old, new, 1)[:69])
+        with pytest.raises(InputError, match=f"line {line}: .*{message}"):
+            self.read(tmp_path, "\n".join(lines))
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            ("{0}\n{2}\n{1}\n", "line 1: '1 00001U .*without its line 2"),
+            ("{0}\n{1}\n{1}\n", "line 3: '2 00001 .*without its line 1"),
+            ("{0}\n{1}\n{2}\n", "line 3: .*without its line 2"),
+            ("{0}\n{1}\n<li>{2}\n{1}\n", "line 3: .*does not begin with '1 '"),
+            ("{1}\n{0}\n", "no two-line elements.*line 1: '2 00001"),
+            ("{0}9\n{1}\n", "line 1: 70 characters in '1 00001U 16037A   20284"),
+            ("{0}\n{3}\n", "line 2: 60 characters"),
+        ],
+    )
+    def test_a_broken_set_is_never_passed_over(self, tmp_path: Path, content: str, message: str):
+        with pytest.raises(InputError, match=message):
+            self.read(tmp_path, content.format(GEO_1, GEO_2, LATER, GEO_2[:60]))
+
+    def test_utf_16(self, tmp_path: Path):
+        with pytest.raises(InputError, match="UTF-16 text"):
+            self.read(tmp_path, f"{GEO_1}\n{GEO_2}\n".encode("utf-16"))
+
+    def test_the_nearest_set(self, tmp_path: Path):
+        """Across a turn of the year; of two sets of one epoch the last on file counts."""
+        old, new = (changed(GEO_1, "20284.07341138", day) for day in ("20365.50000000", "21002.50000000"))
+        corrected = changed(GEO_2, "88.7233", "89.7233")
+        found = self.read(tmp_path, "\n".join([new, GEO_2, old, GEO_2, new, corrected]))
+        days = Time(["2020-12-20", "2020-12-31T23:00", "2021-01-01T12:00:01", "2021-06-01"]).jd
+        chosen = nearest(found, days)
+        assert [found[k].lines[0] for k in chosen] == [old, old, new, new]
+        assert found[chosen[-1]].lines[1] == corrected
+
+    @pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
+    def test_files_that_went_wrong(self):
+        assert [one.epoch for one in read_elements(CASES / "bom_two.txt")] == [2461101.0, 2460976.0]
+        assert read_elements(CASES / "mccants.txt")[0].epoch == pytest.approx(2461101.30903846, abs=1e-8)
+        with pytest.raises(InputError, match=r"column 4: ' ' in '1   511U 62049D   26060"):
+            read_elements(CASES / "spaceid.txt")
+
+
+class TestDecay:
+    """A low orbit with strong drag: SGP4 says so for some days, and then gives positions without an error."""
+
+    LINES = (
+        with_checksum("1 77777U 26001A   26058.12407234  .09435527  24934+0  44853-1 0  999x"),
+        with_checksum("2 77777  98.5849 110.9278 0014449 269.2407  90.7207 15.92146194 2668x"),
+    )
+    EPOCH = Time("2026-02-27T02:58:39.85", scale="utc")
+
+    def scene(self, folder: Path, effects: str = "") -> Scene:
+        text = SCENE.replace(TLE, f'tle = ["{self.LINES[0]}", "{self.LINES[1]}"]\n\n')
+        return Scene.from_toml(text.replace('["self_shadowing"]', f'["self_shadowing"{effects}]'))
+
+    def codes(self, days: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        satellite = Satrec.twoline2rv(*self.LINES, WGS72)
+        jd = np.full(days.size, satellite.jdsatepoch)
+        codes, position, _ = satellite.sgp4_array(jd, satellite.jdsatepochF + days)
+        return codes, np.linalg.norm(position, axis=-1)
+
+    def test_what_sgp4_says(self):
+        """It fails from day 1 on, and is silent from day 4 on at more than twice the first radius."""
+        codes, radius = self.codes(np.array([0.5, 2.0, 4.0, 11.0]))
+        assert list(codes) == [0, 6, 0, 0]
+        assert radius[0] < 6700 < 14000 < radius[2] < 9e7 < radius[3]
+
+    @pytest.mark.parametrize("days", [2.0, 3.768, 4.0, 11.0, 400.0, -30.0])
+    def test_nothing_counts_after_a_decay(self, tmp_path: Path, days: float):
+        start = (self.EPOCH + TimeDelta(days, format="jd")).isot
+        with pytest.raises(
+            InputError, match=r"SGP4 fails at 20.*of these is 2026-02-27T02:58:39, .* days"
+        ) as caught:
+            torchlc.simulate(self.scene(tmp_path), start=start, hours=1, cadence=300)
+        side = "before" if days > 0 else "after"
+        assert f"{abs(days):.1f} days {side} it" in str(caught.value)
+
+    def test_good_days_stay(self, tmp_path: Path):
+        start = (self.EPOCH + TimeDelta(0.2, format="jd")).isot
+        scene = self.scene(tmp_path)
+        curve = torchlc.simulate(scene, start=start, hours=1, cadence=300)
+        assert len(curve.mag) == 13
+
+    def test_an_offset_must_not_lead_beyond_the_decay(self, tmp_path: Path):
+        """SGP4 fails from 0.963 days on; half an hour before it an offset of an hour leads beyond."""
+        start = (self.EPOCH + TimeDelta(0.94, format="jd")).isot
+        with pytest.raises(InputError, match="which the light curve or an offset in time may reach"):
+            torchlc.simulate(self.scene(tmp_path), start=start, hours=0.1, cadence=60)
+
+    def test_a_radius_that_the_orbit_does_not_have(self):
+        """Drag that is no drag: a positive exponent of B* throws a high orbit off within a revolution."""
+        first = changed(GEO_1, " 00000+0 0", " 99999+9 0")
+        elements = ElementSet((first, GEO_2), None)
+        epoch = Time(Satrec.twoline2rv(first, GEO_2, WGS72).jdsatepoch, 0.07341138, format="jd", scale="utc")
+        days = np.array([0.0, -0.5, -5.0, 50.0])
+        satellite = Satrec.twoline2rv(first, GEO_2, WGS72)
+        codes, position, _ = satellite.sgp4_array(
+            np.full(4, satellite.jdsatepoch), satellite.jdsatepochF + days
+        )
+        radius = np.linalg.norm(position, axis=-1)
+        _, found = elements.positions(epoch + TimeDelta(days, format="jd"))
+        off = (codes != 0) | ~((radius > 36000) & (radius < 48000))
+        assert off.any() and (found[off] != 0).all()
+
+    @pytest.mark.parametrize("lines", [(GEO_1, GEO_2), ISS])
+    def test_orbits_that_last_are_as_sgp4_has_them(self, lines: tuple[str, str]):
+        satellite = Satrec.twoline2rv(*lines, WGS72)
+        start = Time(satellite.jdsatepoch, satellite.jdsatepochF, format="jd", scale="utc")
+        time = start + TimeDelta(np.linspace(-40, 40, 400), format="jd")
+        position, codes = ElementSet(lines, None).positions(time)
+        assert not codes.any()
+        np.testing.assert_array_equal(position, sgp4_states(lines, time)[0])
+
+
 class TestEphemerides:
+    def test_states_too_far_apart_are_refused(self, tmp_path: Path):
+        """Every 30 minutes is a third of a revolution of this orbit of 93 minutes; every 20 is not a quarter."""
+        for step_s, good in ((1200.0, True), (1800.0, False)):
+            times = spaced("2020-02-14T00:00:00", 40, step_s)
+            (tmp_path / "iss.oem").write_text(message(times, *sgp4_states(ISS, times), "TEME"))
+            scene = scene_with(tmp_path, 'oem_file = "iss.oem"')
+            recording = rows(tmp_path, scene, spaced("2020-02-14T02:00:00", 30, 61.0))
+            if good:
+                elements = scene_with(tmp_path, f'tle = ["{ISS[0]}", "{ISS[1]}"]')
+                apart = np.linalg.norm(places(scene, recording) - places(elements, recording), axis=-1)
+                assert apart.max() < 3.0
+            else:
+                with pytest.raises(InputError, match=r"states 30 minutes apart, 0\.32 revolutions"):
+                    make_track(scene, recording)
+
     def test_an_ellipse_of_kepler(self, tmp_path: Path):
         """States 10 min apart in a low orbit leave some ten metres to a polynomial of degree 7."""
         axis, e, start = 7500.0, 0.05, "2020-10-17T12:00:00"
@@ -214,6 +443,7 @@ class TestEphemerides:
             (("2020-02-14T00:02:00.000000 ", "2020-02-14T00:12:00.000000 "), "line 16: a time not after"),
             (("2020-02-14T00:02:00.000000 ", "2020-02-30T00:02:00.000000 "), "a time that does not exist"),
             (("2020-02-14T00:02:00.000000 ", "today "), "line 15: 'today'"),
+            (("2020-02-14T00:02:00.000000 ", "2020-02-14T00:02:00.000000 1_0"), "line 15: .*six numbers"),
             (("ORIGINATOR = TEST", "ORIGINATOR TEST"), "line 3: 'ORIGINATOR TEST'; expected KEYWORD"),
             (
                 ("META_STOP", "USEABLE_STOP_TIME = 2020-02-14T01:00:00\nMETA_STOP"),

@@ -8,8 +8,11 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
-from astropy.time import Time
+from astropy.time import Time, TimeDelta
+from astropy.utils import iers
+from astropy.utils.masked import Masked
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -359,6 +362,303 @@ class TestGeometry:
     def test_below_the_horizon_of_altaz_rows(self, read):
         recording = read(ALTAZ_RECORDING.replace("35.0", "-0.1"), ALTAZ_SCENE)
         assert len(recording) == 2 and recording.dropped == {"below the horizon": 1}
+
+
+def plain_ecsv(columns: str, *rows: str, meta: str = "{}") -> str:
+    """An ECSV of lines ``- {name: ..., datatype: ...}``."""
+    declared = [f"# - {{{one}}}\n" for one in columns.split("; ")]
+    names = " ".join(one.split(",")[0].removeprefix("name: ") for one in columns.split("; "))
+    head = (
+        "# %ECSV 1.0\n# ---\n# datatype:\n" + "".join(declared) + f"# meta: {meta}\n# schema: astropy-2.0\n"
+    )
+    return head + names + "\n" + "".join(f"{row}\n" for row in rows)
+
+
+NOON = "2020-10-17T12:00:00"
+LATER = "2020-10-17T12:01:00"
+
+
+class TestSerializedColumns:
+    """Columns that astropy takes apart to write, in every way it does, come back as astropy has them."""
+
+    def write(self, table: Table, tmp_path: Path) -> Recording:
+        table.write(tmp_path / "r.ecsv", format="ascii.ecsv", overwrite=True)
+        return load_recording(tmp_path / "r.ecsv")
+
+    @pytest.mark.parametrize("method", ["formatted_value", "jd1_jd2"])
+    @pytest.mark.parametrize(
+        "form", ["jd", "mjd", "unix", "gps", "cxcsec", "datetime", "yday", "fits", "jyear"]
+    )
+    def test_times_in_any_format(self, tmp_path: Path, form: str, method: str):
+        """A number of days resolves 40 us, a Julian year 0.1 ms."""
+        times = Time([NOON, LATER], scale="utc")
+        times.format = form
+        times.info.serialize_method["ecsv"] = method
+        recording = self.write(QTable({"time": times, "mag": [1.0, 2.0]}), tmp_path)
+        assert abs((recording.time - Time([NOON, LATER])).to_value(u.s)).max() < 1e-3
+        np.testing.assert_array_equal(recording.observed, [1, 2])
+
+    @pytest.mark.parametrize("scale", ["tai", "tt", "tdb", "tcb", "tcg", "ut1"])
+    def test_times_in_any_scale(self, tmp_path: Path, scale: str):
+        times = Time([NOON, LATER], scale=scale)
+        with iers.conf.set_temp("auto_download", False):
+            recording = self.write(QTable({"time": times, "mag": [1.0, 2.0]}), tmp_path)
+            assert recording.time.scale == ("tdb" if scale in ("tdb", "tcb") else "utc")
+            assert abs((getattr(recording.time, scale) - times).to_value(u.s)).max() < 2e-9
+
+    def test_local_times_and_durations_are_refused(self, tmp_path: Path):
+        with pytest.raises(InputError, match="scale local"):
+            self.write(QTable({"time": Time([NOON], scale="local"), "mag": [1.0]}), tmp_path)
+        with pytest.raises(InputError, match="column time: durations"):
+            self.write(QTable({"time": TimeDelta([1.0] * u.d), "mag": [1.0]}), tmp_path)
+
+    @pytest.mark.parametrize("masked", [
+        MaskedColumn([10, 88, 12], mask=[False, True, False]),
+        MaskedColumn([10.0, 88.0, 12.0], mask=[False, True, False], unit="mag"),
+        Masked([10.0, 88.0, 12.0] * u.mag, mask=[False, True, False]),
+    ], ids=["whole numbers", "magnitudes", "quantity"])  # fmt: skip
+    @pytest.mark.parametrize("apart", [True, False])
+    def test_masked_values_are_missing(self, tmp_path: Path, masked, apart: bool):
+        table = QTable({"time": [NOON, LATER, "2020-10-17T12:02:00"], "mag": masked})
+        if apart and isinstance(masked, MaskedColumn):
+            table["mag"].info.serialize_method["ecsv"] = "data_mask"
+        recording = self.write(table, tmp_path)
+        assert recording.dropped == {"non-finite": 1}
+        np.testing.assert_array_equal(recording.observed, [10, 12])
+
+    def test_masked_names_and_flags(self, tmp_path: Path):
+        table = Table({"time": [NOON, LATER], "mag": [1.0, 2.0]})
+        for name, values in (("band", ["V", "R"]), ("upper_limit", [True, True])):
+            table[name] = MaskedColumn(values, mask=[False, True])
+            table[name].info.serialize_method["ecsv"] = "data_mask"
+        recording = self.write(table, tmp_path)
+        assert recording.band is not None and list(recording.band) == ["V", ""]
+        np.testing.assert_array_equal(recording.upper_limit, [True, False])
+
+    def test_coordinates_beside_are_left(self, tmp_path: Path):
+        places = SkyCoord([1, 2] * u.deg, [3, 4] * u.deg)
+        table = QTable({"time": Time([NOON, LATER]), "mag": u.Magnitude([12, 13], u.ABmag), "place": places})
+        np.testing.assert_array_equal(self.write(table, tmp_path).observed, [12, 13])
+
+    def test_damage_is_an_input_error(self, read):
+        text = plain_ecsv("name: time.jd1, datatype: float64; name: mag, datatype: float64", "2459140.0 1",
+                          meta="{__serialized_columns__: {time: {__class__: os.system, jd1: 1}}}")  # fmt: skip
+        with pytest.raises(InputError, match="astropy cannot read it"):
+            read(text)
+
+
+class TestWhatTimesAre:
+    """The middle of the exposure in UTC, or a refusal; what was done is said."""
+
+    COLUMNS = "name: time, datatype: string, description: '{}'; name: mag, datatype: float64"
+
+    def load(self, read, description: str = "", *, exposed: bool = False, meta: str = "{}") -> Recording:
+        columns = self.COLUMNS.format(description) + "; name: exptime, datatype: float64" * exposed
+        return read(
+            plain_ecsv(columns, f"{NOON} 1" + " 30" * exposed, f"{LATER} 2" + " 30" * exposed, meta=meta)
+        )
+
+    @pytest.mark.parametrize("said, moved", [
+        ("start of exposure (UTC)", 15), ("UTC at the beginning of the exposure", 15), ("exposure start", 15),
+        ("shutter open", 15), ("end of exposure", -15), ("exposure end, UTC", -15), ("shutter closed", -15),
+        ("mid-exposure", 0), ("middle of the exposure", 0), ("UTC (clock kept by GPS)", 0), ("", 0),
+        ("TAI", -37), ("TT", -69.184), ("terrestrial time (TT)", -69.184),
+    ])  # fmt: skip
+    def test_descriptions(self, read, said: str, moved: float):
+        """TAI - UTC was 37 s in 2020 (IERS Bulletin C 60), TT - TAI is 32.184 s."""
+        recording = self.load(read, said, exposed=True)
+        assert recording.time.scale == "utc"
+        assert (recording.time[0] - Time(NOON)).to_value(u.s) == pytest.approx(moved, abs=1e-6)
+        assert bool(recording.warnings) == (moved != 0)
+
+    @pytest.mark.parametrize("meta, moved", [
+        ("{TIMESYS: TT}", -69.184), ("{time_scale: tai}", -37), ("{time_reference: start of exposure}", 15),
+        ("{timestamp: end}", -15), ("{TIMEREF: LOCAL, TIMESYS: UTC}", 0), ("{date: '2020-10-17'}", 0),
+    ])  # fmt: skip
+    def test_metadata(self, read, meta: str, moved: float):
+        recording = self.load(read, exposed=True, meta=meta)
+        assert (recording.time[0] - Time(NOON)).to_value(u.s) == pytest.approx(moved, abs=1e-6)
+
+    @pytest.mark.parametrize("said, message", [
+        ("HJD", "HJD'; expected times at the observer"), ("BJD_TDB", "BJD_TDB"), ("heliocentric", "heliocentric"),
+        ("GPS time", "one time scale"), ("UT1", "one time scale"), ("LST", "one time scale"),
+        ("TT, not UTC", "one time scale"), ("local time", "local time"), ("CET", "local time"),
+        ("UTC+8", "local time"), ("UTC +05:30", "local time"), ("start of exposure", "Add a column exptime"),
+    ])  # fmt: skip
+    def test_what_cannot_be_converted_is_refused(self, read, said: str, message: str):
+        with pytest.raises(InputError) as caught:
+            self.load(read, said)
+        assert message in str(caught.value)
+
+    def test_contradictions_are_refused(self, read):
+        with pytest.raises(InputError, match="'TAI', but time_scale is utc"):
+            self.load(read, "TAI", meta="{time_scale: utc}")
+        with pytest.raises(InputError, match="metadata timezone: 'Europe/Vienna'"):
+            self.load(read, meta="{timezone: Europe/Vienna}")
+
+    def test_the_middle_needs_every_exposure_time(self, read):
+        columns = self.COLUMNS.format("start of exposure") + "; name: exptime, datatype: float64"
+        recording = read(plain_ecsv(columns, f"{NOON} 1 60", f'{LATER} 2 ""'))
+        assert recording.dropped == {"non-finite": 1}
+        with pytest.raises(InputError, match="column exptime: no number"):
+            read(plain_ecsv(columns, f'{NOON} 1 ""', f'{LATER} 2 ""'))
+
+    def test_a_comment_of_a_csv_is_said(self, read):
+        recording = read("# time: start of exposure\n" + RECORDING)
+        assert "a comment says 'time: start of exposure'" in recording.warnings[0]
+
+    @pytest.mark.parametrize("line, number, jd", [
+        ("# time_format: mjd", "59139.5", 2459140.0), ("# time_format = jd-2400000", "59140.0", 2459140.0),
+        ("# Time_Scale: TDB", "2459140.0", 2459140.0),
+    ])  # fmt: skip
+    def test_comments_of_a_csv_are_metadata(self, read, line: str, number: str, jd: float):
+        recording = read(f"{line}\ntime,mag\n{number},12\n")
+        assert recording.time.jd[0] == jd and recording.time.scale == ("tdb" if "TDB" in line else "utc")
+
+    def test_the_hint_of_a_reduced_date_works(self, read):
+        """61115.368056 is a night in March as JD - 2400000, and the morning after it as a modified Julian date."""
+        text = "time,mag\n61115.368056,14.9\n"
+        with pytest.raises(
+            InputError, match=r"2400000\.5 .*time_format: mjd, or time_format: jd-2400000, in a line"
+        ):
+            read(text)
+        for form, expected in (("mjd", "2026-03-16T08:50:00"), ("jd-2400000", "2026-03-15T20:50:00")):
+            found = read(f"# time_format: {form}\n" + text).time
+            assert abs((found[0] - Time(expected)).to_value(u.s)) < 0.1  # six decimals of a day are 0.09 s
+        with pytest.raises(InputError, match="Rename MJD to time and say time_format: mjd in a line"):
+            read(text.replace("time", "MJD"))
+        with pytest.raises(InputError, match="BJD holds times at the Sun"):
+            read(text.replace("time", "BJD"))
+
+
+class TestUnitsOfFlux:
+    COLUMNS = (
+        "name: time, datatype: string; name: flux, datatype: float64{}; name: flux_err, datatype: float64{}"
+    )
+
+    def load(self, read, flux: str, error: str) -> Recording:
+        units = [f", unit: '{unit}'" if unit else "" for unit in (flux, error)]
+        return read(plain_ecsv(self.COLUMNS.format(*units), f"{NOON} 100 2", f"{LATER} 110 2"))
+
+    @pytest.mark.parametrize("flux, error, expected", [
+        ("Jy", "mJy", 0.002), ("mJy", "Jy", 2000.0), ("%", "%", 2.0), ("ct", "ct", 2.0), ("AB", "AB", 2.0),
+        ("", "", 2.0), ("counts of ours", "counts of ours", 2.0),
+    ])  # fmt: skip
+    def test_errors_come_to_the_unit_of_the_flux(self, read, flux: str, error: str, expected: float):
+        assert self.load(read, flux, error).error == pytest.approx([expected] * 2)
+
+    @pytest.mark.parametrize("flux, error", [
+        ("", "%"), ("", "mag"), ("", "Jy"), ("Jy", "%"), ("Jy", "mag"), ("adu", "electron"),
+        ("mag", "mag"), ("mag(AB)", ""), ("dex", "dex"),
+    ])  # fmt: skip
+    def test_what_is_no_error_of_that_flux_is_refused(self, read, flux: str, error: str):
+        with pytest.raises(InputError, match="unit"):
+            self.load(read, flux, error)
+
+    def test_an_error_without_unit_is_said(self, read):
+        assert "flux_err has no unit" in self.load(read, "Jy", "").warnings[0]
+
+
+class TestNumbers:
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "1_2.5",
+            "\uff11\uff12.5",
+            "\u0663",
+            "0x1F",
+            "1d1",
+            "nan(7)",
+            "\u22121.5",
+            "1e",
+            "1 2",
+            ">18.5",
+            "12,5",
+        ],
+    )
+    @pytest.mark.parametrize("column", ["time", "mag", "mag_err", "exptime"])
+    def test_only_plain_digits(self, read, text: str, column: str):
+        cells = {"time": "2459140.5", "mag": "12", "mag_err": "0.1", "exptime": "1"} | {column: f'"{text}"'}
+        good = "2459140.4,12,0.1,1\n"
+        with pytest.raises(InputError, match=f"row 2, column {column}: "):
+            read("time,mag,mag_err,exptime\n" + good + ",".join(cells.values()) + "\n")
+
+    @pytest.mark.parametrize(
+        "text, expected",
+        [("+12.5", 12.5), (" 12.5 ", 12.5), ("\u00a012.5", 12.5), ("1.25E+1", 12.5), (".5", 0.5)],
+    )
+    def test_forms_of_a_number(self, read, text: str, expected: float):
+        assert read(f"time,mag\n2459140.5,{text}\n").observed[0] == expected
+
+    @pytest.mark.parametrize("rows, dropped", [
+        (["99.0,0.1"], 1), (["99.999,0"], 1), (["-99.9,-1"], 1), (["12,99.9"], 1), (["12,1e7"], 1), (["999,999", "88,0.1"], 1),
+    ])  # fmt: skip
+    def test_markers_of_missing_values_are_dropped(self, read, rows: list[str], dropped: int):
+        lines = [f"2459140.{k},{row}" for k, row in enumerate(["12,0.1", *rows])]
+        recording = read("time,mag,mag_err\n" + "\n".join(lines))
+        assert recording.dropped == {"beyond 90 mag": dropped} and len(recording) == len(lines) - dropped
+
+    def test_the_error_of_a_limit_may_be_a_marker(self, read):
+        recording = read("time,mag,mag_err,upper_limit\n2459140.5,12,0.1,false\n2459140.6,16,99.9,true\n")
+        assert recording.error is not None and list(recording.error) == [0.1, 0.1]
+
+    @pytest.mark.parametrize("error", ["1e-300", "1e-13", "0", "-0.1"])
+    def test_an_error_that_is_none_is_refused(self, read, error: str):
+        with pytest.raises(InputError, match=r"row 2, column mag_err: .*expected > 0: 1e-12 to 90 mag"):
+            read(f"time,mag,mag_err\n2459140.4,12,0.1\n2459140.5,12,{error}\n")
+
+    @pytest.mark.parametrize("scale", [1.0, 1e-16, 1e6])
+    def test_errors_of_a_flux_are_measured_by_it(self, read, scale: float):
+        text = "time,flux,flux_err\n2459140.4,{0},{1}\n2459140.5,{0},{2}\n"
+        recording = read(text.format(scale, 0.1 * scale, 1e-9 * scale))
+        assert recording.error == pytest.approx([0.1 * scale, 1e-9 * scale])
+        for error in (1e-14 * scale, 1e14 * scale):
+            with pytest.raises(InputError, match="row 2, column flux_err"):
+                read(text.format(scale, 0.1 * scale, error))
+
+
+class TestEncodings:
+    def test_latin_1_is_read_and_said(self, read):
+        text = "# f\u00fcr\ntime,mag,band\n2459140.5,12,gr\u00fcn\n"
+        recording = read(text.encode("latin-1"))
+        assert recording.band is not None and list(recording.band) == ["gr\u00fcn"]
+        assert "not UTF-8 text" in recording.warnings[0]
+        assert not read(text).warnings
+
+
+CASES = SHARED / "cases"
+RIGHT = {
+    "alc/ucor_none.txt": [13.0, 13.1, 13.2],
+    "alc/magadjust.txt": [13.5, 13.6, 13.7],
+    "alc/latin1.txt": [13.0, 13.1, 13.2],
+    "alc/ucor_blank.txt": [1.0, 10**-0.04, 10**-0.08],
+    "alc/damit_extra.txt": "after the last point",
+    "rec/mask_min.ecsv": [10.0, 10.2],
+    "rec/fluxpct.ecsv": "column flux_err: unit %",
+    "rec/e_start.ecsv": "start of the exposures",
+    "rec/e_hjd.ecsv": "HJD",
+    "rec/e_jd1jd2.ecsv": [10.0, 10.01, 10.02, 10.03, 10.04, 10.05],
+    "observer/night_jdred.csv": "time_format: jd-2400000",
+}
+"""What each file holds, in magnitudes or relative flux, or why it is refused."""
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
+@pytest.mark.parametrize("name", RIGHT)
+def test_files_that_went_wrong(name: str):
+    right = RIGHT[name]
+    if isinstance(right, str):
+        with pytest.raises(InputError) as caught:
+            load_recording(CASES / name)
+        assert right in str(caught.value)
+    else:
+        np.testing.assert_allclose(load_recording(CASES / name).observed, right, rtol=1e-12)
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
+def test_a_night_with_a_marker_loses_that_row_only():
+    recording = load_recording(CASES / "observer" / "night_badrow.csv")
+    assert recording.dropped == {"beyond 90 mag": 1}
 
 
 GOOD_FILES = [

@@ -5,7 +5,6 @@ and returns one object.
 from __future__ import annotations
 
 import hashlib
-import math
 import platform
 import shutil
 import time
@@ -28,6 +27,7 @@ from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
 from torchlc.output import OutputDirectory, resources
 from torchlc.recording import Recording, counted, load_recording
+from torchlc.recording.reader import LIMITS
 from torchlc.results import FitResult
 from torchlc.sample import sample
 from torchlc.scene import Scene, load_scene
@@ -95,8 +95,9 @@ def simulate(
         raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
     else:
         rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
-    if noise is not None and not (math.isfinite(noise) and noise > 0):
-        raise InputError(None, "--noise", f"{noise:g} mag", "a number > 0")
+    low, high = LIMITS["mag_err"]
+    if noise is not None and not low <= noise <= high:
+        raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
     return simulated_curve(scene, rows, noise, seed)
 
 

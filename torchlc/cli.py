@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torchlc import __version__, completion
+from torchlc.decimals import advice, decimal
 from torchlc.terminal import exit_code, printable, progress_bar, say, show_json
 
 if TYPE_CHECKING:
@@ -26,6 +29,42 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+def number(text: str, low: float = -math.inf, *, metavar: str = "FLOAT", show_default: bool = True) -> Any:
+    """An option that takes a finite number from ``low`` on, written as in a file: no underscores, no digits
+    of other scripts.
+    """
+    return typer.Option(
+        help=text, metavar=metavar, show_default=show_default, parser=partial(typed, low, math.inf)
+    )
+
+
+def whole_number(text: str, low: int, high: int | None = None, *, show_default: bool = True) -> Any:
+    """An option that takes a whole number from ``low`` to ``high``."""
+    metavar = f"INTEGER [{low} or more]" if high is None else f"INTEGER [{low} to {high}]"
+    parser = partial(typed, low, math.inf if high is None else high, whole=True)
+    return typer.Option(help=text, metavar=metavar, show_default=show_default, parser=parser)
+
+
+def typed(low: float, high: float, value: Any, *, whole: bool = False) -> Any:
+    """The number that was typed; the parser of an option. A default is one already."""
+    if not isinstance(value, str):
+        return value
+    kind = "whole number" if whole else "number"
+    try:
+        found = decimal(value)
+        if whole:
+            found = int(value) if math.isfinite(found) else math.nan
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise typer.BadParameter(f"{value[:40]!r}; expected a {kind}. {advice(value) or ''}".rstrip(". "))
+    if not low <= found <= high:
+        expected = f"{low:g} or more" if high == math.inf else f"{low:g} to {high:.0f}"
+        raise typer.BadParameter(f"{value[:40]}; expected {expected}")
+    return found
+
+
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)]
 RecordingFile = Annotated[
     Path, typer.Argument(metavar="OBS", help="Recording (ECSV or CSV).", show_default=False)
@@ -33,11 +72,9 @@ RecordingFile = Annotated[
 Out = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)
 ]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**32 - 1)]
+Seed = Annotated[int, whole_number("Seed of everything random.", 0, 2**32 - 1)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Threads = Annotated[
-    int | None, typer.Option(help="Threads of the computation.", min=1, max=1024, show_default=False)
-]
+Threads = Annotated[int | None, whole_number("Threads of the computation.", 1, 1024, show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Use = Annotated[
     str | None,
@@ -72,10 +109,10 @@ def simulate(
         typer.Argument(metavar="[OBS]", help="Recording at whose rows to simulate.", show_default=False),
     ] = None,
     start: Annotated[str | None, typer.Option(help="First time, ISO UTC or JD.", show_default=False)] = None,
-    hours: Annotated[float | None, typer.Option(help="Length, h.", show_default=False)] = None,
-    cadence: Annotated[float | None, typer.Option(help="Time between rows, s.", show_default=False)] = None,
+    hours: Annotated[float | None, number("Length, h.", show_default=False)] = None,
+    cadence: Annotated[float | None, number("Time between rows, s.", show_default=False)] = None,
     noise: Annotated[
-        float | None, typer.Option(help="Standard error, mag: makes a recording of it.", show_default=False)
+        float | None, number("Standard error, mag: makes a recording of it.", show_default=False)
     ] = None,
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -116,11 +153,11 @@ def fit(
     out: Out,
     steps: Annotated[
         int | None,
-        typer.Option(help="Length of the chain; default: until long enough.", min=1, show_default=False),
+        whole_number("Length of the chain; default: until long enough.", 1, show_default=False),
     ] = None,
     walkers: Annotated[
         int | None,
-        typer.Option(help="Walkers of the ensemble; default 6 a parameter.", min=2, show_default=False),
+        whole_number("Walkers of the ensemble; default 6 a parameter.", 2, show_default=False),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the chain found in DIR.")] = False,
     use: Use = None,
@@ -211,13 +248,11 @@ def campaign(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            help="Processes started here; default: one a core.", min=1, max=1024, show_default=False
-        ),
+        whole_number("Processes started here; default: one a core.", 1, 1024, show_default=False),
     ] = None,
     seed: Seed = 0,
     quiet: Quiet = False,
-    threads: Annotated[int, typer.Option(help="Threads of each worker.", min=1, max=1024)] = 1,
+    threads: Annotated[int, whole_number("Threads of each worker.", 1, 1024)] = 1,
     json: Json = False,
 ) -> None:
     """Fit or diagnose many objects on Dask. Repeated, it does what is not done yet."""
@@ -254,11 +289,11 @@ def effects(quiet: Quiet = False, seed: Seed = 0, threads: Threads = None, json:
 def period(
     recording: RecordingFile,
     shortest: Annotated[
-        float | None, typer.Option(help="Shortest period, s; default: two rows a turn.", show_default=False)
+        float | None, number("Shortest period, s; default: two rows a turn.", show_default=False)
     ] = None,
     longest: Annotated[
         float | None,
-        typer.Option(help="Longest period, s; default: half the longest run.", show_default=False),
+        number("Longest period, s; default: half the longest run.", show_default=False),
     ] = None,
     use: Use = None,
     seed: Seed = 0,
@@ -324,7 +359,7 @@ def fit_material(
         str, typer.Option(help="Reflection model.", autocompletion=completion.laws)
     ] = "ashikhmin-shirley",
     without_peak: Annotated[
-        float, typer.Option(metavar="DEG", help="Leave out rows this near the mirror direction.", min=0)
+        float, number("Leave out rows this near the mirror direction.", 0.0, metavar="DEG")
     ] = 0.0,
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -424,9 +459,10 @@ def demo(
 
 def moment(text: str) -> str | float:
     """A time as typed: a Julian date, a date alone (from 0 h), or ISO text as it is."""
-    if text.replace(".", "", 1).isdigit():
-        return float(text)
-    return f"{text}T00:00:00" if re.fullmatch(r"\d{4}-\d\d-\d\d", text) else text
+    try:
+        return decimal(text)
+    except ValueError:
+        return f"{text}T00:00:00" if re.fullmatch(r"\d{4}-\d\d-\d\d", text, re.ASCII) else text
 
 
 def use_threads(threads: int | None) -> None:

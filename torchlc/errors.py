@@ -35,7 +35,7 @@ class InputError(TorchlcError):
             text += f"; expected {expected}"
         if hint:
             text += f". {hint}"
-        super().__init__(" ".join(text.split()))
+        super().__init__(" ".join(line.strip() for line in text.splitlines() if line.strip()))
 
 
 class BusyError(TorchlcError):

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf import MODELS, Brdf, incidence
+from torchlc.decimals import decimal
 from torchlc.errors import InputError
 from torchlc.least_squares import minimise
 
@@ -202,8 +203,8 @@ def _numbers(path: Path, line: int, row: dict[str, str]) -> list[float]:
     values = []
     for name in COLUMNS:
         try:
-            values.append(float(row[name]))
-        except (TypeError, ValueError):
+            values.append(decimal(row[name]))
+        except (AttributeError, ValueError):
             raise InputError(path, f"line {line}, {name}", f"{row[name]!r}", "a number") from None
         if not math.isfinite(values[-1]):
             raise InputError(path, f"line {line}, {name}", f"{row[name]!r}", "a finite number")

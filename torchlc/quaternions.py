@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from torchlc.errors import InputError
 from torchlc.recording import Recording, seconds_since
 from torchlc.recording.table import Header, read_columns, read_header, read_numbers, row_place
 from torchlc.rotations import rotation_about
-from torchlc.timestamps import UnreadableTime, julian_dates_of_iso, julian_dates_of_numbers
+from torchlc.timestamps import JULIAN_DATE, UnreadableTime, julian_dates_of_iso, julian_dates_of_numbers
 
 COMPONENTS = ("q0", "q1", "q2", "q3")
 MAX_NORM_ERROR = 0.01
@@ -102,7 +101,7 @@ def read_quaternions(path: Path, recording: Recording) -> Slerp:
 def _rows(path: Path, scale: str) -> tuple[Time, np.ndarray]:
     def read_times(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
         try:
-            if re.fullmatch(r"\s*[\d.]+\s*", cells[0]):
+            if JULIAN_DATE.fullmatch(cells[0]):
                 dates = julian_dates_of_numbers(read_numbers(header, name, cells, start), scale)
             else:
                 dates = julian_dates_of_iso(cells, scale)
@@ -112,6 +111,9 @@ def _rows(path: Path, scale: str) -> tuple[Time, np.ndarray]:
         return np.stack(dates, axis=-1)
 
     header = read_header(path)
+    stated = str(header.meta.get("time_scale", scale)).strip().lower()
+    if stated != scale:
+        raise InputError(path, "metadata time_scale", repr(stated[:40]), f"{scale}, as in the recording")
     for name in ("time", *COMPONENTS):
         if name not in header.names:
             raise InputError(path, "header", f"no column {name}", "time," + ",".join(COMPONENTS))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from torchlc.decimals import decimal
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.scene import Scene
@@ -47,7 +48,7 @@ def read_station(text: str) -> tuple[str, float, float, float]:
     """A station from "id,latitude,longitude,height"."""
     parts = [part.strip() for part in text.split(",")]
     try:
-        name, latitude, longitude, height = parts[0], *map(float, parts[1:])
+        name, latitude, longitude, height = parts[0], *map(decimal, parts[1:])
     except (ValueError, TypeError):
         raise InputError(
             None, "--station", repr(text), "id,latitude,longitude,height as in weihai,37.536,122.05,110"

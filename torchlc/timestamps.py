@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from astropy.time import Time, conf
@@ -14,12 +14,17 @@ from erfa import ErfaWarning
 ISO = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*"
     r"(?P<zone>Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
-    re.IGNORECASE,
+    re.IGNORECASE | re.ASCII,
 )
-EARLIEST_YEAR = {"utc": 1960, "tdb": 1900}
+JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*", re.ASCII)
+"""A text that is meant as a number of days, not as ISO."""
+EARLIEST_YEAR = {"utc": 1960, "tai": 1960, "tt": 1960, "tdb": 1900}
 """UTC is not defined before 1960."""
 LATEST_YEAR = 2200
 MJD_ZERO = 2400000.5
+REDUCED_ZERO = 2400000.0
+REDUCED = (30000.0, 90000.0)
+"""Numbers that are Julian dates of this age less one of the two zeros: 1941 to 2105."""
 
 
 class UnreadableTime(ValueError):
@@ -48,11 +53,11 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
 
 
 def julian_dates_of_numbers(
-    numbers: np.ndarray, scale: str, *, modified: bool = False
+    numbers: np.ndarray, scale: str, *, zero: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Two-part Julian dates of JD (or MJD) numbers (T,); not-a-number stays not-a-number."""
+    """Two-part Julian dates of numbers (T,) of days since JD ``zero``; not-a-number stays not-a-number."""
     days = np.floor(numbers)
-    jd1, jd2 = (days + MJD_ZERO if modified else days), numbers - days
+    jd1, jd2 = days + zero, numbers - days
     finite = np.isfinite(numbers)
     _check_range(np.where(finite, jd1 + jd2, MJD_ZERO + 51544), scale, numbers)
     return jd1, jd2
@@ -63,6 +68,8 @@ def instant(value: str | float, scale: str) -> Time:
     if isinstance(value, str):
         jd1, jd2 = julian_dates_of_iso([value], scale)
     else:
+        if not np.isfinite(value):
+            raise UnreadableTime(0, str(value), "a finite Julian date")
         jd1, jd2 = julian_dates_of_numbers(np.array([float(value)]), scale)
     return cast(Time, Time(jd1[0], jd2[0], format="jd", scale=scale))
 
@@ -124,11 +131,20 @@ def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) 
     outside = np.flatnonzero(~((jd >= low) & (jd <= high)))
     if outside.size:
         index = int(outside[0])
-        hint = (
-            "; a modified Julian date needs the metadata time_format: mjd"
-            if 30000 < jd[index] < 90000
-            else ""
-        )
-        raise UnreadableTime(
-            index, str(found[index]), f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()}){hint}"
-        )
+        expected = f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()})"
+        if REDUCED[0] < jd[index] < REDUCED[1]:
+            expected += (
+                " as a whole Julian date: add 2400000.5 to a modified Julian date (MJD), 2400000 to one "
+                "written as JD - 2400000"
+            )
+        raise UnreadableTime(index, str(found[index]), expected)
+
+
+def in_utc(jd1: np.ndarray, jd2: np.ndarray, scale: str) -> tuple[np.ndarray, np.ndarray]:
+    """Two-part Julian dates (T,) of TAI or TT as those of UTC; not-a-number stays not-a-number."""
+    known = np.isfinite(jd1 + jd2)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
+        moved: Any = Time(np.where(known, jd1, MJD_ZERO), np.where(known, jd2, 0.0), format="jd", scale=scale)
+        utc = moved.utc
+    return np.where(known, utc.jd1, np.nan), np.where(known, utc.jd2, np.nan)

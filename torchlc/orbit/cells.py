@@ -39,6 +39,10 @@ class Source(Protocol):
         """Positions, km, (T, 3), and codes (T,), 0 where there is one."""
         ...
 
+    def refuse(self, time: Time, codes: np.ndarray) -> None:
+        """Raise InputError if one of the ``codes`` of these instants means that there is no orbit."""
+        ...
+
 
 def piecewise(
     sources: Sequence[Source],
@@ -82,7 +86,9 @@ def piecewise(
 def _coefficients(source: Source, origin: Time, first: int, last: int, step: float) -> np.ndarray:
     """Polynomial coefficients (C, 3, 6) of the cells ``first`` to ``last``; NaN where there is no position."""
     nodes = np.arange(first + STENCIL[0], last + STENCIL[-1] + 1)
-    position, codes = source.positions(after(origin, nodes * step))
+    moments = after(origin, nodes * step)
+    position, codes = source.positions(moments)
+    source.refuse(moments, codes)
     position = np.where(codes[:, None] == 0, position, np.nan)
     stencils = np.lib.stride_tricks.sliding_window_view(position, STENCIL.size, axis=0)
     inverse = np.linalg.inv(np.vander(STENCIL.astype(float), increasing=True))

@@ -16,6 +16,7 @@ from astropy.time import Time, TimeDelta
 from erfa import ErfaWarning
 from scipy.interpolate import KroghInterpolator
 
+from torchlc.decimals import decimals
 from torchlc.errors import InputError
 from torchlc.files import readable_file
 from torchlc.orbit import earth
@@ -25,11 +26,17 @@ from torchlc.orbit.motion import GM_EARTH, inverse_semi_major_axis
 NODES = 4
 """States that fix a polynomial with their velocities: degree 7. At 10 min between states of a low orbit it
 is some ten metres off, at 2 min less than SGP4 and its own velocities differ."""
+LONGEST_TURN = np.pi / 2
+"""Between states, rad. A circle of radius r through states h rad apart is left by r h^8 / 128000 (degree 7, middle of
+four states): 0.02 degrees seen from the Earth's centre at a quarter of a revolution, 0.2 at a third.
+"""
+LOWEST_KM = 6350.0
+"""From the Earth's centre; the poles are at 6357 km."""
 CELESTIAL = ("EME2000", "J2000", "GCRF", "ICRF")
 """Taken as GCRS: the bias of EME2000, 0.02 arcsec, is neglected."""
 SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "TDB": "tdb", "GPS": "tai"}
 GPS_BEHIND_TAI_S = 19.0
-EPOCH = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
+EPOCH = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?", re.ASCII)
 MOST_STATES = 500_000
 AROUND_DAYS = 0.5
 """Of the rows: states further away are left."""
@@ -47,6 +54,18 @@ class Segment:
     velocity: np.ndarray
     start: float
     stop: float
+
+    def turn_between(self, seconds: np.ndarray) -> tuple[float, float]:
+        """Largest angle, rad, and time, s, from state to state around instants (T,) of this segment."""
+        inside = seconds[(seconds >= self.start) & (seconds <= self.stop)]
+        if not inside.size:
+            return 0.0, 0.0
+        left = np.clip(np.searchsorted(self.seconds, inside, side="right") - 1, 0, len(self.seconds) - 2)
+        gap = np.diff(self.seconds)[left]
+        area = np.linalg.norm(np.cross(self.position, self.velocity), axis=-1)
+        rate = area / np.sum(self.position**2, axis=-1)
+        turn = gap * np.maximum(rate[left], rate[left + 1])
+        return float(turn.max()), float(gap[turn.argmax()])
 
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """Positions (T, 3) by Hermite's polynomial through the nearest states; carried on beyond the ends."""
@@ -79,6 +98,8 @@ class Ephemeris:
         inverse = inverse_semi_major_axis(torch.from_numpy(position), torch.from_numpy(velocity)).numpy()
         if not (inverse > 0).all():
             raise InputError(path, None, "states that are not of an orbit about the Earth", "km and km/s")
+        if (np.linalg.norm(position, axis=-1) < LOWEST_KM).any():
+            raise InputError(path, None, "a state inside the Earth", "km and km/s from its centre")
         self.mean_motion = float(np.median(np.sqrt(GM_EARTH * inverse**3)))
         turning = np.linalg.norm(np.cross(position, velocity), axis=-1) / np.sum(position**2, axis=-1)
         self.step_s = float(2 * np.pi / turning.max() / CELLS_PER_REVOLUTION)
@@ -96,8 +117,13 @@ class Ephemeris:
                 position[rows], codes[rows] = segment.at(seconds[rows]), 0
         return position, codes
 
+    def refuse(self, time: Time, codes: np.ndarray) -> None:
+        """Nothing: rows are checked, and offsets that lead beyond the file have no position."""
+
     def check(self, time: Time) -> None:
-        """Raise InputError at the first of the rows' times that lies in no segment."""
+        """Raise InputError at the first of the rows' times that lies in no segment, or between states too far
+        apart to tell the way between them.
+        """
         seconds = _elapsed(time, self._origin)
         covered = np.zeros(len(seconds), dtype=bool)
         for one in self._segments:
@@ -106,6 +132,12 @@ class Ephemeris:
             moments = cast(Any, time.utc).isot
             found = f"no state at {moments[np.flatnonzero(~covered)[0]]} UTC"
             raise InputError(self.path, None, found, "an ephemeris of the time of the recording")
+        for one in self._segments:
+            turn, gap = one.turn_between(seconds)
+            if turn > LONGEST_TURN:
+                found = f"states {gap / 60:.0f} minutes apart, {turn / (2 * np.pi):.2f} revolutions"
+                expected = f"at most {LONGEST_TURN / (2 * np.pi):.2f} of a revolution from state to state"
+                raise InputError(self.path, None, found, expected)
 
 
 def _segments(path: Path, time: Time) -> list[Segment]:
@@ -220,7 +252,7 @@ def _states(path: Path, lines: list[tuple[int, list[str]]]) -> np.ndarray:
     states = np.empty((len(lines), 6))
     for row, (number, cells) in enumerate(lines):
         try:
-            states[row] = cells[1:7]
+            states[row] = decimals(cells[1:7])
         except ValueError:
             raise InputError(path, f"line {number}", repr(" ".join(cells[1:7])[:60]), "six numbers") from None
     if not (np.abs(states) < 1e9).all():

@@ -18,7 +18,7 @@ from torchlc.errors import InputError
 from torchlc.orbit import earth
 from torchlc.orbit.cells import Source, piecewise
 from torchlc.orbit.elements import ElementSet
-from torchlc.orbit.ephemeris import Ephemeris
+from torchlc.orbit.ephemeris import LOWEST_KM, Ephemeris
 from torchlc.orbit.motion import EarthFixed, Motion, Straight, TwoBody, inverse_semi_major_axis
 from torchlc.orbit.track import Track
 from torchlc.scene.tle import Elements, nearest, read_elements
@@ -31,8 +31,6 @@ LONGEST_TURN_DEG = 5.0
 """Between neighbouring rows of a curve whose difference may serve as a rate; it is then 0.1 % short."""
 GROUND_KM = (-1.0, 50.0)
 """Ellipsoidal heights at which an observer turns with the Earth."""
-LOWEST_KM = 6350.0
-"""From the Earth's centre; the poles are at 6357 km."""
 
 
 def make_track(scene: Scene, recording: Recording) -> Track:

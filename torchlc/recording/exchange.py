@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from astropy.table import Column
 
 from torchlc.errors import InputError, MissingExtraError
 from torchlc.recording import declared
+from torchlc.recording.astropy_tables import described
 from torchlc.recording.reader import LIMITS, read_recording
 from torchlc.recording.recording import Recording
 from torchlc.recording.table import Header
@@ -88,18 +88,8 @@ def from_timeseries(series: Any, scene: Scene | None = None, *, use: str | None 
     for name, column in columns.items():
         if np.ndim(column) != 1:
             raise InputError(source, f"column {name}", f"{np.ndim(column)} dimensions", "one number a row")
-    scale = "tdb" if series.time.scale in ("tdb", "tcb") else "utc"
-    moments: Any = getattr(series.time, scale).copy(format="isot")
-    moments.precision = 9
-
-    def rows() -> Iterator[list[str]]:
-        cells = [_cells(column) for column in columns.values()]
-        yield from map(list, zip(np.ma.filled(moments.value, "").tolist(), *cells, strict=True))
-
-    units = {name: str(column.unit) for name, column in columns.items() if getattr(column, "unit", None)}
     meta = {key: series.meta[key] for key in ("frame", "light_time_corrected") if key in series.meta}
-    meta |= {"time_scale": scale, "time_format": "iso"}
-    header = Header(source, ("time", *present), ",", ecsv=False, units=units, meta=meta, rows=rows)
+    header = Header(**described(source, series.time, columns, meta))
     return replace(read_recording(header, scene, use=use), source=None)
 
 
@@ -112,10 +102,3 @@ def _data(recording: Recording) -> dict[str, Any]:
     if recording.upper_limit.any():
         data["upper_limit"] = Column(recording.upper_limit)
     return data | carried(recording)
-
-
-def _cells(column: Any) -> list[str]:
-    """Text of every value, blank where masked; a number's text gives the same number again."""
-    values = np.ma.asarray(getattr(column, "value", column))
-    text = [value if isinstance(value, str) else repr(value) for value in values.filled().tolist()]
-    return ["" if hidden else cell for cell, hidden in zip(text, np.ma.getmaskarray(values), strict=True)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -10,11 +9,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from astropy.time import Time
 
+from torchlc.decimals import advice, decimal
 from torchlc.errors import InputError
 from torchlc.recording import declared, groups
 from torchlc.recording.layouts import LAYOUTS
 from torchlc.recording.recording import Recording, counted, no_usable_row, seconds_since
 from torchlc.recording.table import (
+    BEYOND_MAG,
     Header,
     LabelReader,
     read_columns,
@@ -24,18 +25,30 @@ from torchlc.recording.table import (
     row_place,
 )
 from torchlc.spelling import did_you_mean
-from torchlc.timestamps import UnreadableTime, julian_dates_of_iso, julian_dates_of_numbers
+from torchlc.timestamps import (
+    JULIAN_DATE,
+    REDUCED,
+    UnreadableTime,
+    in_utc,
+    julian_dates_of_iso,
+    julian_dates_of_numbers,
+)
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
 
 NO_STATION = "unknown"
-JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*")
+SHORTEST_KM = 1e-6
+"""Of a vector to Sun or observer: a millimetre is no distance between bodies."""
 ABOVE_0 = 5e-324
+LEAST_ERROR, LARGEST_ERROR = 1e-12, 1e12
+"""Of an error, of the size of what it belongs to (1 for magnitudes): beyond it, it is no measured error, and
+weights of its inverse square lose the other rows.
+"""
 LIMITS = {
-    "mag": (-90.0, 90.0),
+    "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
-    "mag_err": (ABOVE_0, 90.0),
+    "mag_err": (LEAST_ERROR, BEYOND_MAG),
     "flux_err": (ABOVE_0, 1e30),
     "exptime": (0.0, 86400.0),
     "alt": (-90.0, 90.0),
@@ -71,11 +84,12 @@ class _Reader:
 
     def __init__(self, header: Header, scene: Scene | None, use: str | None) -> None:
         self.header, self.scene, self.source = header, scene, header.source
-        self.warnings: list[str] = []
         self.dropped: dict[str, int] = {}
         self.kind = declared.brightness(header, use)
-        self.scale = declared.time_scale(header)
-        self.time_format = declared.time_format(header)
+        self.timing = declared.timing(header)
+        self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
+        self.time_format = self.timing.format
+        self.warnings = [*self.timing.notes, *declared.units_told(header, self.kind)]
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in ("station", "band", "curve") if name in header.names}
         self.columns = self._read()
@@ -103,21 +117,38 @@ class _Reader:
             self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
         try:
             if self.time_format == "iso":
-                days = julian_dates_of_iso(cells, self.scale)
+                days = julian_dates_of_iso(cells, self.timing.scale)
             else:
                 if not all(map(str.strip, cells)):
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
-                days = julian_dates_of_numbers(numbers, self.scale, modified=self.time_format == "mjd")
+                zero = declared.ZEROS[self.time_format]
+                days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero)
         except UnreadableTime as error:
             place = row_place(start + error.index, name)
-            raise InputError(self.source, place, repr(error.found[:40]), error.expected) from None
+            hint = self._time_hint(error.found)
+            raise InputError(self.source, place, repr(error.found[:40]), error.expected, hint) from None
+        if self.timing.scale != self.scale:
+            days = in_utc(*days, self.timing.scale)
         return np.stack(days, axis=-1)
 
+    def _time_hint(self, found: str) -> str | None:
+        """What to do about a time that is no Julian date but may be one of a known kind."""
+        try:
+            number = decimal(found)
+        except ValueError:
+            return advice(found)
+        if self.time_format != "jd" or not REDUCED[0] < number < REDUCED[1]:
+            return None
+        return f"Or say time_format: mjd, or time_format: jd-2400000, {declared.metadata_hint(self.header)}"
+
     def recording(self, min_rows: int) -> Recording:
+        self._move_to_middle()
+        self._drop_markers()
         self._drop_non_finite()
         self._check_limits()
+        self._check_errors()
         self._sort()
         first_time = cast(Time, self._time()[:1])
         self._keep(~groups.repeats(self.columns), "duplicate")
@@ -145,7 +176,7 @@ class _Reader:
             if f"{prefix}_x" in columns
         }
         for name, vector in vectors.items():
-            if name != "velocity" and not (np.abs(vector).max(-1) > 0).all():
+            if name != "velocity" and not (np.abs(vector).max(-1) > SHORTEST_KM).all():
                 place = f"columns {declared.VECTORS[name]}_x, _y, _z"
                 raise InputError(self.source, place, "a vector of length 0", "a direction")
         return Recording(
@@ -188,6 +219,32 @@ class _Reader:
         if not len(self.rows):
             raise no_usable_row(self.source, self.dropped)
 
+    def _move_to_middle(self) -> None:
+        """Times of the start or end of exposures become those of their middle."""
+        if self.timing.mark == "mid":
+            return
+        exptime = self.columns.get("exptime")
+        if exptime is None:
+            raise InputError(
+                self.source, "column exptime", "no number", "s, for times are of the " + self.timing.mark
+            )
+        half_day = exptime / 2 / 86400.0
+        self.columns["time"][:, 1] += half_day if self.timing.mark == "start" else -half_day
+
+    def _drop_markers(self) -> None:
+        """Rows whose magnitude or error is a number that stands for a missing one; an error of a limit is
+        left open instead.
+        """
+        mag, error = self.columns.get("mag"), self.columns.get("mag_err")
+        limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
+        if error is not None:
+            error[limit & (np.abs(error) > BEYOND_MAG)] = np.nan
+        beyond = np.zeros(len(self.rows), dtype=bool)
+        for column in (mag, error):
+            if column is not None:
+                beyond |= np.isfinite(column) & (np.abs(column) > BEYOND_MAG)
+        self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
+
     def _drop_non_finite(self) -> None:
         """Rows with a blank or infinite number go; an upper limit without an error takes the median."""
         error, limit = self.columns.get(f"{self.kind}_err"), self.columns.get("upper_limit")
@@ -209,9 +266,23 @@ class _Reader:
             )
             if bad.size:
                 expected = f"> 0 and at most {high:g}" if low == ABOVE_0 else f"{low:g} to {high:g}"
+                if name == "mag_err":
+                    expected = f"> 0: {low:g} to {high:g} mag"
                 place = row_place(int(self.rows[bad[0]]), name)
                 hint = "Leave a missing value blank." if name == self.kind else None
                 raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)
+
+    def _check_errors(self) -> None:
+        """Errors of a flux that are nothing, or everything, beside the fluxes of the file."""
+        error = self.columns.get("flux_err")
+        if error is None or self.kind != "flux":
+            return
+        size = float(np.median(np.abs(self.columns["flux"]))) or 1.0
+        bad = np.flatnonzero((error < LEAST_ERROR * size) | (error > LARGEST_ERROR * size))
+        if bad.size:
+            expected = f"{LEAST_ERROR * size:.1g} to {LARGEST_ERROR * size:.1g}, for fluxes of {size:.3g}"
+            place = row_place(int(self.rows[bad[0]]), "flux_err")
+            raise InputError(self.source, place, f"{error[bad[0]]:g}", expected)
 
     def _sort(self) -> None:
         order = groups.time_order(self.columns["time"])

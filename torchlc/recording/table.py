@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 from astropy.table.meta import get_header_from_yaml
 
+from torchlc.decimals import advice, decimal, decimals
 from torchlc.errors import InputError
 from torchlc.files import readable_file
+from torchlc.recording.astropy_tables import described_table, read_table
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
@@ -25,14 +28,23 @@ MAX_HEADER_LINES = 10_000
 CHUNK_ROWS = 50_000
 BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked"})
 TRUE, FALSE = frozenset({"true", "t", "yes", "1", "1.0"}), frozenset({"false", "f", "no", "0", "0.0"})
+BEYOND_MAG = 90.0
+"""Magnitudes and their errors beyond it, such as 99.0 and -99.9, mark missing values: the Sun has -26.7."""
 FORMAT = "CSV with a header line, or ECSV"
+AS_A_LIMIT = "Write a limit as a number, and true in a column upper_limit."
+METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
+"""What comment lines ``# key: value`` above the header of a CSV may say, as the metadata of an ECSV."""
+NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
+"""Bytes that no line of text holds, whatever its encoding; the end mark of DOS, 1a, is let through."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a table says before its rows: column names, units, descriptions and metadata (empty for CSV).
+    """What a table says before its rows: column names, units, descriptions and metadata.
 
-    ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    ``comments`` are the lines of a CSV above its header that say no metadata; ``notes`` is what has to be
+    told of how the file was read. ``rows`` yields the cells of each row where they are not simply the lines
+    of ``source``.
     """
 
     source: Path
@@ -42,6 +54,8 @@ class Header:
     units: Mapping[str, str] = field(default_factory=dict)
     descriptions: Mapping[str, str] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
+    comments: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     rows: Callable[[], Iterator[list[str]]] | None = None
 
 
@@ -61,6 +75,14 @@ def read_header(path: Path, layouts: Sequence[Layout] = ()) -> Header:
         raise _too_long(path)
     if first is None:
         raise InputError(path, None, "no rows", FORMAT)
+    header = _header(path, layouts, comments, first)
+    if encoding_of(path) != "utf-8-sig":
+        told = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
+        header = replace(header, notes=(told, *header.notes))
+    return header
+
+
+def _header(path: Path, layouts: Sequence[Layout], comments: list[str], first: str) -> Header:
     if comments and comments[0].startswith("%ECSV"):
         return _ecsv_header(path, comments, first)
     for layout in layouts:
@@ -69,7 +91,20 @@ def read_header(path: Path, layouts: Sequence[Layout] = ()) -> Header:
     delimiter = max(",;\t", key=first.count)
     names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
     _check_names(path, names)
-    return Header(path, names, delimiter, ecsv=False)
+    meta, others = metadata_of_comments(comments)
+    return Header(path, names, delimiter, ecsv=False, meta=meta, comments=tuple(others))
+
+
+def metadata_of_comments(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """What comment lines say as ``key: value`` with a key of ``METADATA``, and the other lines."""
+    meta, others = {}, []
+    for line in comments:
+        key, _, value = (part.strip() for part in line.replace("=", ":", 1).partition(":"))
+        if key.lower() in METADATA and value:
+            meta[key.lower()] = value
+        elif line.strip():
+            others.append(line.strip())
+    return meta, others
 
 
 def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str, np.ndarray]:
@@ -121,20 +156,40 @@ def _too_long(path: Path) -> InputError:
     )
 
 
-def lines_of(path: Path) -> Iterator[str]:
-    """Lines of bounded length; a byte that is no UTF-8 becomes an InputError."""
-    number = 0
+def encoding_of(path: Path) -> str:
+    """ "utf-8-sig", or "cp1252" (which holds Latin-1) for a text that is no UTF-8; InputError for no text."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
     try:
-        with path.open(encoding="utf-8-sig") as stream:
-            while line := stream.readline(MAX_LINE):
-                number += 1
-                if len(line) == MAX_LINE:
-                    raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
-                yield line
-    except UnicodeDecodeError as error:
-        raise InputError(
-            path, f"after line {number}" if number else None, f"not UTF-8 text: {error.reason}", "UTF-8 text"
-        ) from None
+        with path.open("rb") as stream:
+            while block := stream.read(BLOCK_BYTES):
+                decoder.decode(block)
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        pass
+    else:
+        return "utf-8-sig"
+    with path.open("rb") as stream:
+        for number, line in enumerate(stream, 1):
+            try:
+                line.decode("cp1252")
+            except UnicodeDecodeError:
+                pass
+            else:
+                if not NOT_TEXT.search(line):
+                    continue
+            raise InputError(path, f"line {number}", "not UTF-8 text", "UTF-8 text")
+    return "cp1252"
+
+
+def lines_of(path: Path) -> Iterator[str]:
+    """Lines of bounded length."""
+    number = 0
+    with path.open(encoding=encoding_of(path)) as stream:
+        while line := stream.readline(MAX_LINE):
+            number += 1
+            if len(line) == MAX_LINE:
+                raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
+            yield line
 
 
 def _leading_lines(path: Path) -> tuple[list[str], str | None]:
@@ -167,10 +222,8 @@ def _ecsv_header(path: Path, comments: Sequence[str], first: str) -> Header:
         raise InputError(
             path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200]
         )
-    serialized = meta.pop("__serialized_columns__", {})
-    if isinstance(serialized, dict) and isinstance(serialized.get("time"), dict):
-        meta.setdefault("time_scale", serialized["time"].get("scale", "utc"))
-        meta.setdefault("time_format", serialized["time"].get("format", "isot"))
+    if meta.get("__serialized_columns__"):
+        return Header(**described_table(path, read_table(path, list(lines_of(path)))))
     return Header(
         source=path,
         names=names,
@@ -219,16 +272,16 @@ def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
 def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
     """(T,) float64; a blank cell is not-a-number."""
     try:
-        return np.array(list(map(float, cells)))
+        return decimals(cells)
     except ValueError:
         pass
     numbers = np.empty(len(cells))
     for index, cell in enumerate(cells):
         try:
-            numbers[index] = float(cell)
+            numbers[index] = decimal(cell)
         except ValueError:
             if cell.strip().lower() not in BLANK:
-                hint = "Write decimals with a point." if re.fullmatch(r"\s*-?\d+,\d+\s*", cell) else None
+                hint = AS_A_LIMIT if re.match(r"\s*[<>]", cell) else advice(cell)
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan

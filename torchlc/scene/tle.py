@@ -11,24 +11,49 @@ from typing import Any
 import numpy as np
 from pydantic_core import PydanticCustomError
 
+from torchlc.decimals import decimal
 from torchlc.errors import InputError
 from torchlc.files import readable_file
 from torchlc.scene.numbers import problem
 
 PLACEHOLDER = "xxxxx"
 LENGTH = 69
-LINE_1 = re.compile(
-    r"1 [ \dA-Z]\d{4}[UCS] .{8} [ \d]\d[ \d]{3}\.\d{8} [ +-][ \d]?\.\d{8} "
-    r"[ +-][ \d]{5}[+-]\d [ +-][ \d]{5}[+-]\d [ \d] [ \d]{4}\d"
+COLUMNS = (
+    "1 a####l xxxxxxxx _#___.######## n.######## s_____s# s_____s# _ ____#",
+    "2 a#### ___.#### ___.#### _______ ___.#### ___.#### __.########_____#",
 )
-LINE_2 = re.compile(
-    r"2 [ \dA-Z]\d{4} [ \d]{3}\.\d{4} [ \d]{3}\.\d{4} [ \d]{7} "
-    r"[ \d]{3}\.\d{4} [ \d]{3}\.\d{4} [ \d]{2}\.\d{8}[ \d]{5}\d"
+"""What may stand in each column of the two lines: a key of ``KINDS``, else the character itself."""
+KINDS = {
+    "#": ("a digit", "[0-9]"),
+    "_": ("a digit or a blank", "[0-9 ]"),
+    "a": ("a digit, a blank or a letter other than I and O", "[0-9A-HJ-NP-Z ]"),
+    "l": ("a letter or a blank", "[A-Za-z ]"),
+    "s": ("a sign, a blank or 0", "[+ 0-]"),
+    "n": ("a sign, a blank or a digit", "[+ 0-9-]"),
+    "x": ("printable ASCII", "[ -~]"),
+}
+"""Words and pattern. Alpha-5 numbers leave out I and O, which look like 1 and 0. Where a sign may stand some
+catalogues write the 0 before the decimal point, which is no sign.
+"""
+FIELDS = (
+    {"day of the year": (20, 32, 1.0, 367.0)},
+    {
+        "inclination": (8, 16, 0.0, 180.0),
+        "right ascension of the node": (17, 25, 0.0, 360.0),
+        "argument of perigee": (34, 42, 0.0, 360.0),
+        "mean anomaly": (43, 51, 0.0, 360.0),
+        "mean motion": (52, 63, 1e-8, 20.0),
+    },
 )
+"""Numbers of each line: first column less one, last column, and what an orbit allows."""
 
 
 MAX_ELEMENT_BYTES = 50_000_000
 JD_OF_2000 = 2451544.5
+LIKE_ELEMENTS = re.compile(r"(?<![\w.])[12]\s{1,2}(?:x{5}|[ \dA-Za-z][ \d]{4})[A-Za-z]?\s")
+"""A line number and a catalogue number, the placeholder of papers included."""
+LONGEST_NAME = 30
+"""Characters of a line that may be a name: NORAD's have 24."""
 
 
 @dataclass(frozen=True)
@@ -46,26 +71,40 @@ class Elements:
 
 
 def read_elements(path: str | Path) -> list[Elements]:
-    """Every two-line element set of a file, names above them kept; all checked, all of one object."""
+    """Every two-line element set of a file, names above them kept; all checked, all of one object.
+
+    A line of elements that lacks the other of its set is an error: no set is passed over.
+    """
     path = readable_file(path, "two-line element sets")
     if path.stat().st_size > MAX_ELEMENT_BYTES:
         raise InputError(path, None, "more than 50 MB", "two-line element sets")
-    lines = [line.rstrip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
-    found = []
-    for number, line in enumerate(lines[:-1]):
-        after = lines[number + 1]
-        if line.startswith("1 ") and after.startswith("2 ") and len(line) >= LENGTH and len(after) >= LENGTH:
-            above = lines[number - 1].removeprefix("0 ").strip() if number else ""
-            title = above if above and above[:2] not in ("1 ", "2 ") else None
-            try:
-                checked = checked_lines((line[:LENGTH], after[:LENGTH]))
-            except PydanticCustomError as error:
-                said: Any = error.context
-                place = f"line {number + 1 + (said['key'] == '[1]')}"
-                raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
-            found.append(Elements(title, checked))
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
+    texts = re.split(r"\r\n|\r|\n", content.decode("utf-8-sig", errors="replace"))
+    lines = [(number, text.lstrip("\ufeff \t").rstrip()) for number, text in enumerate(texts, 1)]
+    lines = [(number, text) for number, text in lines if text and not text.startswith("#")]
+    found, lacking, k = [], None, 0
+    while k < len(lines):
+        number, line = lines[k]
+        following = lines[k + 1] if k + 1 < len(lines) else (number, "")
+        if not _is_elements(line):
+            k += 1
+        elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
+            lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
+            told = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
+            lacking = lacking or (f"line {number}", f"{line[:90]!r}{told}")
+            k += 1
+        else:
+            above = lines[k - 1][1] if k else ""
+            name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
+            found.append(Elements(name, _checked(path, (number, line), following)))
+            k += 2
     if not found:
-        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '")
+        hint = f"{lacking[0]}: {lacking[1]}" if lacking else None
+        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", hint)
+    if lacking:
+        raise InputError(path, *lacking, "both lines of each set, one below the other")
     numbers = sorted({one.lines[0][2:7] for one in found})
     if len(numbers) > 1:
         listed = ", ".join(numbers[:8])
@@ -75,10 +114,33 @@ def read_elements(path: str | Path) -> list[Elements]:
     return found
 
 
+def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tuple[str, str]:
+    """The two lines, given with their numbers in the file, as :func:`checked_lines` has them."""
+    try:
+        return checked_lines((_cut(first[1]), _cut(second[1])))
+    except PydanticCustomError as error:
+        said: Any = error.context
+        place = f"line {second[0] if said['key'] == '[1]' else first[0]}"
+        raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
+
+
+def _is_elements(line: str) -> bool:
+    """Does it hold a line of elements, whole or not, and in whatever wrapping? Names are shorter."""
+    return len(line) > LONGEST_NAME and LIKE_ELEMENTS.search(line) is not None
+
+
+def _cut(line: str) -> str:
+    """The line without what some catalogues write beyond its last column, after a blank."""
+    return line[:LENGTH] if len(line) > LENGTH and line[LENGTH].isspace() else line
+
+
 def nearest(sets: Sequence[Elements], jd: np.ndarray) -> np.ndarray:
-    """Index (T,) of the set with its epoch nearest to each Julian date (T,), UTC."""
-    order = np.argsort([one.epoch for one in sets], kind="stable")
-    epochs = np.array([sets[k].epoch for k in order])
+    """Index (T,) of the set with its epoch nearest to each Julian date (T,), UTC; of equally near ones the
+    earlier, of sets of one epoch the last on file, which corrects those before.
+    """
+    last = {one.epoch: k for k, one in enumerate(sets)}
+    epochs = np.array(sorted(last))
+    order = np.array([last[epoch] for epoch in epochs])
     return order[np.searchsorted((epochs[1:] + epochs[:-1]) / 2, jd)]
 
 
@@ -90,22 +152,47 @@ def checksum(line: str) -> int:
 def checked_lines(lines: tuple[str, str]) -> tuple[str, str]:
     """The two lines without trailing blanks; raises when they are no valid element set."""
     lines = (lines[0].rstrip(), lines[1].rstrip())
-    for number, (line, layout) in enumerate(zip(lines, (LINE_1, LINE_2), strict=True), 1):
+    for number, (line, columns, fields) in enumerate(zip(lines, COLUMNS, FIELDS, strict=True), 1):
         where = f"[{number - 1}]"
-        if not line.isascii() or not line.startswith(f"{number} "):
+        if not line.startswith(f"{number} "):
             raise problem(f"{line[:20]!r}", f"a line that begins with '{number} '", where)
         if len(line) != LENGTH:
-            raise problem(f"{len(line)} characters", f"{LENGTH}", where, "Copy the line with all its blanks.")
-        if line[-1] != str(checksum(line)):
             raise problem(
-                f"checksum {line[-1]!r}", f"{checksum(line)}", where, "A digit of the line is wrong."
+                f"{len(line)} characters in {line[:90]!r}",
+                f"{LENGTH}",
+                where,
+                "Copy the line with all its blanks.",
             )
         plain = line[:2] + line[2:7].replace(PLACEHOLDER, "00000") + line[7:]
-        if not layout.fullmatch(plain):
-            raise problem(f"{line!r}", "the columns of a two-line element set", where)
+        for column, (character, kind) in enumerate(zip(plain, columns, strict=True), 1):
+            words, pattern = KINDS.get(kind, ("a blank" if kind == " " else repr(kind), re.escape(kind)))
+            if not re.fullmatch(pattern, character):
+                expected = f"{words}, by the columns of a two-line element set"
+                hint = (
+                    "Write the catalogue number with its zeros."
+                    if 3 < column < 8 and character == " "
+                    else ""
+                )
+                raise problem(f"column {column}: {character!r} in {line!r}", expected, where, hint)
+        if line[-1] != str(checksum(line)):
+            hint = f"A character of the line is wrong: {line!r}"
+            raise problem(f"checksum {line[-1]!r}", f"{checksum(line)}", where, hint)
+        for name, (first, last, low, high) in fields.items():
+            _check_field(line, name, (first, last), (low, high), where)
     first, second = (line[2:7] for line in lines)
     if first != second:
         raise problem(f"catalogue numbers {first} and {second}", "the same in both lines")
-    if not float(lines[1][8:16]) <= 180 or not float(lines[1][52:63]) > 0:
-        raise problem("an inclination above 180 deg or a mean motion of 0", "the elements of an orbit", "[1]")
     return lines
+
+
+def _check_field(
+    line: str, name: str, place: tuple[int, int], limits: tuple[float, float], where: str
+) -> None:
+    text = line[slice(*place)]
+    columns = f"columns {place[0] + 1}-{place[1]}, {name}: {text!r} in {line!r}"
+    try:
+        value = decimal(text)
+    except ValueError:
+        raise problem(columns, "a number without blanks inside", where) from None
+    if not limits[0] <= value <= limits[1]:
+        raise problem(columns, f"{limits[0]:g} to {limits[1]:g}", where)

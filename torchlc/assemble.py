@@ -182,10 +182,11 @@ def assemble(
     them. Smooth shapes are cut finely enough for exponents up to ``sharpest``.
     """
     if base is None:
-        track = make_track(scene, recording)
-        attitude = Attitude(scene, recording)
-        lobes = _finest_lobes(scene, sharpest)
-        shape = Shape(scene, lobes)
+        with scene.reading():
+            track = make_track(scene, recording)
+            attitude = Attitude(scene, recording)
+            lobes = _finest_lobes(scene, sharpest)
+            shape = Shape(scene, lobes)
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}

@@ -119,27 +119,23 @@ def read_chain(path: Path) -> StoredChain | None:
 
 
 def check_origin(path: Path, chain: StoredChain, origin: Mapping[str, Any]) -> None:
-    """Raise InputError where the chain was made from something else than ``origin``, or the part of it that is
-    known, says."""
+    """Raise InputError where the chain was made from something else than ``origin`` says: all of
+    :func:`chain_origin`, or scene, recording and seed, which are known before the search.
+    """
     made = chain.origin
-    for key in ("scene", "recording"):
-        if key in origin and made[key] != origin[key]:
-            hint = f"{ANEW}, or give the {key} it was made with"
-            raise InputError(path, None, f"a chain of another {key}", f"one of this {key}", hint)
-    if "seed" in origin and made["seed"] != origin["seed"]:
-        hint = f"{ANEW}, or go on with --seed {made['seed']}"
-        raise InputError(path, None, f"a chain of seed {made['seed']}", f"one of seed {origin['seed']}", hint)
     if "walkers" in origin and any(made[key] != origin[key] for key in ("walkers", "parameters")):
         found, expected = (
             f"{one['walkers']} walkers over {', '.join(one['parameters'])}" for one in (made, origin)
         )
-        raise InputError(
-            path,
-            None,
-            f"a chain of {found}",
-            expected,
-            f"{ANEW}, or give the scene and --walkers it was made with",
-        )
+        hint = f"{ANEW}, or give the scene and --walkers it was made with"
+        raise InputError(path, None, f"a chain of {found}", expected, hint)
+    for key, found in (("scene", "another scene"), ("recording", "other data: another recording")):
+        if made[key] != origin[key]:
+            hint = f"{ANEW}, or give the {key} it was made with"
+            raise InputError(path, None, f"a chain of {found}", f"one of this {key}", hint)
+    if made["seed"] != origin["seed"]:
+        hint = f"{ANEW}, or go on with --seed {made['seed']}"
+        raise InputError(path, None, f"a chain of seed {made['seed']}", f"one of seed {origin['seed']}", hint)
     if "effects" in origin and made["effects"] != origin["effects"]:
         found, expected = (", ".join(one["effects"]) or "none" for one in (made, origin))
         raise InputError(path, None, f"a chain with the effects {found}", expected, ANEW)

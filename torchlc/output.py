@@ -232,18 +232,15 @@ def read_manifest(folder: Path) -> dict[str, list[str]]:
     expected = f"a manifest of torchlc ({MANIFEST_SCHEMA}), or none"
     hint = "Move it away, or give another directory"
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode):
+            raise InputError(path, None, kind_of(mode), expected, hint)
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
+            text = stream.read(MOST_MANIFEST_BYTES + 1)
     except FileNotFoundError:
         return {}
     except OSError as error:
-        if os.path.lexists(path) and not _is_regular(path):
-            raise InputError(path, None, kind_of(path.lstat().st_mode), expected, hint) from None
         raise _unusable(path, error) from None
-    with os.fdopen(descriptor, "rb") as stream:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(path, None, kind_of(status.st_mode), expected, hint)
-        text = stream.read(MOST_MANIFEST_BYTES + 1)
     try:
         content = json.loads(text)
         files = content["files"]

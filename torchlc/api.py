@@ -127,12 +127,15 @@ def fit(
         raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
     rows = usable(scene, recording, use=use)
     with ExitStack() as stack:
-        directory = _held(stack, out, FIT_FILES, scene, rows)
+        later = {CHAIN_FILE} if resume else frozenset()
+        directory = _held(stack, out, FIT_FILES - later, scene, rows)
         likelihood = Likelihood(LightCurve(scene, rows))
         _check_sampling(len(likelihood.model.names), steps, walkers)
         chain = None if directory is None else directory.path / CHAIN_FILE
-        if resume and chain is not None and (stored := read_chain(chain)) is not None:
-            check_origin(chain, stored, {**input_hashes(scene, rows), "seed": seed})
+        if resume and directory is not None and chain is not None:
+            if (stored := read_chain(chain)) is not None:  # says more of what is wrong than the manifest can
+                check_origin(chain, stored, {**input_hashes(scene, rows), "seed": seed})
+            directory.check(CHAIN_FILE)
         seconds = {"load": time.monotonic() - began}
         clock = time.monotonic()
         found, warnings = _search(likelihood, rows, seed, progress)

@@ -71,7 +71,7 @@ class OutputDirectory:
             self._lock()
             self._manifest = read_manifest(self.path)
             for name in self._writes:
-                self._check(name)
+                self.check(name)
         except BaseException:
             self._unlock()
             self._unmake()
@@ -100,7 +100,7 @@ class OutputDirectory:
     def write(self, name: str, writer: Callable[[Path], object]) -> Path:
         """Let ``writer`` fill a file beside ``name`` and put it in place once it is on disk."""
         path = self.path / name
-        self._check(name)
+        self.check(name)
         with resources(path), _filled(path, writer) as partial:
             before = self._manifest.get(name, [])
             self._manifest[name] = list(dict.fromkeys([sha256_of(partial), *before]))[:KEPT_HASHES]
@@ -145,7 +145,7 @@ class OutputDirectory:
         path = self.path / name
         return _is_regular(path) and sha256_of(path) in self._manifest.get(name, ())
 
-    def _check(self, name: str) -> None:
+    def check(self, name: str) -> None:
         """Raise InputError unless ``name`` is absent or a file that torchlc wrote, and no input."""
         path = self.path / name
         check_replaceable(path, self._inputs)

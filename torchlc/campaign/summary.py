@@ -56,7 +56,7 @@ def write_summary(
 
     directory.write(PARQUET, fill)
     table = directory.path / PARQUET
-    directory.write(TABLE, lambda path: _write_csv(path, table))
+    directory.write(TABLE, lambda path: write_csv(path, table))
     directory.write(PAGE, lambda path: _write_page(path, table, name, facts))
 
 
@@ -104,7 +104,8 @@ def _blocks(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
         yield block
 
 
-def _write_csv(path: Path, table: Path) -> None:
+def write_csv(path: Path, table: Path) -> None:
+    """The rows of a summary without lists, none of whose cells a spreadsheet takes for a formula."""
     columns = list(KINDS)
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, columns)

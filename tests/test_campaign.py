@@ -478,9 +478,9 @@ def test_what_somebody_put_into_an_objects_folder_stays(tmp_path: Path):
     assert record is not None and "curve.png: there, but not in" in record["reason"]
     assert (folder / "curve.png").read_text() == "mine"
     (folder / "curve.png").unlink()
-    assert run_object(job, folder) == "done" and run_object(job, folder) == "skipped"
+    assert run_object(job, folder, "first") == "done" and run_object(job, folder, "second") == "skipped"
     report = (folder / "report.html").read_text()
     (folder / "report.html").write_text(f"{report}<!-- notes of mine -->")
-    assert run_object(job, folder) == "done"
+    assert run_object(job, folder, "third") == "done"
     assert (folder / "report.html.changed").read_text().endswith("<!-- notes of mine -->")
-    assert run_object(job, folder) == "skipped"
+    assert run_object(job, folder, "fourth") == "skipped"

@@ -15,6 +15,7 @@ import tracemalloc
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import arviz
 import emcee
@@ -183,6 +184,7 @@ torch.set_num_threads(1)
 sys.path.insert(0, {paper!r})
 sys.path.insert(0, {tests!r})
 from pathlib import Path
+from typing import Any
 import setting, torchlc
 from test_sample import BODY, night
 from torchlc.fit import fit_map
@@ -316,77 +318,77 @@ def test_the_chain_is_an_emcee_backend(fitted: Path):
     assert (backend.accepted > 0).all() and backend.get_autocorr_time(quiet=True).shape == (4,)
 
 
-def overwritten(file: h5py.File) -> None:
+def overwritten(file: Any) -> None:
     file["mcmc/chain"][10:235] = 0.5
 
 
-def one_bit(file: h5py.File) -> None:
+def one_bit(file: Any) -> None:
     steps = file["mcmc/chain"]
     steps[120, 3, 1] = np.nextafter(steps[120, 3, 1], np.inf)
 
 
-def not_numbers(file: h5py.File) -> None:
+def not_numbers(file: Any) -> None:
     file["mcmc/chain"][5, 2] = np.nan
 
 
-def other_densities(file: h5py.File) -> None:
+def other_densities(file: Any) -> None:
     file["mcmc/log_prob"][7] += 1e-9
 
 
-def no_random_state(file: h5py.File) -> None:
+def no_random_state(file: Any) -> None:
     for index in range(5):
         del file["mcmc"].attrs[f"random_state_{index}"]
 
 
-def other_random_state(file: h5py.File) -> None:
+def other_random_state(file: Any) -> None:
     key = file["mcmc"].attrs["random_state_1"].copy()
     key[17] ^= 1
     file["mcmc"].attrs["random_state_1"] = key
 
 
-def moved_position(file: h5py.File) -> None:
+def moved_position(file: Any) -> None:
     file["mcmc"].attrs["random_state_2"] += 1
 
 
-def other_acceptance(file: h5py.File) -> None:
+def other_acceptance(file: Any) -> None:
     file["mcmc/accepted"][0] += 1
 
 
-def negative_steps(file: h5py.File) -> None:
+def negative_steps(file: Any) -> None:
     file["mcmc"].attrs["iteration"] = -3
 
 
-def fewer_steps(file: h5py.File) -> None:
+def fewer_steps(file: Any) -> None:
     file["mcmc"].attrs["iteration"] = 200
 
 
-def steps_in_words(file: h5py.File) -> None:
+def steps_in_words(file: Any) -> None:
     file["mcmc"].attrs["iteration"] = "many"
 
 
-def a_billion_steps(file: h5py.File) -> None:
+def a_billion_steps(file: Any) -> None:
     file["mcmc"].attrs["iteration"] = 10**9
     for name in ("chain", "log_prob"):
         file[f"mcmc/{name}"].resize(10**9, axis=0)
 
 
-def integers(file: h5py.File) -> None:
+def integers(file: Any) -> None:
     steps = file["mcmc/chain"][:].astype(int)
     del file["mcmc/chain"]
     file["mcmc/chain"] = steps
 
 
-def integer_names(file: h5py.File) -> None:
+def integer_names(file: Any) -> None:
     origin = json.loads(file["mcmc"].attrs["torchlc_origin"]) | {"parameters": [1, 2, 3, 4]}
     file["mcmc"].attrs["torchlc_origin"] = json.dumps(origin)
     file["mcmc"].attrs["parameters"] = np.arange(4)
 
 
-def no_origin(file: h5py.File) -> None:
+def no_origin(file: Any) -> None:
     del file["mcmc"].attrs["torchlc_origin"]
 
 
-def a_bomb(file: h5py.File) -> None:
+def a_bomb(file: Any) -> None:
     """A gigabyte of zeros in a megabyte."""
     del file["mcmc/chain"]
     file["mcmc"].create_dataset(
@@ -395,12 +397,12 @@ def a_bomb(file: h5py.File) -> None:
     file["mcmc"].attrs["iteration"] = 3_000_000
 
 
-def elsewhere(file: h5py.File) -> None:
+def elsewhere(file: Any) -> None:
     del file["mcmc/chain"]
     file["mcmc/chain"] = h5py.ExternalLink("/etc/passwd", "chain")
 
 
-def nothing(file: h5py.File) -> None:
+def nothing(file: Any) -> None:
     del file["mcmc"]
 
 

@@ -21,6 +21,7 @@ import distributed  # noqa: F401  (loads the configuration that is changed below
 import h5py
 import numpy as np
 import pandas
+import pyarrow.parquet
 import pytest
 
 import torchlc
@@ -28,7 +29,8 @@ from tests.chromium import PROGRAM, Page
 from tests.small_case import write_case
 from torchlc.campaign.cluster import connected, spread
 from torchlc.campaign.manifest import Job, check_manifest, read_manifest
-from torchlc.campaign.objects import origin_of, read_record
+from torchlc.campaign.objects import origin_of, read_record, run_object
+from torchlc.campaign.summary import arrow_schema, write_csv
 from torchlc.cli import run
 from torchlc.errors import TorchlcError
 from torchlc.output import LOCK_NAME, OutputDirectory
@@ -426,3 +428,59 @@ def alive(group: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def test_no_cell_of_the_summary_is_a_formula(tmp_path: Path):
+    """Cells that a spreadsheet would run (OWASP, CSV injection) are text; numbers, also negative ones, are numbers."""
+    hostile = [
+        "=cmd|' /C calc'!A0",
+        "+1+cmd",
+        "-2+3",
+        "@SUM(1)",
+        "\t=1",
+        "\r=1",
+        "＝1",
+        "plain",
+        "a=b",
+        "-5",
+        "+1e3",
+        "-.5",
+    ]
+    rows = [
+        {"id": text, "directory": "objects/x", "scene": "s", "recording": "r", "task": "fit", "status": "failed",
+         "reason": text, "seed": 1, "rms_mag": -0.5, "chi2": 1e-7}
+        for text in hostile
+    ]  # fmt: skip
+    pyarrow.parquet.write_table(
+        pyarrow.Table.from_pylist(rows, schema=arrow_schema()), tmp_path / "t.parquet"
+    )
+    write_csv(tmp_path / "t.csv", tmp_path / "t.parquet")
+    with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as stream:
+        cells = [row["id"] for row in csv.DictReader(stream)]
+    assert cells == [f"'{text}" for text in hostile[:7]] + hostile[7:]
+    assert not any(cell[:1] in "=+-@\t\r" and not re.fullmatch(r"[-+]?[\d.]+(e\d+)?", cell) for cell in cells)
+    table = pandas.read_csv(tmp_path / "t.csv")
+    assert set(table.rms_mag) == {-0.5} and set(table.chi2) == {1e-7}
+
+
+def test_what_somebody_put_into_an_objects_folder_stays(tmp_path: Path):
+    """A file of the user's under the name of a result fails that object, in words; one of ours that was changed is
+    kept under another name, and the object is done again."""
+    write_case(tmp_path, rows=9)
+    job = Job(
+        "a", tmp_path / "scene.toml", tmp_path / "recording.ecsv", "fit", 0, {"steps": 20, "walkers": 10}
+    )
+    folder = tmp_path / "a"
+    folder.mkdir()
+    (folder / "curve.png").write_text("mine")
+    assert run_object(job, folder) == "failed"
+    record = read_record(folder)
+    assert record is not None and "curve.png: there, but not in" in record["reason"]
+    assert (folder / "curve.png").read_text() == "mine"
+    (folder / "curve.png").unlink()
+    assert run_object(job, folder, "first") == "done" and run_object(job, folder, "second") == "skipped"
+    report = (folder / "report.html").read_text()
+    (folder / "report.html").write_text(f"{report}<!-- notes of mine -->")
+    assert run_object(job, folder, "third") == "done"
+    assert (folder / "report.html.changed").read_text().endswith("<!-- notes of mine -->")
+    assert run_object(job, folder, "fourth") == "skipped"

@@ -4,11 +4,10 @@ and returns one object.
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -18,6 +17,7 @@ import torch
 
 from torchlc import __version__
 from torchlc.assemble import assemble
+from torchlc.chain import check_origin, input_hashes, read_chain
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.fit import Fit, fit_map
@@ -25,7 +25,7 @@ from torchlc.insight import limits
 from torchlc.likelihood import Likelihood
 from torchlc.model import LightCurve
 from torchlc.orbit import above_horizon, observation_grid
-from torchlc.output import OutputDirectory, resources
+from torchlc.output import CHAIN_FILE, DIAGNOSIS_FILES, FIT_FILES, OutputDirectory, resources, write_whole
 from torchlc.recording import Recording, counted, load_recording
 from torchlc.recording.reader import LIMITS
 from torchlc.results import FitResult
@@ -119,20 +119,25 @@ def fit(
 
     ``steps`` fixes the length of the chain, else it runs until long against its autocorrelation time;
     ``walkers`` defaults to 6 a parameter. With ``out`` everything is written there (fit.json, posterior.nc,
-    chain.h5, figures, report.html) and ``resume`` continues the chain found there. Nothing free: the model
-    is evaluated and nothing is sampled.
+    chain.h5, figures, report.html), in place of what an earlier run wrote, and ``resume`` continues the chain
+    found there. Nothing free: the model is evaluated and nothing is sampled.
     """
     began = time.monotonic()
     scene = _scene(scene, trust)
     if resume and out is None:
         raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
-    likelihood = Likelihood(LightCurve(scene, rows := usable(scene, recording, use=use)))
-    _check_sampling(len(likelihood.model.names), steps, walkers)
-    seconds = {"load": time.monotonic() - began}
+    rows = usable(scene, recording, use=use)
     with ExitStack() as stack:
-        directory = None if out is None else stack.enter_context(OutputDirectory(out))
-        stack.enter_context(resources(None if directory is None else directory.path))
-        chain = None if directory is None else directory.path / "chain.h5"
+        later = {CHAIN_FILE} if resume else frozenset()
+        directory = _held(stack, out, FIT_FILES - later, scene, rows)
+        likelihood = Likelihood(LightCurve(scene, rows))
+        _check_sampling(len(likelihood.model.names), steps, walkers)
+        chain = None if directory is None else directory.path / CHAIN_FILE
+        if resume and directory is not None and chain is not None:
+            if (stored := read_chain(chain)) is not None:  # says more of what is wrong than the manifest can
+                check_origin(chain, stored, {**input_hashes(scene, rows), "seed": seed})
+            directory.check(CHAIN_FILE)
+        seconds = {"load": time.monotonic() - began}
         clock = time.monotonic()
         found, warnings = _search(likelihood, rows, seed, progress)
         seconds["search"] = time.monotonic() - clock
@@ -147,6 +152,7 @@ def fit(
                 chain_file=chain,
                 resume=resume,
                 progress=progress,
+                write=write_whole if directory is None else directory.write_path,
             )
         seconds["sample"] = time.monotonic() - clock
         seconds["total"] = time.monotonic() - began
@@ -201,8 +207,7 @@ def diagnose(
     rows = usable(scene, recording, use=use)
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
-        directory = None if out is None else stack.enter_context(OutputDirectory(out))
-        stack.enter_context(resources(None if directory is None else directory.path))
+        directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
         result = run(scene, rows, quick=quick, effects=effects, seed=seed, progress=progress)
         if directory is not None:
             from torchlc.diagnosis_report import write_diagnosis
@@ -259,7 +264,11 @@ def demo(
 
     source = Path(__file__).parent / "demo"
     files = source / "scene.toml", source / "recording.ecsv"
-    with OutputDirectory(out) as directory, resources(directory.path):
+    copies = (file.name for file in files)
+    with (
+        OutputDirectory(out, {*FIT_FILES, *DIAGNOSIS_FILES, *copies}, files) as directory,
+        resources(directory.path),
+    ):
         found = diagnose(*files, quick=True, seed=seed, progress=progress)
         result = fit(found.completed, files[1], seed=seed, progress=progress, command=command)
         for file in files:
@@ -278,7 +287,9 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
 
     if not isinstance(recording, Recording):
         recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)
-    kept = recording.keep(above_horizon(make_track(scene, recording)), "below the horizon")
+    with scene.reading():
+        track = make_track(scene, recording)
+    kept = recording.keep(above_horizon(track), "below the horizon")
     if len(kept) < MIN_ROWS:
         found = f"{len(kept)} usable row" + (f" ({counted(kept.dropped)})" if kept.dropped else "")
         raise InputError(kept.source, None, found, f"at least {MIN_ROWS}")
@@ -286,17 +297,22 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
 
 
 def provenance(scene: Scene, recording: Recording, seed: int, command: str | None = None) -> dict[str, Any]:
-    """From what, with what and how a result was made: hashes of the inputs, versions, seed, command."""
+    """From what, with what and how a result was made: hashes of the bytes that were read of each input,
+    versions, seed, command.
+    """
     import astropy
     import emcee
 
-    sources = {"scene": scene.source, "recording": recording.source}
-    sources |= {place: scene.file_path(name) for place, name in scene.files().items()}
+    read = {
+        "scene": (scene.source, scene.sha256),
+        "recording": (recording.source, recording.sha256),
+        **{place: (name, scene.hashes.get(name)) for place, name in scene.files().items()},
+    }
     return {
         "inputs": {
-            name: {"file": Path(source).name, "sha256": hashlib.sha256(Path(source).read_bytes()).hexdigest()}
-            for name, source in sources.items()
-            if source is not None and Path(source).is_file()
+            name: {"file": Path(source).name, "sha256": digest}
+            for name, (source, digest) in read.items()
+            if source is not None and digest is not None
         },
         "versions": {
             "torchlc": __version__,
@@ -309,6 +325,24 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
         "seed": seed,
         "command": command,
     }
+
+
+def _held(
+    stack: ExitStack, out: str | Path | None, writes: Iterable[str], scene: Scene, recording: Recording
+) -> OutputDirectory | None:
+    """The directory for the results of these inputs, held until the stack ends."""
+    directory = None
+    if out is not None:
+        directory = stack.enter_context(OutputDirectory(out, writes, input_files(scene, recording)))
+    stack.enter_context(resources(None if out is None else Path(out)))
+    return directory
+
+
+def input_files(scene: Scene, recording: Recording | None = None) -> list[Path]:
+    """The files that scene and recording were read from, and those that the scene names."""
+    sources = [scene.source, None if recording is None else recording.source]
+    named = map(scene.file_path, scene.files().values())
+    return [*(Path(source) for source in sources if source is not None), *named]
 
 
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:

@@ -264,10 +264,11 @@ def assemble(
     them. ``finer`` (T,) marks rows whose exposures are divided twice as finely as they need.
     """
     if base is None:
-        track = make_track(scene, recording)
-        attitude = Attitude(scene, recording)
-        lobes = _finest_lobes(scene, RESOLVED_N)
-        shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
+        with scene.reading():
+            track = make_track(scene, recording)
+            attitude = Attitude(scene, recording)
+            lobes = _finest_lobes(scene, RESOLVED_N)
+            shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
     models = {name: MODELS[material.model] for name, material in scene.materials.items()}

@@ -125,18 +125,19 @@ def simulate(
     from torchlc import api
     from torchlc.output import OutputDirectory
 
-    curve = api.simulate(
-        scene,
-        recording,
-        start=None if start is None else moment(start),
-        hours=hours,
-        cadence=cadence,
-        noise=noise,
-        seed=seed,
-        trust=trust,
-    )
-    with OutputDirectory(out) as directory:
-        curve.write(directory.path / "curve.ecsv")
+    read = api.load(scene, trust=trust)
+    inputs = [*api.input_files(read), *([] if recording is None else [recording])]
+    with OutputDirectory(out, ["curve.ecsv"], inputs) as directory:
+        curve = api.simulate(
+            read,
+            recording,
+            start=None if start is None else moment(start),
+            hours=hours,
+            cadence=cadence,
+            noise=noise,
+            seed=seed,
+        )
+        directory.write("curve.ecsv", curve.write)
     if json:
         show_json(curve.to_json() | {"file": str(out / "curve.ecsv")})
     elif not quiet:
@@ -414,10 +415,13 @@ def init(
     """Write a commented scene to start from: elements, a preset shape, free materials."""
     from torchlc import scaffold
     from torchlc.errors import InputError
-    from torchlc.output import write_whole
+    from torchlc.output import check_replaceable, write_whole
 
+    check_replaceable(scene, [tle, *([] if mesh is None else [scene.parent / mesh])])
     if scene.exists() and not force:
         raise InputError(scene, None, "exists", "a new file", "--force replaces it.")
+    if not scene.parent.is_dir():
+        raise InputError(scene, None, f"no directory {scene.parent}", "a directory that is there")
     wanted = None if date is None else moment(date)
     chosen = scaffold.elements_for(tle, wanted)
     place = None if station is None else scaffold.read_station(station)

@@ -19,7 +19,7 @@ from torchlc.effects import registry
 from torchlc.effects.base import Entry
 from torchlc.insight import bare_view
 from torchlc.listing import first_sentence
-from torchlc.output import OutputDirectory
+from torchlc.output import DIAGNOSIS_FILES, RESULT_FILES, OutputDirectory
 from torchlc.recording import left_out
 from torchlc.report import environment, markup, origin, png
 from torchlc.results import stated
@@ -42,7 +42,8 @@ VERDICTS = {
 
 
 def write_diagnosis(diagnosis: Diagnosis, made: Mapping[str, Any], directory: OutputDirectory) -> None:
-    """diagnosis.json, the figures and report.html, in this order."""
+    """diagnosis.json, the figures and report.html, in this order, in place of what a run before left."""
+    directory.clear(RESULT_FILES - DIAGNOSIS_FILES)
     directory.write_json("diagnosis.json", diagnosis.to_json() | {"provenance": dict(made)})
     figure = comparison_figure(diagnosis)
     directory.write_bytes("curve.png", png(figure))

@@ -20,10 +20,11 @@ from torchlc import __version__, figures, style
 from torchlc.curves import MOST_PANELS, curve_size, draw_curves, stretches
 from torchlc.listing import first_sentence
 from torchlc.materials import OTHER
-from torchlc.output import OutputDirectory
+from torchlc.output import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
 from torchlc.parameters import Free
 from torchlc.recording import Recording, counted
 from torchlc.results import FitResult, decimals, rounded, stated
+from torchlc.sample import GOOD_RHAT
 from torchlc.simulated import iso_times
 from torchlc.viewer import viewer_data
 
@@ -44,7 +45,6 @@ INKS = {
 PNG_DPI = 130
 MANY_ROWS = 30
 """Rows of a table beyond which it is folded."""
-GOOD_RHAT = 1.03
 GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
 
@@ -55,7 +55,11 @@ def write_fit(
     progress: Callable[[str, float], None] | None = None,
     diagnosis: dict[str, Any] | None = None,
 ) -> None:
-    """fit.json, posterior.nc, the figures and report.html, in this order."""
+    """fit.json, posterior.nc, the figures and report.html, in this order; what a run before left and this one does
+    not write goes first: a file that is missing is noticed, one of another run is not.
+    """
+    written = FIT_FILES - (SAMPLED_FILES if result.posterior is None else frozenset())
+    directory.clear(RESULT_FILES - written - (frozenset() if diagnosis is None else DIAGNOSIS_FILES))
     directory.write_json("fit.json", result.to_json())
     if result.posterior is not None:
         data = result.to_arviz()
@@ -238,9 +242,8 @@ def _trust(result: FitResult) -> str:
         return "Nothing was free, so nothing was sampled."
     if result.converged:
         return "Search and chain converged."
-    rhat = result.posterior.rhat()
-    worst = float(np.nanmax(rhat)) if np.isfinite(rhat).any() else math.inf  # unknown of the shortest chains
-    if result.fit.converged and worst < GOOD_RHAT:
+    worst = float(np.max(result.posterior.rhat))
+    if result.fit.converged and worst <= GOOD_RHAT:  # unknown, and then not, of the shortest chains
         return f"The search converged; the chain is shorter than it should be, but its parts agree (R-hat up to {worst:.2f})."
     return f"The result is not final: {result.reason}."
 

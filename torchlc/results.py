@@ -151,7 +151,7 @@ class FitResult:
         if self.posterior is not None:
             draws = self.posterior.flat
             quantiles = torch.quantile(_thinned(draws, 100_000), draws.new_tensor([0.05, 0.5, 0.95]), dim=0)
-            rhat, ess = self.posterior.rhat(), self.posterior.effective()
+            rhat, ess = self.posterior.rhat, self.posterior.ess
             for i, entry in enumerate(self.model.parameter_set.free):
                 found[entry.name] = {
                     "map": float(self.fit.theta[i]),

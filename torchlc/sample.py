@@ -3,26 +3,28 @@
 The ensemble moves in the straight coordinates of :class:`~torchlc.parameters.ParameterSet`: brightness is a
 sum over surfaces, so what one surface gives and another takes lies on a line there, and on a thin banana
 elsewhere (six times the autocorrelation time for the paper's Object 1). Densities carry the Jacobian, so the
-draws are those of the natural parameters; beyond a prior's bounds the density is 0. The chain lives in memory and is put on disk whole, in emcee's HDF5 layout, each time it has grown by a quarter: a
-killed run resumes from there with the random state it had, to the same result.
+draws are those of the natural parameters; beyond a prior's bounds the density is 0. The chain lives in memory and is put on disk whole
+(:mod:`torchlc.chain`) each time it has grown by a quarter: a killed run resumes from there with the random
+state it had, to the same result.
 """
 
 from __future__ import annotations
 
-import io
 import math
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import emcee
-import h5py
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.errors import InputError
 from torchlc.fit import Fit, Progress
 from torchlc.likelihood import Likelihood
@@ -36,7 +38,10 @@ FIRST_CHECK = 500
 WRITE_EVERY_S = 30.0
 LONG_ENOUGH = 50
 """A chain is long enough when it holds this many autocorrelation times."""
-BACKEND_NAME = "mcmc"
+GOOD_RHAT = 1.03
+"""What R-hat of every parameter must not exceed. For walkers of N draws that are a stationary chain with
+autocorrelation time tau, the halves' means alone make it sqrt(1 + 2 tau / N): 1.02 at LONG_ENOUGH. The usual 1.01 is
+for a few long chains, and would ask each of some forty walkers for the length of one."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,13 @@ class Posterior:
     """Draws after burn-in and thinning, theta (W walkers, N draws, P) natural, with log_prob (W, N).
 
     ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all,
-    ``burn`` and ``thin`` applied; ``converged`` with its ``reason`` in words.
+    ``burn`` and ``thin`` applied.
+
+    R-hat and the effective number of draws are ArviZ's (rank-normalised and split; Vehtari et al. 2021,
+    eqs. 4, 13, 14), with a walker as a chain, of the very draws that posterior.nc holds. Walkers are not independent
+    chains: each step moves one towards or along others. What they share falls as 1 / W once the ensemble is
+    stationary, but an ensemble that is in the wrong place as a whole, as one that has not found a second mode, shows
+    in neither number. Walkers that have not yet mixed show in both.
     """
 
     names: list[str]
@@ -55,38 +66,57 @@ class Posterior:
     steps: int
     burn: int
     thin: int
-    converged: bool
-    reason: str
 
     @property
     def flat(self) -> Tensor:
         """Draws of all walkers, (W N, P)."""
         return self.theta.reshape(-1, self.theta.shape[-1])
 
-    def effective(self) -> np.ndarray:
-        """Effective number of draws of each parameter, (P,): walkers x steps kept / tau."""
-        kept = self.theta.shape[0] * self.theta.shape[1] * self.thin
-        return kept / np.maximum(self.tau, 1.0)
-
+    @cached_property
     def rhat(self) -> np.ndarray:
-        """Split R-hat of each parameter over four groups of walkers, halved in time: near 1 if groups and
-        halves agree.
+        """Rank-normalised split R-hat of each parameter, (P,); NaN of fewer than four draws a walker."""
+        return _by_parameter("rhat", self.theta)
 
-        Single walkers are too short to be chains of their own, and an ensemble's walkers lean on one another.
-        """
-        walkers, draws, _ = self.theta.shape
-        half = draws // 2
-        if half < 2:
-            return np.full(len(self.names), np.nan)
-        groups = []
-        for part in np.array_split(np.arange(walkers), 4):
-            halves = (self.theta[part, :half], self.theta[part, half : 2 * half])
-            groups += [piece.reshape(-1, len(self.names)).numpy() for piece in halves]
-        means = np.array([g.mean(0) for g in groups])
-        within = np.array([g.var(0, ddof=1) for g in groups]).mean(0)
-        effective = np.maximum(self.effective() / len(groups), 2.0)
-        between = means.var(0, ddof=1)
-        return np.sqrt(1.0 + np.maximum(between - within / effective, 0.0) / np.maximum(within, 1e-300))
+    @cached_property
+    def ess(self) -> np.ndarray:
+        """Effective number of draws of each parameter in the bulk of its posterior, (P,); NaN as above."""
+        return _by_parameter("ess", self.theta)
+
+    @property
+    def lengths(self) -> float:
+        """Autocorrelation times, of the slowest parameter, that were kept."""
+        return (self.steps - self.burn) / float(np.max(self.tau))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chain is long enough and its walkers agree."""
+        return self.lengths >= LONG_ENOUGH * 0.9 and bool((self.rhat <= GOOD_RHAT).all())
+
+    @property
+    def reason(self) -> str:
+        """Why the chain is trusted, or not."""
+        said = (
+            f"{self.steps} steps, {self.lengths:.0f} autocorrelation times of {float(np.max(self.tau)):.0f} steps "
+            "after burn-in"
+        )
+        worst, least = float(np.max(self.rhat)), float(np.min(self.ess))
+        if math.isfinite(worst):
+            said += f"; R-hat up to {worst:.3f}, at least {least:.0f} effective draws"
+        else:
+            said += "; too few draws, or walkers that have not moved, for an R-hat"
+        if self.converged:
+            return said
+        return f"{said}; {LONG_ENOUGH} and {GOOD_RHAT} are wanted: run on with --resume and more --steps"
+
+
+def _by_parameter(name: str, theta: Tensor) -> np.ndarray:
+    """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of ArviZ's next version, and of walkers without enough draws
+        import arviz
+
+        diagnostic = getattr(arviz, name)
+        return np.array([float(diagnostic(draws)) for draws in theta.numpy().transpose(2, 0, 1)])
 
 
 def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
@@ -172,11 +202,13 @@ def sample(
     resume: bool = False,
     progress: Progress | None = None,
     longest: int = 12_000,
+    write: Write = write_whole,
 ) -> Posterior:
-    """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time, or for ``steps``.
+    """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time and its walkers agree, or for
+    ``steps``.
 
-    ``walkers`` defaults to 6 a parameter, at least 32. Raises InputError if ``resume`` finds a chain of
-    another problem.
+    ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
+    ``resume`` finds a chain of another problem, or one that is damaged.
     """
     likelihood = fit.likelihood
     names = likelihood.model.names
@@ -190,6 +222,7 @@ def sample(
             f"{count} walkers",
             f"at least {2 * dimensions + 2} for {dimensions} parameters",
         )
+    origin = chain_origin(likelihood, count, seed)
     backend = emcee.backends.Backend()
     density = log_density(likelihood)
     sampler = emcee.EnsembleSampler(
@@ -199,7 +232,7 @@ def sample(
     sampler.log_prob_fn = density  # pyright: ignore[reportAttributeAccessIssue]
     state = None
     if resume and chain_file is not None:
-        state = _resumed(chain_file, backend, names, count, seed, density)
+        state = _resumed(chain_file, backend, origin, density)
     if state is None:
         start = initial_walkers(fit, count, seed)
         state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
@@ -208,7 +241,7 @@ def sample(
     due = _next_check(backend.iteration)
     finished = backend.iteration >= limit
     if steps is None and backend.iteration == due:
-        finished = finished or _long_enough(backend)
+        finished = finished or _progress(likelihood, backend) >= 1
     written, clock = backend.iteration, time.monotonic()
     share = 0.0
     while not finished:
@@ -218,16 +251,16 @@ def sample(
         if steps is not None:
             share = backend.iteration / limit
         elif backend.iteration >= due:
-            share = 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend))))
-            finished = finished or share > 1
+            share = _progress(likelihood, backend)
+            finished = finished or share >= 1
             due = _next_check(backend.iteration + 1)
         if progress is not None:
             progress("emcee", min(max(share, backend.iteration / limit), 0.99))
         grown = backend.iteration >= written + max(200, written // 4)
         if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
-            write_chain(chain_file, backend, names, seed)
+            write_chain(chain_file, backend, origin, write)
             written, clock = backend.iteration, time.monotonic()
-    return _posterior(likelihood, backend, names, steps)
+    return _posterior(likelihood, backend)
 
 
 def _next_check(iteration: int) -> int:
@@ -238,73 +271,32 @@ def _next_check(iteration: int) -> int:
     return due
 
 
-def write_chain(path: Path, backend: emcee.backends.Backend, names: list[str], seed: int) -> None:
-    """The chain so far in emcee's HDF5 layout (straight coordinates), whole or not at all."""
-    stream = io.BytesIO()
-    with h5py.File(stream, "w") as file:
-        group = file.create_group(BACKEND_NAME)
-        walkers, dimensions = backend.shape
-        group.attrs.update(
-            version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False,
-            iteration=backend.iteration, parameters=names, seed=seed,
-        )  # fmt: skip
-        for index, part in enumerate(backend.random_state or ()):
-            group.attrs[f"random_state_{index}"] = part
-        group["accepted"] = backend.accepted
-        for name in ("chain", "log_prob"):
-            data = getattr(backend, name)[: backend.iteration]
-            group.create_dataset(name, data=data, maxshape=(None, *data.shape[1:]))
-    write_whole(path, lambda partial: partial.write_bytes(stream.getbuffer()))
-
-
 def _resumed(
     path: Path,
     backend: emcee.backends.Backend,
-    names: list[str],
-    walkers: int,
-    seed: int,
+    origin: Mapping[str, Any],
     density: Callable[[np.ndarray], np.ndarray],
 ) -> emcee.State | None:
     """Fill the in-memory backend from a chain on disk; None if there is none."""
-    if not path.exists():
+    stored = read_chain(path)
+    if stored is None:
         return None
-    try:
-        disk: Any = emcee.backends.HDFBackend(str(path), name=BACKEND_NAME, read_only=True)
-        with h5py.File(path, "r") as file:
-            attributes: Any = file[BACKEND_NAME].attrs
-            stored = list(attributes["parameters"])
-            begun = int(attributes.get("seed", seed))
-        shape = disk.shape
-    except (OSError, KeyError) as error:
-        raise InputError(
-            path, None, f"cannot be read as a chain ({error})", hint="Remove it to start anew"
-        ) from error
-    if stored != names or shape != (walkers, len(names)):
-        raise InputError(
-            path,
-            None,
-            f"a chain of {shape[0]} walkers over {', '.join(stored)}",
-            f"{walkers} walkers over {', '.join(names)}",
-            "Remove it to start anew, or give the scene and --walkers it was made with",
-        )
-    if begun != seed:
-        hint = f"Remove it to start anew, or go on with --seed {begun}"
-        raise InputError(path, None, f"a chain of seed {begun}", f"one of seed {seed}", hint)
-    backend.reset(*shape)
-    backend.grow(disk.iteration, None)
-    backend.chain[:] = disk.get_chain()
-    backend.log_prob[:] = disk.get_log_prob()
-    backend.accepted[:] = disk.accepted
-    backend.iteration = int(disk.iteration)
-    backend.random_state = disk.random_state
+    check_origin(path, stored, origin)
+    backend.reset(*stored.steps.shape[1:])
+    backend.grow(len(stored.steps), None)
+    backend.chain[:] = stored.steps
+    backend.log_prob[:] = stored.log_prob
+    backend.accepted[:] = stored.accepted
+    backend.iteration = len(stored.steps)
+    backend.random_state = stored.random_state
     last: Any = backend.get_last_sample()
     if not np.allclose(density(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
         raise InputError(
             path,
             None,
-            "a chain of other data, another scene or other priors",
-            "the chain of this fit",
-            "Remove it to start anew, or give the files it was made with",
+            "densities that this version of torchlc does not give for its last step",
+            "the chain of this version",
+            "Remove it to start anew",
         )
     return last
 
@@ -316,27 +308,25 @@ def _tau(backend: emcee.backends.Backend) -> np.ndarray:
     return np.nan_to_num(tau, nan=float(backend.iteration))
 
 
-def _long_enough(backend: emcee.backends.Backend) -> bool:
-    return 0.75 * backend.iteration > LONG_ENOUGH * float(np.max(_tau(backend)))
+def _progress(likelihood: Likelihood, backend: emcee.backends.Backend) -> float:
+    """Share of the wanted length that the chain has after burn-in; below 1 while its walkers do not agree.
+
+    R-hat, which takes longer than the autocorrelation time, is worked out for chains of that length only.
+    """
+    share = 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend))))
+    if share > 1 and _posterior(likelihood, backend).converged:
+        return share
+    return min(share, 0.99)
 
 
-def _posterior(likelihood: Likelihood, backend: Any, names: list[str], steps: int | None) -> Posterior:
+def _posterior(likelihood: Likelihood, backend: Any) -> Posterior:
     tau = _tau(backend)
     longest = float(np.max(tau))
     burn = min(int(max(3 * longest, backend.iteration // 4)), backend.iteration // 2)
     thin = max(1, int(longest / 4))
     chain = torch.as_tensor(backend.get_chain(discard=burn, thin=thin).copy())
     log_prob = torch.as_tensor(backend.get_log_prob(discard=burn, thin=thin).copy())
-    kept = (backend.iteration - burn) / longest
-    converged = kept >= LONG_ENOUGH * 0.9
-    reason = (
-        f"{backend.iteration} steps, {kept:.0f} autocorrelation times of {longest:.0f} steps after burn-in"
-    )
-    if not converged:
-        reason += f"; {LONG_ENOUGH} are wanted: run on with --resume and more --steps"
     accepted = float(np.mean(backend.accepted / max(backend.iteration, 1)))
     with torch.no_grad():
         theta = likelihood.model.parameter_set.from_straight(chain)[0].transpose(0, 1).contiguous()
-    return Posterior(
-        names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin, converged, reason
-    )
+    return Posterior(likelihood.model.names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin)

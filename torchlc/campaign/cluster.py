@@ -160,7 +160,7 @@ class _Running:
         task = self._tasks.pop(future)
         try:
             return task, future.result()
-        except BusyError as error:
+        except (BusyError, InputError) as error:
             return task, error
         except KilledWorker:
             return task, TorchlcError("every worker that tried it died, of lack of memory most likely")

@@ -15,8 +15,8 @@ from typing import Any
 from torchlc import __version__
 from torchlc.campaign.manifest import Job
 from torchlc.errors import BusyError, TorchlcError
-from torchlc.files import readable_file
-from torchlc.output import OutputDirectory, without_nan, write_whole
+from torchlc.files import changed, readable_file, sha256_of
+from torchlc.output import OutputDirectory, read_manifest
 
 RECORD = "object.json"
 SCHEMA = "torchlc-object/1"
@@ -30,7 +30,8 @@ def run_object(job: Job, folder: Path, campaign: str = "") -> str:
     "done" or "failed", with the reason in its record.
 
     Raises BusyError if a live run holds the directory, and whatever keeps the record itself from being
-    written, such as a full disk.
+    written, such as a full disk or a file of that name that torchlc did not write. Files of an earlier result
+    that have changed since are kept under another name.
     """
     from torchlc.terminal import one_line, quiet_libraries
 
@@ -41,10 +42,11 @@ def run_object(job: Job, folder: Path, campaign: str = "") -> str:
         record = finished(folder, origin)
         if record is not None:
             return "done" if record["campaign"] == campaign else "skipped"
-        with OutputDirectory(folder):
-            (folder / RECORD).unlink(missing_ok=True)
+        with OutputDirectory(folder, [RECORD], [job.scene, job.recording]) as directory:
+            directory.set_aside()
+            directory.clear([RECORD])
         with quiet_libraries():
-            outcome = _outcome(job, folder)
+            outcome = _outcome(job, folder, origin)
     except BusyError:
         raise
     except TorchlcError as error:
@@ -55,7 +57,7 @@ def run_object(job: Job, folder: Path, campaign: str = "") -> str:
         said = one_line(f"{type(error).__name__}: {error}")
         reason = f"a defect of torchlc, please report it: {said}"
         return record_failure(job, folder, reason, origin, time.monotonic() - began)
-    files = {one.name: one.stat().st_size for one in sorted(folder.iterdir()) if one.name[0] != "."}
+    files = {name: (folder / name).stat().st_size for name in _results_in(folder)}
     seconds = time.monotonic() - began
     return _record(
         job, folder, "done", campaign=campaign, seconds=seconds, origin=origin, files=files, outcome=outcome
@@ -81,13 +83,11 @@ def origin_of(job: Job) -> dict[str, Any]:
     """All that a result depends on: version, task, options, seed, and the content of every input file."""
     scene = readable_file(job.scene, "a scene in TOML").read_bytes()
     inputs = {"scene": _sha256(scene)}
-    with readable_file(job.recording, "a recording").open("rb") as stream:
-        inputs["recording"] = hashlib.file_digest(stream, "sha256").hexdigest()
+    inputs["recording"] = sha256_of(readable_file(job.recording, "a recording"))
     for name in sorted(set(_named_files(scene))):
         file = job.scene.parent / name
         if file.is_file():
-            with file.open("rb") as stream:
-                inputs[name] = hashlib.file_digest(stream, "sha256").hexdigest()
+            inputs[name] = sha256_of(file)
     return {
         "torchlc": __version__,
         "task": job.task,
@@ -111,8 +111,13 @@ def finished(folder: Path, origin: Mapping[str, Any]) -> dict[str, Any] | None:
     return record if whole else None
 
 
-def _outcome(job: Job, folder: Path) -> dict[str, Any]:
-    """Run the verb and read back what it wrote."""
+def _results_in(folder: Path) -> list[str]:
+    """Names of the files of an object's result: those that torchlc wrote there, but for the record."""
+    return [name for name in sorted(read_manifest(folder)) if name != RECORD and (folder / name).is_file()]
+
+
+def _outcome(job: Job, folder: Path, origin: Mapping[str, Any]) -> dict[str, Any]:
+    """Run the verb and read back what it wrote. Raises InputError where it read other files than ``origin`` says."""
     import torch
 
     from torchlc import api
@@ -121,6 +126,9 @@ def _outcome(job: Job, folder: Path) -> dict[str, Any]:
     verb = api.fit if job.task == "fit" else api.diagnose
     verb(job.scene, job.recording, seed=job.seed, out=folder, command=job.command, **job.options)
     content = json.loads((folder / RESULTS[job.task]).read_text(encoding="utf-8"))
+    read = {one["sha256"] for one in content["provenance"]["inputs"].values()}
+    if not read <= set(origin["inputs"].values()):
+        raise changed(job.scene, "while it was worked on, or its recording or a file that it names")
     return _fitted(content) if job.task == "fit" else _diagnosed(content)
 
 
@@ -170,9 +178,8 @@ def _record(job: Job, folder: Path, status: str, **more: Any) -> str:
         "command": job.command,
         **more,
     }
-    text = json.dumps(without_nan(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / RECORD, lambda partial: partial.write_text(text, encoding="utf-8"))
+    with OutputDirectory(folder, [RECORD], [job.scene, job.recording]) as directory:
+        directory.write_json(RECORD, content)
     return status
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -15,14 +16,16 @@ from torchlc import __version__
 from torchlc.campaign.cluster import connected, require_dask, spread
 from torchlc.campaign.manifest import Job, check_manifest, read_manifest
 from torchlc.campaign.objects import record_failure, run_object
-from torchlc.campaign.summary import OBJECTS, PARQUET, summary_rows, write_summary
+from torchlc.campaign.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
 from torchlc.errors import BusyError, InputError
+from torchlc.files import kind_of
 from torchlc.output import OutputDirectory, resources, without_nan
 
 if TYPE_CHECKING:
     import pandas
 
 SCHEMA = "torchlc-campaign/1"
+SUMMARY = "campaign.json"
 FAILURES_TOLD = 20
 
 
@@ -97,14 +100,22 @@ def run_campaign(
     jobs = partial(read_manifest, manifest, seed=seed, threads=threads)
     counts: Counter[str] = Counter()
     held: dict[str, str] = {}
-    with OutputDirectory(out) as directory, resources(directory.path):
+    writes = [PARQUET, TABLE, PAGE, SUMMARY]
+    with OutputDirectory(out, writes, [manifest]) as directory, resources(directory.path):
         root = directory.path.resolve() / OBJECTS
+        if os.path.lexists(root) and not root.is_dir():
+            raise InputError(
+                root, None, kind_of(root.lstat().st_mode), "a directory, or none", "Move it away"
+            )
         with connected(scheduler, workers, threads) as client:
             for job, outcome in spread(client, partial(_run_in, root, started), jobs()):
-                if isinstance(outcome, BusyError):
+                if isinstance(outcome, BusyError | InputError):
                     held[job.directory] = str(outcome)
                 elif not isinstance(outcome, str):
-                    record_failure(job, root / job.directory, str(outcome))
+                    try:
+                        record_failure(job, root / job.directory, str(outcome))
+                    except (BusyError, InputError) as error:
+                        held[job.directory] = str(error)
                 counts[outcome if isinstance(outcome, str) else "failed"] += 1
                 if progress is not None:
                     progress("objects", counts.total() / objects)
@@ -129,7 +140,7 @@ def run_campaign(
             seconds=time.monotonic() - began,
             provenance=made,
         )
-        directory.write_json("campaign.json", result.to_json())
+        directory.write_json(SUMMARY, result.to_json())
     return result
 
 

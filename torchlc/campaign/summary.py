@@ -5,6 +5,7 @@ a time: the same whatever worker did what when.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,9 @@ OBJECTS = "objects"
 PARQUET, TABLE, PAGE = "summary.parquet", "summary.csv", "index.html"
 BLOCK = 500
 """Rows held at once."""
+FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
+"""Also full-width, which some spreadsheets take for the same."""
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 KINDS = {
     "id": "string", "directory": "string", "scene": "string", "recording": "string", "task": "string",
     "status": "string", "reason": "string", "result": "string", "seed": "int64", "seconds": "float64",
@@ -52,7 +56,7 @@ def write_summary(
 
     directory.write(PARQUET, fill)
     table = directory.path / PARQUET
-    directory.write(TABLE, lambda path: _write_csv(path, table))
+    directory.write(TABLE, lambda path: write_csv(path, table))
     directory.write(PAGE, lambda path: _write_page(path, table, name, facts))
 
 
@@ -100,12 +104,24 @@ def _blocks(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
         yield block
 
 
-def _write_csv(path: Path, table: Path) -> None:
+def write_csv(path: Path, table: Path) -> None:
+    """The rows of a summary without lists, none of whose cells a spreadsheet takes for a formula."""
     columns = list(KINDS)
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, columns)
         writer.writeheader()
-        writer.writerows(summary_rows(table, columns))
+        writer.writerows(
+            {name: plain_cell(value) for name, value in row.items()} for row in summary_rows(table, columns)
+        )
+
+
+def plain_cell(value: Any) -> Any:
+    """``value`` as a spreadsheet shows it and does not run it: text that would be a formula gets an apostrophe
+    before it (OWASP, CSV injection). Numbers are left, also those that are text.
+    """
+    if isinstance(value, str) and value[:1] in FORMULA_STARTS and not NUMBER.fullmatch(value):
+        return f"'{value}"
+    return value
 
 
 def _write_page(path: Path, table: Path, name: str, facts: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,6 +12,7 @@ from astropy.time import Time
 
 from torchlc.decimals import advice, decimal
 from torchlc.errors import InputError
+from torchlc.files import sha256_of, unchanged
 from torchlc.recording import declared, groups
 from torchlc.recording.layouts import LAYOUTS
 from torchlc.recording.recording import Recording, counted, no_usable_row, seconds_since
@@ -69,7 +71,10 @@ def load_recording(
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    return read_recording(read_header(Path(path), LAYOUTS), scene, use=use, min_rows=min_rows)
+    path = Path(path)
+    with unchanged(path):
+        recording = read_recording(read_header(path, LAYOUTS), scene, use=use, min_rows=min_rows)
+        return replace(recording, sha256=sha256_of(path))
 
 
 def read_recording(

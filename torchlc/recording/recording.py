@@ -31,7 +31,7 @@ class Recording:
     are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
     ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
     to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
-    ``height`` in km above the ellipsoid.
+    ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
     """
 
     time: Time
@@ -62,6 +62,7 @@ class Recording:
     dropped: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     source: Path | None = None
+    sha256: str | None = None
 
     def __len__(self) -> int:
         return len(self.observed)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import html
 import tomllib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationError
 
 from torchlc.errors import InputError
-from torchlc.files import readable_file
+from torchlc.files import changed, readable_file, sha256_of, unchanged
 from torchlc.naming import Origin, full_names
 from torchlc.scene.checks import checked
 from torchlc.scene.numbers import Free, Name, Table, Title
@@ -37,6 +39,8 @@ class Scene(Table):
     _directory: Path | None = PrivateAttr(None)
     _source: str | Path | None = PrivateAttr(None)
     _warnings: list[str] = PrivateAttr(default_factory=list)
+    _sha256: str | None = PrivateAttr(None)
+    _hashes: dict[str, str] = PrivateAttr(default_factory=dict)
 
     def __repr__(self) -> str:
         orbit = next(key for key in type(self.orbit).model_fields if getattr(self.orbit, key))
@@ -102,6 +106,7 @@ class Scene(Table):
             raise of_validation(source, error) from None
         scene._directory = None if directory is None else Path(directory)
         scene._source = source
+        scene._sha256 = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
         return checked(scene, trust=trust, known_effects=known_effects)
 
     def to_toml(self) -> str:
@@ -153,25 +158,55 @@ class Scene(Table):
         """The path of a file that the scene names."""
         return (self._directory or Path()) / name
 
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """Read in the block what files the scene names; the hashes of their bytes are kept.
+
+        They are read once more for each model that is built. Raises InputError if one has changed since the
+        first time, so that a result never comes from two versions of a file.
+        """
+        paths = {name: self.file_path(name) for name in self.files().values()}
+        with unchanged(*paths.values()):
+            yield
+            hashes = {name: sha256_of(path) for name, path in paths.items()}
+        for name, digest in hashes.items():
+            if self._hashes.setdefault(name, digest) != digest:
+                raise changed(paths[name], "since it was first read")
+
+    @property
+    def sha256(self) -> str | None:
+        """Hash of the bytes that the scene was read from."""
+        return self._sha256
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """Hash of the bytes of each file that the scene names and that has been read, by its name."""
+        return self._hashes
+
 
 def load_scene(
     path: str | Path, *, trust: bool = False, known_effects: Collection[str] | None = None
 ) -> Scene:
     """Read a scene file; every defect is one InputError with its place. Options: see Scene.from_toml."""
     path = Path(path)
-    return Scene.from_toml(_text(path), path.parent, path, trust=trust, known_effects=known_effects)
+    text, digest = _text(path)
+    scene = Scene.from_toml(text, path.parent, path, trust=trust, known_effects=known_effects)
+    scene._sha256 = digest
+    return scene
 
 
-def _text(path: Path) -> str:
+def _text(path: Path) -> tuple[str, str]:
+    """The text of a scene file, and the hash of its bytes."""
     with readable_file(path, "a scene in TOML").open("rb") as stream:
         content = stream.read(MAX_TOML_BYTES + 1)
     if len(content) > MAX_TOML_BYTES:
         raise InputError(path, None, "more than 1 MiB", "a scene of at most 1 MiB")
     try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
+        text = content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise InputError(path, f"line {line}", "not UTF-8 text", "UTF-8 text") from None
+    return text, hashlib.sha256(content).hexdigest()
 
 
 def _given(table: Table) -> dict[str, Any]:

@@ -21,9 +21,9 @@ from pathlib import Path
 from distributed import Client
 
 import torchlc
-from torchlc.campaign.cluster import connected, spread
-from torchlc.campaign.manifest import Job
-from torchlc.campaign.objects import run_object
+from torchlc.campaigns.cluster import connected, spread
+from torchlc.campaigns.manifest import Job
+from torchlc.campaigns.objects import run_object
 from torchlc.terminal import quiet_libraries
 
 ROWS = 120

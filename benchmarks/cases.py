@@ -13,8 +13,8 @@ from torch import Tensor
 
 import torchlc
 from examples.paper import setting
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 
 EFFECTS = ("self_shadowing", "finite_sun", "earth_shadow", "exposure_smearing")
 EXPOSURE_S = 5.0

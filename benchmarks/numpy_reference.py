@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchlc.likelihood import Likelihood
-from torchlc.table import pair_table
+from torchlc.inference.likelihood import Likelihood
+from torchlc.pairs.facet_pairs import pair_table
 
 MATERIALS = ("body", "panel")
 SMALLEST_EXPONENT = -690.0

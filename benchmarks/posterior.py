@@ -19,9 +19,9 @@ import numpy as np
 from benchmarks.cases import WALKERS, object_1
 from benchmarks.numpy_reference import Prepared
 from benchmarks.timing import Result
-from torchlc import sample
-from torchlc.fit import fit_map
-from torchlc.redraw import Redraw
+from torchlc.inference import sampler as sample
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.exchange_move import Redraw
 
 NUTS = "benchmarks.nuts"
 FLAT = 400

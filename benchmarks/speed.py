@@ -19,8 +19,8 @@ import torchlc
 from benchmarks.cases import EFFECTS, MESH_EPOCHS, WALKERS, draws, many_faces, near_truth, object_1, torus
 from benchmarks.numpy_reference import SMALLEST_EXPONENT, Equations, Prepared
 from benchmarks.timing import Result, least
-from torchlc import likelihood as likelihoods
-from torchlc.model import LightCurve
+from torchlc.inference import likelihood as likelihoods
+from torchlc.lightcurve.model import LightCurve
 
 RUNS = 200
 LCAS_EPOCHS_PER_S = 4.9

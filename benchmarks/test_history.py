@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from benchmarks.cases import EFFECTS, draws, near_truth, object_1, torus
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 
 @pytest.fixture(autouse=True)

@@ -13,9 +13,9 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnose import evidence, families, gate, run, search, where
+from torchlc.diagnosis import evidence, families, gate, run, search, where
 from torchlc.effects import registry
-from torchlc.listing import effects_listing
+from torchlc.report.listing import effects_listing
 
 project = "torchlc"
 author = "the torchlc authors"

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.style import DATA, MODEL, OBSERVER, style
+from torchlc.figures.style import DATA, MODEL, OBSERVER, style
 
 ROOT = Path(__file__).parents[1]
 EROS = ROOT.parent / "shared" / "data" / "eros"

@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import torchlc
-from torchlc.curves import draw_curves
-from torchlc.style import style
+from torchlc.figures.curves import draw_curves
+from torchlc.figures.style import style
 
 ROOT = Path(__file__).parents[1]
 MMT9 = ROOT.parent / "shared" / "data" / "mmt9"

@@ -26,7 +26,7 @@ from tests.bad_input_cases import (
 )
 from tests.test_layouts import ALCDEF, DAMIT, MMT, SIMPLE
 from torchlc.effects import names as effect_names
-from torchlc.scaffold import PRESETS, new_scene
+from torchlc.cli.scaffold import PRESETS, new_scene
 from torchlc.scene.tle import Elements
 from torchlc.scene.writer import toml_key, toml_value
 

@@ -26,8 +26,8 @@ import h5py
 import pandas
 from PIL import Image
 
-from torchlc.campaign.objects import read_record
-from torchlc.cli import run
+from torchlc.campaigns.objects import read_record
+from torchlc.cli.commands import run
 
 RESULTS = ("fit.json", "diagnosis.json")
 LATER = 1.1

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.time import Time, TimeDelta
 
-from torchlc.recording import Recording, seconds_since
+from torchlc.readers import Recording, seconds_since
 from torchlc.scene import Scene
 
 SHARED = Path(__file__).parents[2] / "shared"

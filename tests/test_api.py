@@ -14,7 +14,7 @@ from astropy.table import Table
 import torchlc
 from tests.small_case import write_case
 from torchlc.errors import InputError
-from torchlc.results import FitResult, stated
+from torchlc.results.fit_result import FitResult, stated
 
 TRUTH = {"panel.n": 200.0, "panel.r_spec": 0.05, "panel.r_diff": 0.05}
 

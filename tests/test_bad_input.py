@@ -19,7 +19,7 @@ from tests.bad_input_cases import (
 )
 from torchlc import effects
 from torchlc.errors import InputError
-from torchlc.recording import load_recording
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 
 

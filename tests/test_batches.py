@@ -13,8 +13,8 @@ from torch.utils._pytree import tree_leaves
 import torchlc
 from tests.effects.cases import seen_from, still, unit
 from tests.effects.test_finite_sun import CYLINDER
-from torchlc.likelihood import compiled
-from torchlc.model import VALUES_AT_ONCE
+from torchlc.inference.likelihood import compiled
+from torchlc.lightcurve.model import VALUES_AT_ONCE
 
 DEMO = Path(torchlc.__file__).parent / "demo"
 

@@ -13,9 +13,9 @@ import torch
 from scipy import stats
 
 import torchlc
-from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood
-from torchlc.sample import sample
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.sampler import sample
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 sys.path[:0] = [str(EXAMPLES / "paper"), str(EXAMPLES / "calibration")]

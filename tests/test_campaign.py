@@ -27,13 +27,13 @@ import pytest
 import torchlc
 from tests.chromium import PROGRAM, Page
 from tests.small_case import write_case
-from torchlc.campaign.cluster import connected, spread
-from torchlc.campaign.manifest import Job, check_manifest, read_manifest
-from torchlc.campaign.objects import origin_of, read_record, run_object
-from torchlc.campaign.summary import arrow_schema, write_csv
-from torchlc.cli import run
+from torchlc.campaigns.cluster import connected, spread
+from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
+from torchlc.campaigns.objects import origin_of, read_record, run_object
+from torchlc.campaigns.summary import arrow_schema, write_csv
+from torchlc.cli.commands import run
 from torchlc.errors import TorchlcError
-from torchlc.output import LOCK_NAME, OutputDirectory
+from torchlc.files.writing import LOCK_NAME, OutputDirectory
 
 HOSTILE = "../../R/B <img src=x onerror=alert(1)> 100%"
 BAD = "no such recording"
@@ -323,7 +323,7 @@ def test_what_is_no_cluster_is_said(manifest: Path, tmp_path: Path, capsys: pyte
 
 
 def test_without_dask_the_pip_line_is_said(manifest: Path, tmp_path: Path):
-    call = "import sys; sys.modules['distributed'] = None; from torchlc.cli import main; main()"
+    call = "import sys; sys.modules['distributed'] = None; from torchlc.cli.commands import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", call, "campaign", str(manifest), "-o", str(tmp_path / "out")],
         capture_output=True, text=True, check=False,
@@ -356,7 +356,7 @@ def resident_mib() -> float:
 MEMORY = """
 from distributed import Client
 from tests.test_campaign import resident_mib
-from torchlc.campaign.cluster import AHEAD, spread
+from torchlc.campaigns.cluster import AHEAD, spread
 
 def counted(most):
     global taken

@@ -14,8 +14,8 @@ import trimesh
 
 import torchlc
 from tests.effects.cases import RANGE_KM, STILL, flux, seen_from, tilted, unit
-from torchlc.assemble import assemble
-from torchlc.cavity import cavities, exchanged, returned
+from torchlc.lightcurve.assembly import assemble
+from torchlc.pairs.cavity import cavities, exchanged, returned
 from torchlc.errors import InputError
 
 SHADOWS, BOUNCES = ["self_shadowing"], ["self_shadowing", "interreflection"]

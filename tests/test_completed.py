@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 
 import torchlc
 from tests.bad_input_cases import SCENE
-from torchlc.assemble import assemble
-from torchlc.diagnose.candidates import check_candidates
-from torchlc.diagnose.refit import Hypothesis, Workbench
-from torchlc.diagnose.result import completed_scene
-from torchlc.diagnose.run import diagnose
-from torchlc.diagnose.search import candidate_entries
+from torchlc.lightcurve.assembly import assemble
+from torchlc.diagnosis.candidates import check_candidates
+from torchlc.diagnosis.refit import Hypothesis, Workbench
+from torchlc.diagnosis.result import completed_scene
+from torchlc.diagnosis.run import diagnose
+from torchlc.diagnosis.search import candidate_entries
 from torchlc.effects import Entry, registry
 from torchlc.errors import InputError
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 from torchlc.scene import Free, Scene
 
 ODD = "panel, +Y @night~1 'x'"

@@ -14,24 +14,24 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.assemble import assemble
-from torchlc.diagnose.evidence import NoiseModel, Scorer, make_blocks
-from torchlc.diagnose.gate import Battery, gate, log_tail, runs
-from torchlc.diagnose.plan import next_nights
-from torchlc.diagnose.refit import (
+from torchlc.lightcurve.assembly import assemble
+from torchlc.diagnosis.evidence import NoiseModel, Scorer, make_blocks
+from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
+from torchlc.diagnosis.plan import next_nights
+from torchlc.diagnosis.refit import (
     Hypothesis,
     Workbench,
     gaussian_prior,
     linearised,
     refit,
 )
-from torchlc.diagnose.run import diagnose
-from torchlc.diagnose.search import Found, candidate_entries, judged, released, stuck, unaided
-from torchlc.effects.base import Entry
-from torchlc.fit import find_modes, polish
-from torchlc.likelihood import matern32
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.diagnosis.run import diagnose
+from torchlc.diagnosis.search import Found, candidate_entries, judged, released, stuck, unaided
+from torchlc.stages.effect import Entry
+from torchlc.inference.optimiser import find_modes, polish
+from torchlc.inference.likelihood import matern32
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 from torchlc.scene.numbers import Free
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from torchlc.diagnose.evidence import NoiseModel, filtered_log_density
+from torchlc.diagnosis.evidence import NoiseModel, filtered_log_density
 
 NOISE = NoiseModel("outliers", fraction=0.1, width=8.0)
 SLOPES, SIGMA = np.array([1.0, -0.7, 0.4]), np.array([0.5, 0.8, 0.6])

@@ -13,11 +13,11 @@ import torch
 from scipy import integrate, optimize, stats
 
 import torchlc
-from torchlc.effects.base import Noise
-from torchlc.fit import adam, fit_map, laplace, polish
-from torchlc.least_squares import minimise
-from torchlc.likelihood import Likelihood, magnitude_difference
-from torchlc.sample import log_density
+from torchlc.stages.effect import Noise
+from torchlc.inference.optimiser import adam, fit_map, laplace, polish
+from torchlc.tensors.least_squares import minimise
+from torchlc.inference.likelihood import Likelihood, magnitude_difference
+from torchlc.inference.sampler import log_density
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))

@@ -11,7 +11,7 @@ import torch
 
 from torchlc.brdf import MODELS
 from torchlc.errors import InputError
-from torchlc.goniometer import ReflectanceTable, fit_table, read_table
+from torchlc.materials.goniometer import ReflectanceTable, fit_table, read_table
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")
 LABORATORY = Path(__file__).parents[1].parent / "shared" / "data" / "starlink_v15"

@@ -23,8 +23,8 @@ from tests.effects.passes import BODY, CELLS, MATERIALS, TUMBLING, WINGS, orbiti
 from tests.effects.test_every_effect import at, setting
 from torchlc.brdf.base import MODELS
 from torchlc.effects import every
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
 from torchlc.scene.parts import Attitude
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch.func's own
@@ -151,7 +151,7 @@ def test_by_every_size_of_every_shape(kind, more):
 
 
 def test_the_shapes_here_are_all_that_have_sizes():
-    kinds = {cls.kind for cls in subclasses(torchlc.shape.Part)}
+    kinds = {cls.kind for cls in subclasses(torchlc.shapes.Part)}
     assert kinds == {*SIZES, "mesh"}
 
 

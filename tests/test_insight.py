@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torchlc
-from torchlc.insight import PRIOR_DRAWS, narrower_or_moved
+from torchlc.inference.identifiability import PRIOR_DRAWS, narrower_or_moved
 from torchlc.parameters import Prior
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "paper"))

@@ -13,7 +13,7 @@ from astropy.time import Time
 
 from tests.bad_input_cases import SCENE
 from torchlc.errors import InputError
-from torchlc.recording import Recording, load_recording
+from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene, load_scene
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"

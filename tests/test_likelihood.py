@@ -13,13 +13,13 @@ from scipy import integrate, stats
 
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
-from torchlc.diagnose.gate import Battery, gate
-from torchlc.diagnose.refit import Hypothesis, linearised
-from torchlc.effects.base import Noise
+from torchlc.diagnosis.gate import Battery, gate
+from torchlc.diagnosis.refit import Hypothesis, linearised
+from torchlc.stages.effect import Noise
 from torchlc.errors import InputError
-from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood, power_difference
-from torchlc.model import LightCurve
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.likelihood import Likelihood, power_difference
+from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Scene
 
 FREE = '[materials.white]\nmodel = "lambert"\nalbedo = {value = 0.5, low = 0.05, high = 1.0}\n'

@@ -10,7 +10,7 @@ import pytest
 
 from torchlc.brdf import MODELS
 from torchlc.errors import InputError
-from torchlc.materials import LibraryMaterial, load_library, match, preset
+from torchlc.materials.known import LibraryMaterial, load_library, match, preset
 
 TABLE_4 = {  # n, r_spec, r_diff as printed
     "Kapton": (12455.8892, 0.8234, 0.1418),

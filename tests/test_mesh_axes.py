@@ -15,7 +15,7 @@ from trimesh.exchange.obj import export_obj
 import torchlc
 from tests.effects.cases import STILL, flux, seen_from, still, unit
 from torchlc.errors import InputError
-from torchlc.shape.part import turn_matrix
+from torchlc.shapes.part import turn_matrix
 
 MESH = '[[components]]\nname = "mesh"\nshape = "mesh"\nfile = "{file}"\ncentre = [0, 0, 0]\nmaterial = "brushed"\n'
 BRUSHED = "[materials.brushed]\nn_u = 30.0\nn_v = 3000.0\nr_spec = 0.4\nr_diff = 0.2\n"
@@ -193,11 +193,11 @@ BRUSHING = """
 import sys
 from pathlib import Path
 import torchlc
-from torchlc.recording import load_recording
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.shape.part import turn_matrix
+from torchlc.shapes.part import turn_matrix
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 
 class Brushing(Effect):
     name, stage, per = "brushing", "material", "material"

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from torchlc.errors import InputError
-from torchlc.shape.mesh import read_mesh
-from torchlc.shape.triangulation import triangles
+from torchlc.shapes.mesh import read_mesh
+from torchlc.shapes.triangulation import triangles
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "mesh"
 CUBE = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]

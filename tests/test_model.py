@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torchlc
-from torchlc.orbit import observation_grid
+from torchlc.geometry.orbit import observation_grid
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))

@@ -13,14 +13,14 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import torchlc
-from torchlc.assemble import assemble
+from torchlc.lightcurve.assembly import assemble
 from torchlc.effects import Entry, registry
 from torchlc.errors import InputError
-from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve, module_key
-from torchlc.recording import load_recording
-from torchlc.results import variable_names
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve, module_key
+from torchlc.readers import load_recording
+from torchlc.results.fit_result import variable_names
 from torchlc.scene import Scene
 from torchlc.scene.writer import toml_key, toml_value
 

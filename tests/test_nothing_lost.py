@@ -19,7 +19,7 @@ import pytest
 
 from tests.killed_runs import alive, check_files
 from tests.small_case import write_case
-from torchlc.output import LOCK_NAME
+from torchlc.files.writing import LOCK_NAME
 
 KILLS = 20
 ROOT = Path(__file__).parent.parent

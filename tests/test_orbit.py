@@ -28,7 +28,7 @@ from tests.paper_orbits import (
     tle_scene,
 )
 from torchlc.errors import InputError
-from torchlc.orbit import (
+from torchlc.geometry.orbit import (
     above_horizon,
     airmass,
     angle_between,
@@ -37,8 +37,8 @@ from torchlc.orbit import (
     observation_grid,
     shadow_coordinate,
 )
-from torchlc.orbit.motion import GM_EARTH, EarthFixed, TwoBody
-from torchlc.recording import load_recording
+from torchlc.geometry.orbit.motion import GM_EARTH, EarthFixed, TwoBody
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 
 MMT9 = sorted((SHARED / "data" / "mmt9").glob("track_*.ecsv"))

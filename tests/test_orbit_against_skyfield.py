@@ -24,7 +24,7 @@ from tests.paper_orbits import (
     scene,
     tle_scene,
 )
-from torchlc.orbit import make_track
+from torchlc.geometry.orbit import make_track
 
 ARCSEC = np.pi / 180 / 3600
 CASES = {

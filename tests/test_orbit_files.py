@@ -16,10 +16,10 @@ from sgp4.api import WGS72, Satrec
 import torchlc
 from tests.bad_input_cases import SCENE, TLE
 from torchlc.errors import InputError
-from torchlc.orbit import make_track
-from torchlc.orbit.elements import ElementSet
-from torchlc.orbit.motion import GM_EARTH
-from torchlc.recording import load_recording
+from torchlc.geometry.orbit import make_track
+from torchlc.geometry.orbit.elements import ElementSet
+from torchlc.geometry.orbit.motion import GM_EARTH
+from torchlc.readers import load_recording
 from torchlc.scene import Scene, load_scene
 from torchlc.scene.tle import Elements, nearest, read_elements
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from torchlc.errors import BusyError, InputError, ResourceError
-from torchlc.output import LOCK_NAME, MANIFEST_NAME, OutputDirectory, without_nan, write_whole
+from torchlc.files.writing import LOCK_NAME, MANIFEST_NAME, OutputDirectory, without_nan, write_whole
 
 HOLD = """
 import sys, time
-from torchlc.output import OutputDirectory
+from torchlc.files.writing import OutputDirectory
 with OutputDirectory(sys.argv[1]) as directory:
     directory.write_text("early.txt", "whole")
     print("held", flush=True)
@@ -103,7 +103,7 @@ FULL = """
 import resource, sys, h5py, numpy
 from pathlib import Path
 from torchlc.errors import ResourceError
-from torchlc.output import OutputDirectory
+from torchlc.files.writing import OutputDirectory
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 def hdf5(path):
     with h5py.File(path, "w") as file:
@@ -156,7 +156,7 @@ RACE = """
 import sys, time
 from pathlib import Path
 from torchlc.errors import BusyError
-from torchlc.output import OutputDirectory
+from torchlc.files.writing import OutputDirectory
 while time.time() < float(sys.argv[2]):
     pass
 try:
@@ -186,7 +186,7 @@ def test_of_several_runs_at_once_over_a_stale_lock_one_goes_in(tmp_path: Path):
 
 
 def test_memory_that_runs_out_is_told():
-    from torchlc.output import resources
+    from torchlc.files.writing import resources
 
     for error in (MemoryError(), RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory")):
         with pytest.raises(ResourceError, match="out of memory"), resources():
@@ -347,7 +347,7 @@ def test_a_half_written_file_never_goes_through_a_link(tmp_path: Path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from torchlc.output import OutputDirectory
+from torchlc.files.writing import OutputDirectory
 calls, last = 0, int(sys.argv[2])
 def counted(event, arguments):
     global calls

@@ -12,8 +12,8 @@ from scipy import integrate, stats
 
 import torchlc
 from tests.effects.cases import seen_from, still
-from torchlc.assemble import assemble
-from torchlc.diagnose.refit import gaussian_prior
+from torchlc.lightcurve.assembly import assemble
+from torchlc.diagnosis.refit import gaussian_prior
 from torchlc.effects import registry
 from torchlc.errors import InputError
 from torchlc.parameters import PRIORS, Free, ParameterSet, Prior, prior_of

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from torchlc.errors import InputError
-from torchlc.period import find_period
-from torchlc.recording import Recording, load_recording
+from torchlc.inference.period import find_period
+from torchlc.readers import Recording, load_recording
 
 EROS = Path(__file__).parents[2] / "shared" / "data" / "eros" / "recording.ecsv"
 JD = 2459000.5

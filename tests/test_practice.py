@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.fit import Fit, fit_map
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.inference.optimiser import Fit, fit_map
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"

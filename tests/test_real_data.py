@@ -20,8 +20,8 @@ import starlink  # noqa: E402
 from page import MARKED, filled  # noqa: E402
 
 import torchlc  # noqa: E402
-from torchlc.diagnose.run import diagnose  # noqa: E402
-from torchlc.fit import fit_map  # noqa: E402
+from torchlc.diagnosis.run import diagnose  # noqa: E402
+from torchlc.inference.optimiser import fit_map  # noqa: E402
 
 
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")

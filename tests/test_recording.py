@@ -28,9 +28,9 @@ from tests.bad_input_cases import (
     VECTOR_SCENE,
 )
 from torchlc.errors import InputError
-from torchlc.recording import Recording, load_recording
-from torchlc.recording.groups import repeats
-from torchlc.recording.table import MAX_ROWS
+from torchlc.readers import Recording, load_recording
+from torchlc.readers.groups import repeats
+from torchlc.readers.table import MAX_ROWS
 from torchlc.scene import Scene, load_scene
 
 SHARED = Path(__file__).parents[2] / "shared"

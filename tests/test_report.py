@@ -12,8 +12,8 @@ import pytest
 import torchlc
 from tests.chromium import PROGRAM, Page
 from tests.small_case import NAME, write_case
-from torchlc.raster import Mesh, looking_along, render
-from torchlc.results import FitResult
+from torchlc.figures.raster import Mesh, looking_along, render
+from torchlc.results.fit_result import FitResult
 
 browser = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 
@@ -76,7 +76,7 @@ def test_everything_drawn_has_words_for_those_who_do_not_see_it(page: Path):
 
 
 def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
-    from torchlc.report import substances, words
+    from torchlc.report.fit_page import substances, words
 
     text = " ".join(words(result))
     assert "49 rows" in text and "chi-square is" in text
@@ -90,7 +90,7 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
 
 def test_the_first_paragraph_says_that_a_model_does_not_fit(tmp_path: Path):
     """Errors quoted ten times too small: what was added to them is not mistaken for a good fit."""
-    from torchlc.report import words
+    from torchlc.report.fit_page import words
 
     scene, recording = write_case(tmp_path, noise=0.2)
     text = recording.read_text()
@@ -202,7 +202,7 @@ def test_the_picture_of_a_plate_has_its_area_and_its_shadow():
 
 
 def test_an_ever_coarser_mesh_keeps_its_extent():
-    from torchlc.viewer import simplified
+    from torchlc.figures.viewer import simplified
 
     t = np.linspace(0, 2 * np.pi, 201)
     rings = np.stack([np.cos(t), np.sin(t)], -1)

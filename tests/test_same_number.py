@@ -16,8 +16,8 @@ from tests.effects.passes import BODY, CELLS, LOW_PASS, TUMBLING, WINGS, orbitin
 from tests.effects.test_finite_sun import CYLINDER
 from tests.paper_orbits import LOW
 from tests.test_gradients import FREE_FOIL, SIZED, clocked, flux, many_boxes, shaped, tumbling
-from torchlc.model import LightCurve
-from torchlc.recording import Recording
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import Recording
 from torchlc.scene import Scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch.func's own
@@ -196,7 +196,7 @@ def test_light_between_clock_offsets_is_that_of_the_offset(tmp_path):
 
 def test_a_model_of_other_fixed_numbers_borrows_no_tables():
     """A sibling lends tables where the geometry is the same, and only there."""
-    from torchlc.assemble import assemble
+    from torchlc.lightcurve.assembly import assemble
 
     scene, recording, _ = turning(*WING)
     recording = replace(recording, kind="flux")

@@ -28,12 +28,12 @@ from scipy import stats
 
 import torchlc
 from tests.small_case import write_case
-from torchlc.chain import read_chain
-from torchlc.cli import run
+from torchlc.inference.chain import read_chain
+from torchlc.cli.commands import run
 from torchlc.errors import InputError
-from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood
-from torchlc.sample import Posterior, moves, sample
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.sampler import Posterior, moves, sample
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))
@@ -187,9 +187,9 @@ from pathlib import Path
 from typing import Any
 import setting, torchlc
 from test_sample import BODY, night
-from torchlc.fit import fit_map
-from torchlc.likelihood import Likelihood
-from torchlc.sample import sample
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.sampler import sample
 scene = setting.object_1({{"body": BODY, "panel": setting.FREE}})
 found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))))
 sample(found, steps={steps}, walkers=32, seed=5, chain_file=Path({chain!r}), resume={resume})

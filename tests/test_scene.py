@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
 from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
-from torchlc import materials
+from torchlc.materials import known as materials
 from torchlc.errors import InputError
 from torchlc.scene import Free, Scene, load_scene
 from torchlc.scene.checks import MAX_FILE_BYTES

@@ -14,8 +14,8 @@ from astropy.time import Time, TimeDelta
 
 from tests.paper_orbits import LOW, MOLNIYA, ORBIT_1, ORBIT_3, recording, tle_scene
 from torchlc.errors import InputError
-from torchlc.orbit import make_track
-from torchlc.orbit.elements import ElementSet
+from torchlc.geometry.orbit import make_track
+from torchlc.geometry.orbit.elements import ElementSet
 
 FILES = Path(sgp4.__file__).parent
 FAILS_BY_DESIGN = {"28872", "33333", "33334"}  # decayed, or elements that are no orbit

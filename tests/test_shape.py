@@ -13,7 +13,7 @@ import torch
 import trimesh
 
 from torchlc.errors import InputError, MissingExtraError
-from torchlc.shape import Shape, tracking_pose
+from torchlc.shapes import Shape, tracking_pose
 
 F64 = torch.float64
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.diagnose.turns import Target, jumps, swings
+from torchlc.diagnosis.attitude_search import Target, jumps, swings
 
 ROWS = 240
 MINUTES = torch.linspace(0.0, 300.0, ROWS, dtype=torch.float64)

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchlc.api import campaign, diagnose, fit, load, simulate
-    from torchlc.campaign.run import CampaignResult
+    from torchlc.campaigns.run import CampaignResult
     from torchlc.errors import InputError, TorchlcError
-    from torchlc.likelihood import Likelihood
-    from torchlc.model import LightCurve
-    from torchlc.recording import Recording
-    from torchlc.results import FitResult
+    from torchlc.inference.likelihood import Likelihood
+    from torchlc.lightcurve.model import LightCurve
+    from torchlc.readers import Recording
+    from torchlc.results.fit_result import FitResult
     from torchlc.scene import Scene
-    from torchlc.simulated import SimulatedCurve
+    from torchlc.results.simulated_curve import SimulatedCurve
 
 __version__ = "0.1.0"
 

@@ -16,26 +16,26 @@ import numpy as np
 import torch
 
 from torchlc import __version__
-from torchlc.assemble import assemble
-from torchlc.chain import check_origin, input_hashes, read_chain
+from torchlc.lightcurve.assembly import assemble
+from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
-from torchlc.fit import Fit, fit_map
-from torchlc.insight import limits
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
-from torchlc.orbit import above_horizon, observation_grid
-from torchlc.output import CHAIN_FILE, DIAGNOSIS_FILES, FIT_FILES, OutputDirectory, resources, write_whole
-from torchlc.recording import Recording, counted, load_recording
-from torchlc.recording.reader import LIMITS
-from torchlc.results import FitResult
-from torchlc.sample import sample
+from torchlc.inference.optimiser import Fit, fit_map
+from torchlc.inference.identifiability import limits
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
+from torchlc.geometry.orbit import above_horizon, observation_grid
+from torchlc.files.writing import CHAIN_FILE, DIAGNOSIS_FILES, FIT_FILES, OutputDirectory, resources, write_whole
+from torchlc.readers import Recording, counted, load_recording
+from torchlc.readers.reader import LIMITS
+from torchlc.results.fit_result import FitResult
+from torchlc.inference.sampler import sample
 from torchlc.scene import Scene, load_scene
-from torchlc.simulated import SimulatedCurve, simulated_curve
+from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 
 if TYPE_CHECKING:
-    from torchlc.campaign.run import CampaignResult
-    from torchlc.diagnose.result import Diagnosis
+    from torchlc.campaigns.run import CampaignResult
+    from torchlc.diagnosis.result import Diagnosis
 
 Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
@@ -175,7 +175,7 @@ def fit(
             provenance=provenance(scene, rows, seed, command),
         )
         if directory is not None:
-            from torchlc import report
+            from torchlc.report import fit_page as report
 
             report.write_fit(result, directory, progress)
     return result
@@ -200,8 +200,8 @@ def diagnose(
     most refits. With ``out`` diagnosis.json, figures and report.html are
     written there.
     """
-    from torchlc.diagnose.candidates import check_candidates
-    from torchlc.diagnose.run import diagnose as run
+    from torchlc.diagnosis.candidates import check_candidates
+    from torchlc.diagnosis.run import diagnose as run
 
     scene = _scene(scene, trust)
     rows = usable(scene, recording, use=use)
@@ -210,7 +210,7 @@ def diagnose(
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
         result = run(scene, rows, quick=quick, effects=effects, seed=seed, progress=progress)
         if directory is not None:
-            from torchlc.diagnosis_report import write_diagnosis
+            from torchlc.report.diagnosis_page import write_diagnosis
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
     return result
@@ -237,7 +237,7 @@ def campaign(
     that of :func:`fit` or :func:`diagnose` with that seed, whoever did it. Worker processes import the main
     script: guard it by ``if __name__ == "__main__"``.
     """
-    from torchlc.campaign.run import run_campaign
+    from torchlc.campaigns.run import run_campaign
 
     return run_campaign(
         Path(manifest),
@@ -259,8 +259,8 @@ def demo(
 
     Its two files are put beside the results.
     """
-    from torchlc import report
-    from torchlc.diagnosis_report import context
+    from torchlc.report import fit_page as report
+    from torchlc.report.diagnosis_page import context
 
     source = Path(__file__).parent / "demo"
     files = source / "scene.toml", source / "recording.ecsv"
@@ -283,7 +283,7 @@ def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None =
     """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and
     counted.
     """
-    from torchlc.orbit import make_track
+    from torchlc.geometry.orbit import make_track
 
     if not isinstance(recording, Recording):
         recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)

@@ -21,14 +21,14 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.diagnose.coordinates import coordinates
-from torchlc.diagnose.refit import Hypothesis, refit
+from torchlc.diagnosis.coordinates import coordinates
+from torchlc.diagnosis.refit import Hypothesis, refit
 from torchlc.effects import registry
-from torchlc.effects.base import Entry
-from torchlc.likelihood import Likelihood
-from torchlc.orbit import above_horizon, make_track, observation_grid
-from torchlc.recording import Recording
-from torchlc.style import BEFORE, DATA, MODEL, style
+from torchlc.stages.effect import Entry
+from torchlc.inference.likelihood import Likelihood
+from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
+from torchlc.readers import Recording
+from torchlc.figures.style import BEFORE, DATA, MODEL, style
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"

@@ -16,8 +16,8 @@ import matplotlib.pyplot as plt
 from astropy.time import Time
 
 from torchlc.api import demo
-from torchlc.diagnose.result import Diagnosis
-from torchlc.style import BEFORE, DATA, MODEL, style
+from torchlc.diagnosis.result import Diagnosis
+from torchlc.figures.style import BEFORE, DATA, MODEL, style
 
 HERE = Path(__file__).parent
 

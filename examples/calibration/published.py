@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.patches import Rectangle
 from outcomes import OUTCOMES, WORTH, group, judged, ordered, summary
 
-from torchlc.style import BEFORE, GRID, MODEL, style
+from torchlc.figures.style import BEFORE, GRID, MODEL, style
 
 GAINS = (1.0, 2.0, 4.0, 5.0, 8.0, 14.0, 30.0, 300.0)
 

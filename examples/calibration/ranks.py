@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
-from torchlc.style import DATA, MODEL, style
+from torchlc.figures.style import DATA, MODEL, style
 
 BINS = 10
 LEVELS = (50, 90, 98)

@@ -19,9 +19,9 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.diagnose.refit import Refit
-from torchlc.diagnose.result import effect_parameters
-from torchlc.diagnose.run import diagnose
+from torchlc.diagnosis.refit import Refit
+from torchlc.diagnosis.result import effect_parameters
+from torchlc.diagnosis.run import diagnose
 from torchlc.terminal import quiet_libraries
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

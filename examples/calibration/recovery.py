@@ -25,8 +25,8 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.fit import fit_map
-from torchlc.sample import Posterior, sample
+from torchlc.inference.optimiser import fit_map
+from torchlc.inference.sampler import Posterior, sample
 from torchlc.terminal import quiet_libraries
 
 HERE = Path(__file__).parent

@@ -30,7 +30,7 @@ from outcomes import judged, summary
 from published import publish
 
 from torchlc.api import diagnose
-from torchlc.recording import load_recording
+from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 from torchlc.terminal import quiet_libraries
 

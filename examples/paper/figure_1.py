@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from publish import Made, publish
 
-from torchlc.style import DATA, INK, MODEL, OBSERVER, SUN
+from torchlc.figures.style import DATA, INK, MODEL, OBSERVER, SUN
 
 SUN_DEG = (48.0, 215.0)
 OBSERVER_DEG = (32.0, 10.0)

@@ -9,7 +9,7 @@ from publish import Made, publish
 from setting import NIGHT, object_1, object_2
 
 import torchlc
-from torchlc.drawing import draw_object
+from torchlc.figures.object_drawing import draw_object
 
 TITLES = ("Object 1: Y along the orbit's normal", "Object 2: Y across Sun and nadir")
 

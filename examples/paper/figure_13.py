@@ -9,7 +9,7 @@ from measure import Night, closest, glint_angles, night, span
 from publish import Made, publish
 from setting import object_1
 
-from torchlc.style import DATA, INK, PALETTE
+from torchlc.figures.style import DATA, INK, PALETTE
 
 DAY, FIRST, LAST = "2020-10-17", 14.0, 21.0
 SHADOWED = '["self_shadowing"]'

@@ -8,7 +8,7 @@ from measure import night, span
 from publish import Made, publish
 from setting import cube
 
-from torchlc.style import PALETTE
+from torchlc.figures.style import PALETTE
 
 SHADOWED = '["earth_shadow"]'
 FAINTEST = 21.0

@@ -8,7 +8,7 @@ from measure import closest, glint_angles, night
 from publish import Made, publish
 from setting import cube
 
-from torchlc.style import PALETTE
+from torchlc.figures.style import PALETTE
 
 
 def make() -> Made:

@@ -11,7 +11,7 @@ from publish import Made, publish
 from setting import cube
 
 import torchlc
-from torchlc.style import DATA, INK, OBSERVER, PALETTE, SUN
+from torchlc.figures.style import DATA, INK, OBSERVER, PALETTE, SUN
 
 HOUR = "2020-10-10T14:00:00"
 TITLES = (

@@ -8,7 +8,7 @@ from measure import Array, night
 from publish import Made, publish
 from setting import cube
 
-from torchlc.style import PALETTE
+from torchlc.figures.style import PALETTE
 
 TITLES = (
     "1: nadir, 1 rev/h about Y",

@@ -9,7 +9,7 @@ from measure import glint_angles, night
 from publish import Made, publish
 from setting import cube
 
-from torchlc.style import MODEL, PALETTE
+from torchlc.figures.style import MODEL, PALETTE
 
 
 def make() -> Made:

@@ -9,7 +9,7 @@ from measure import night
 from publish import Made, publish
 from setting import LONGITUDE, cube
 
-from torchlc.style import PALETTE
+from torchlc.figures.style import PALETTE
 
 LATITUDE = 37.0
 LONGITUDES = (LONGITUDE - 15.0, LONGITUDE, LONGITUDE + 15.0)

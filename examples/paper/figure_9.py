@@ -7,7 +7,7 @@ from measure import night
 from publish import Made, publish
 from setting import cube
 
-from torchlc.style import PALETTE
+from torchlc.figures.style import PALETTE
 
 LATITUDES = (27.0, 32.0, 37.0, 42.0, 47.0)
 

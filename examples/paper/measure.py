@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 import torchlc
-from torchlc.orbit import angle_between
-from torchlc.simulated import SimulatedCurve
+from torchlc.geometry.orbit import angle_between
+from torchlc.results.simulated_curve import SimulatedCurve
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

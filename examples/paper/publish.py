@@ -12,7 +12,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from torchlc.style import style
+from torchlc.figures.style import style
 
 PAGE = Path(__file__).parents[2] / "docs" / "paper"
 DPI = 100

@@ -7,7 +7,7 @@ import math
 from inversion import inverted
 from publish import Made, publish
 
-from torchlc.materials import load_library
+from torchlc.materials.known import load_library
 
 LISTED = ("Kapton", "Lambert-plate", "GaAs", "Al")
 

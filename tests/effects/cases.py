@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 from torchlc.scene import Scene
 
 AU_KM = 149_597_870.7

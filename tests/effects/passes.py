@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from tests.paper_orbits import ORBIT_1
-from torchlc.model import LightCurve
-from torchlc.orbit.grid import observation_grid
-from torchlc.recording import Recording
+from torchlc.lightcurve.model import LightCurve
+from torchlc.geometry.orbit.grid import observation_grid
+from torchlc.readers import Recording
 from torchlc.scene import Scene
 
 WEIHAI = """

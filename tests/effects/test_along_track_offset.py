@@ -11,7 +11,7 @@ from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.effects.passes import HIGH, LOW_PASS, magnitudes, model_with, orbiting, rows
 from tests.paper_orbits import LOW, ORBIT_1
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 
 def further(tle: tuple[str, str], deg: float) -> tuple[str, str]:

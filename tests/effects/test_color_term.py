@@ -8,7 +8,7 @@ import pytest
 from tests.effects.passes import BODY, MATERIALS, orbiting, rows
 from torchlc.effects import registry
 from torchlc.errors import InputError
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 
 def test_share_of_a_component_that_shines_alone():

@@ -24,7 +24,7 @@ from tests.effects.cases import (
 from tests.effects.test_finite_sun import CYLINDER
 from torchlc.effects import earthshine
 from torchlc.effects.earthshine import EARTH_RADIUS_KM, sunlit_tiles, tiles_across
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 LAMBERT = '[materials.white]\nmodel = "lambert"\nalbedo = 1.0\n'
 CUBE = """

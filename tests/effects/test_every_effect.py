@@ -19,8 +19,8 @@ import torch
 from tests.effects.passes import LOW_PASS, TUMBLING, orbiting, rows
 from tests.paper_orbits import LOW
 from torchlc.effects import STAGES, Effect, registry
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
 
 NAMES = list(registry())
 NOISE = [name for name in NAMES if registry()[name].stage == "noise"]

@@ -12,8 +12,8 @@ import torch
 from tests.effects.passes import BODY, LOW_PASS, TUMBLING, model_with, orbiting, rows
 from tests.paper_orbits import LOW
 from torchlc.effects import registry
-from torchlc.insight import limits
-from torchlc.model import LightCurve
+from torchlc.inference.identifiability import limits
+from torchlc.lightcurve.model import LightCurve
 
 TILTED = """
     [[components]]

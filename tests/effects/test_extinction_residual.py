@@ -10,8 +10,8 @@ import numpy as np
 from tests.effects.passes import LOW_PASS, TUMBLING, magnitudes, orbiting, rows
 from tests.paper_orbits import LOW
 from torchlc.effects import registry
-from torchlc.model import LightCurve
-from torchlc.recording import load_recording
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import load_recording
 from torchlc.scene import Scene
 
 TABLE = {90.0: 1.0, 60.0: 1.154, 30.0: 1.994, 20.0: 2.904, 10.0: 5.586, 5.0: 10.306}

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tests.effects.cases import RANGE_KM, check_contract, flux, material, seen_from, still, tilted, unit
-from torchlc.bounce import form_factor
+from torchlc.pairs.double_reflection import form_factor
 from torchlc.errors import InputError
 
 CORNER = """

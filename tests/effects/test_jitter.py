@@ -11,8 +11,8 @@ from scipy.stats import norm
 
 from tests.effects.passes import magnitudes, model_with, orbiting, rows
 from torchlc.effects import registry
-from torchlc.likelihood import Likelihood
-from torchlc.model import LightCurve
+from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.model import LightCurve
 
 
 def noisy_recording(scene, seed=0, error=0.04):

@@ -9,7 +9,7 @@ import pytest
 
 from tests.effects.passes import BODY, MATERIALS, magnitudes, orbiting, rows
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 C_KM_S = 299_792.458
 

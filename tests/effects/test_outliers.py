@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from tests.effects.passes import model_with, orbiting
 from tests.effects.test_jitter import noisy_recording
-from torchlc.likelihood import Likelihood
+from torchlc.inference.likelihood import Likelihood
 
 
 @pytest.mark.parametrize(("fraction", "width"), [(0.03, 8.0), (0.5, 2.0), (0.2, 100.0)])

@@ -9,7 +9,7 @@ from tests.effects.cases import RANGE_KM, flux, seen_from, still, tilted
 from tests.effects.passes import BODY, MATERIALS, orbiting, rows
 from tests.effects.test_panel_offset import LAMBERT, wing
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 
 @pytest.mark.parametrize(("axis", "sense"), [("[0, 1, 0]", 1.0), ("[0, -1, 0]", -1.0)])

@@ -8,7 +8,7 @@ import pytest
 from tests.effects.cases import AU_KM, RANGE_KM, flux, seen_from, still, tilted
 from tests.effects.passes import BODY, MATERIALS, orbiting, rows
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 LAMBERT = '[materials.white]\nmodel = "lambert"\nalbedo = 0.6\n'
 

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from tests.effects.passes import model_with, orbiting
 from tests.effects.test_jitter import noisy_recording
-from torchlc.likelihood import Likelihood
+from torchlc.inference.likelihood import Likelihood
 
 
 def matern(gap: np.ndarray, tau: float, order: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.effects.passes import BODY, HIGH, MATERIALS, magnitudes, orbiting, rows
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 BODY_ALONE = {"components": BODY, "materials": MATERIALS}
 

@@ -12,7 +12,7 @@ from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.effects.passes import HIGH, LOW_PASS, magnitudes, orbiting, rows
 from tests.paper_orbits import LOW
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 SPIN = 'mode = "nadir"\nspin_axis = [0.2, 0.9, 0.1]\nspin_rate = 9.0\nspin_epoch = "2006-06-27T13:00:00"'
 

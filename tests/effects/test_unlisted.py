@@ -11,7 +11,7 @@ from tests.effects.cases import STILL, flux, seen_from, still, unit
 from tests.effects.passes import BODY, CELLS, MATERIALS, WINGS
 from torchlc.effects import every, names, registry
 from torchlc.errors import InputError
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Scene
 
 UNLISTED = ("attitude_drift", "attitude_jump", "wing_split")

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.effects.passes import magnitudes, orbiting, rows
 from torchlc.effects import registry
-from torchlc.model import LightCurve
+from torchlc.lightcurve.model import LightCurve
 
 
 def added(scene, recording, rate):

@@ -21,7 +21,7 @@ from torchlc.brdf.base import (
     weighed,
 )
 from torchlc.parameters import Quantity
-from torchlc.tracing import transformed
+from torchlc.tensors.autodiff_state import transformed
 
 GRID_STEP = 0.08
 COLUMNS_AT_ONCE = 48

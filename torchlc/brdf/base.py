@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchlc.errors import InputError
 from torchlc.parameters import Quantity
-from torchlc.vectors import dot
+from torchlc.tensors.vectors import dot
 
 MODELS: dict[str, type[Brdf]] = {}
 """Every reflection model by the name a scene uses; a class enters by being defined."""

@@ -6,7 +6,7 @@ import functools
 import importlib
 import pkgutil
 
-from torchlc.effects.base import GEOMETRY_STAGES, STAGES, Context, Effect, Entry
+from torchlc.stages.effect import GEOMETRY_STAGES, STAGES, Context, Effect, Entry
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.effects.base import Effect, Patch
+from torchlc.stages.effect import Effect, Patch
 from torchlc.parameters import Quantity
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 WIDTH_IN_CADENCES = 0.1

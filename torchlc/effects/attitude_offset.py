@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect, Parameters
+from torchlc.stages.effect import Effect, Parameters
 from torchlc.parameters import Quantity
 
 SERIES_BELOW = 1e-4

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from torchlc.effects.base import Effect, Scatter
+from torchlc.stages.effect import Effect, Scatter
 from torchlc.parameters import Quantity
 
 

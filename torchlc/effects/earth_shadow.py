@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Effect, Instants
+from torchlc.stages.effect import Effect, Instants
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
-from torchlc.tracing import traced
+from torchlc.tensors.autodiff_state import traced
 
 EARTH_RADIUS_KM = 6378.137
 FLATTENING = 1 / 298.257223563

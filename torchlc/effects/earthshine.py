@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Effect, Light
+from torchlc.stages.effect import Effect, Light
 from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import Quantity
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.effects.base import Effect, Light
+from torchlc.stages.effect import Effect, Light
 
 SUN_RADIUS_KM = 695_700.0
 LIMB_DARKENING = 0.6

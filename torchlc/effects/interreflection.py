@@ -8,13 +8,13 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchlc.bounce import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
+from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.brdf.base import Brdf, Incidence
-from torchlc.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
-from torchlc.effects.base import Context, Effect, Scatter, Surface, View
+from torchlc.pairs.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
+from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
 from torchlc.parameters import Quantity
-from torchlc.table import joined, slotted
-from torchlc.tracing import traced
+from torchlc.pairs.facet_pairs import joined, slotted
+from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 
 LIGHT_KM_S = 299_792.458
 

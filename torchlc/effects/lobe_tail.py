@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents, widened
 from torchlc.brdf.base import per_pair
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)

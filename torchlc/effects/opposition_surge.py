@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect, turned_poses
+from torchlc.stages.effect import Effect, turned_poses
 from torchlc.parameters import Quantity
-from torchlc.rotations import rotation_about
-from torchlc.shape.part import like
-from torchlc.vectors import unit
+from torchlc.geometry.rotation.matrices import rotation_about
+from torchlc.shapes.part import like
+from torchlc.tensors.vectors import unit
 
 
 class PanelCant(Effect):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.base import Effect, turned_poses
+from torchlc.stages.effect import Effect, turned_poses
 from torchlc.parameters import Quantity
-from torchlc.rotations import rotation_about
-from torchlc.shape.part import like
+from torchlc.geometry.rotation.matrices import rotation_about
+from torchlc.shapes.part import like
 
 
 class PanelOffset(Effect):

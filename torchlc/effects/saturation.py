@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 

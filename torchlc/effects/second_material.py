@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.base import Effect
-from torchlc.tracing import traced
+from torchlc.stages.effect import Effect
+from torchlc.tensors.autodiff_state import traced
 from torchlc.visibility import visible_fractions
 
 

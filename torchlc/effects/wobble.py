@@ -7,7 +7,7 @@ import math
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of
-from torchlc.effects.base import Effect
+from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
 
 

@@ -12,13 +12,13 @@ from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
 from torchlc.errors import InputError
-from torchlc.materials import preset as preset_values
+from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
 from torchlc.scene.numbers import Free, value_of, within
 from torchlc.scene.parts import AXES_OF_A_MESH, Material, Mesh
 from torchlc.scene.problems import shown
 from torchlc.scene.tle import PLACEHOLDER
-from torchlc.spelling import did_you_mean
+from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene.scene import Scene

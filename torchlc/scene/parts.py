@@ -25,7 +25,7 @@ from torchlc.scene.numbers import (
     problem,
 )
 from torchlc.scene.tle import checked_lines
-from torchlc.timestamps import ISO, UnreadableTime, instant
+from torchlc.scene.timestamps import ISO, UnreadableTime, instant
 
 MAX_PLATE_SKEW = 1e-3
 """Largest |cos| of the angle between a plate's u and v that counts as a right angle."""

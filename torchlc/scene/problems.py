@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from torchlc.errors import InputError
 from torchlc.scene.numbers import FIXED, FREE, SIDES, WHOLE
-from torchlc.spelling import did_you_mean
+from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationError
 
 from torchlc.errors import InputError
-from torchlc.files import changed, readable_file, sha256_of, unchanged
+from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
 from torchlc.naming import Origin, full_names
 from torchlc.scene.checks import checked
 from torchlc.scene.numbers import Free, Name, Table, Title

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from torchlc.decimals import decimal
+from torchlc.files.decimals import decimal
 from torchlc.errors import InputError
-from torchlc.files import readable_file
+from torchlc.files.reading import readable_file
 from torchlc.scene.numbers import problem
 
 PLACEHOLDER = "xxxxx"

@@ -11,10 +11,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torchlc.shape import Facets, Shape
+from torchlc.shapes import Facets, Shape
 from torchlc.visibility.polygons import polygon_fractions
 from torchlc.visibility.rays import ray_fractions
-from torchlc.visibility.rowwise import rowwise
+from torchlc.visibility.batched_rows import rowwise
 
 __all__ = ["visible_fractions"]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchlc.shape import Part
+from torchlc.shapes import Part
 
 TOUCHING = 1e-9  # of a line's length: what it meets nearer than this to an end is touched, not met
 

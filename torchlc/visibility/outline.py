@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchlc.shape import Hull
+from torchlc.shapes import Hull
 
 
 @dataclass(frozen=True)

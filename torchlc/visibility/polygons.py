@@ -1,6 +1,6 @@
 """Joint visibility of facets among convex parts, exact.
 
-Round parts hide others as prisms or polyhedra (`torchlc.shape`). Of parts in contact, a plate flat on a box
+Round parts hide others as prisms or polyhedra (`torchlc.shapes`). Of parts in contact, a plate flat on a box
 hides what is below it, as if it lay on top; plates that overlap in one plane hide each other.
 """
 
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchlc.shape import Part
-from torchlc.shape.part import like
-from torchlc.visibility.cover import covered_area, settled
+from torchlc.shapes import Part
+from torchlc.shapes.part import like
+from torchlc.visibility.polygon_union import covered_area, settled
 from torchlc.visibility.outline import Joints, facing, outline
-from torchlc.visibility.rowwise import picked
+from torchlc.visibility.batched_rows import picked
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import MissingExtraError
-from torchlc.shape import Part
+from torchlc.shapes import Part
 
 LARGE = 0.1  # a facet whose size is more than this of the object's radius gets a grid of points
 GRID = 16

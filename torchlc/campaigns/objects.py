@@ -1,0 +1,208 @@
+"""One object of a campaign, done by whichever worker gets it: a directory of its own with the files of the
+verb and ``object.json``, written last, which says from what it was made and what came out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from torchlc import __version__
+from torchlc.campaigns.manifest import Job
+from torchlc.errors import BusyError, TorchlcError
+from torchlc.files.reading import changed, readable_file, sha256_of
+from torchlc.files.writing import OutputDirectory, read_manifest
+
+RECORD = "object.json"
+SCHEMA = "torchlc-object/1"
+RESULTS = {"fit": "fit.json", "diagnose": "diagnosis.json"}
+MOST_TOLD = 4
+"""Parameters that the one line on an object holds."""
+
+
+def run_object(job: Job, folder: Path, campaign: str = "") -> str:
+    """Do one object in ``folder``: "skipped" where its whole result is there from another ``campaign``, else
+    "done" or "failed", with the reason in its record.
+
+    Raises BusyError if a live run holds the directory, and whatever keeps the record itself from being
+    written, such as a full disk or a file of that name that torchlc did not write. Files of an earlier result
+    that have changed since are kept under another name.
+    """
+    from torchlc.terminal import one_line, quiet_libraries
+
+    began = time.monotonic()
+    origin: dict[str, Any] = {}
+    try:
+        origin = origin_of(job)
+        record = finished(folder, origin)
+        if record is not None:
+            return "done" if record["campaign"] == campaign else "skipped"
+        with OutputDirectory(folder, [RECORD], [job.scene, job.recording]) as directory:
+            directory.set_aside()
+            directory.clear([RECORD])
+        with quiet_libraries():
+            outcome = _outcome(job, folder, origin)
+    except BusyError:
+        raise
+    except TorchlcError as error:
+        return record_failure(job, folder, str(error), origin, time.monotonic() - began)
+    except MemoryError:
+        return record_failure(job, folder, "out of memory", origin, time.monotonic() - began)
+    except Exception as error:
+        said = one_line(f"{type(error).__name__}: {error}")
+        reason = f"a defect of torchlc, please report it: {said}"
+        return record_failure(job, folder, reason, origin, time.monotonic() - began)
+    files = {name: (folder / name).stat().st_size for name in _results_in(folder)}
+    seconds = time.monotonic() - began
+    return _record(
+        job, folder, "done", campaign=campaign, seconds=seconds, origin=origin, files=files, outcome=outcome
+    )
+
+
+def record_failure(
+    job: Job, folder: Path, reason: str, origin: Mapping[str, Any] | None = None, seconds: float | None = None
+) -> str:
+    return _record(job, folder, "failed", reason=reason, seconds=seconds, origin=origin or {})
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """``object.json``; None if there is none that can be read."""
+    try:
+        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and found.get("schema") == SCHEMA else None
+
+
+def origin_of(job: Job) -> dict[str, Any]:
+    """All that a result depends on: version, task, options, seed, and the content of every input file."""
+    scene = readable_file(job.scene, "a scene in TOML").read_bytes()
+    inputs = {"scene": _sha256(scene)}
+    inputs["recording"] = sha256_of(readable_file(job.recording, "a recording"))
+    for name in sorted(set(_named_files(scene))):
+        file = job.scene.parent / name
+        if file.is_file():
+            inputs[name] = sha256_of(file)
+    return {
+        "torchlc": __version__,
+        "task": job.task,
+        "options": dict(job.options),
+        "seed": job.seed,
+        "inputs": inputs,
+    }
+
+
+def finished(folder: Path, origin: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The record of a result of this very origin; None unless every file is there, as long as it was
+    written.
+    """
+    record = read_record(folder)
+    if record is None or record["status"] != "done" or record["origin"] != origin:
+        return None
+    try:
+        whole = all((folder / name).stat().st_size == size for name, size in record["files"].items())
+    except OSError:
+        return None
+    return record if whole else None
+
+
+def _results_in(folder: Path) -> list[str]:
+    """Names of the files of an object's result: those that torchlc wrote there, but for the record."""
+    return [name for name in sorted(read_manifest(folder)) if name != RECORD and (folder / name).is_file()]
+
+
+def _outcome(job: Job, folder: Path, origin: Mapping[str, Any]) -> dict[str, Any]:
+    """Run the verb and read back what it wrote. Raises InputError where it read other files than ``origin`` says."""
+    import torch
+
+    from torchlc import api
+
+    torch.set_num_threads(job.threads)
+    verb = api.fit if job.task == "fit" else api.diagnose
+    verb(job.scene, job.recording, seed=job.seed, out=folder, command=job.command, **job.options)
+    content = json.loads((folder / RESULTS[job.task]).read_text(encoding="utf-8"))
+    read = {one["sha256"] for one in content["provenance"]["inputs"].values()}
+    if not read <= set(origin["inputs"].values()):
+        raise changed(job.scene, "while it was worked on, or its recording or a file that it names")
+    return _fitted(content) if job.task == "fit" else _diagnosed(content)
+
+
+def _fitted(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What the summary keeps of fit.json."""
+    from torchlc.results.fit_result import stated
+
+    parameters = content["parameters"]
+    informed = [f"{name} = {stated(row)}" for name, row in parameters.items() if row["informed"]]
+    more = [f"and {len(informed) - MOST_TOLD} more"] if len(informed) > MOST_TOLD else []
+    state = [] if content["converged"] else ["not converged"]
+    return {
+        "result": "; ".join([*state, *informed[:MOST_TOLD], *more]) or "nothing was free",
+        **{key: content[key] for key in ("converged", "rows", "chi2", "dof", "rms_mag")},
+        "warnings": len(content["warnings"]),
+        "parameters": [_parameter(name, row) for name, row in parameters.items()],
+    }
+
+
+def _diagnosed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What the summary keeps of diagnosis.json: chi2 and materials are those of the final model."""
+    named = [" or ".join(family) for family in content["families"]]
+    verdict = content["verdict"].replace("_", " ")
+    return {
+        "result": f"{verdict}: {', '.join(named)}" if named else verdict,
+        **{key: content[key] for key in ("verdict", "global_p", "named")},
+        "chi2": content["improvement"]["chi2_after"],
+        "dof": content["improvement"]["dof"],
+        "parameters": [_parameter(name, row) for name, row in content["materials"]["after"].items()],
+    }
+
+
+def _parameter(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
+    keys = ("median", "sd", "q05", "q95", "unit", "informed")
+    return {"name": name, **{key: row.get(key) for key in keys}}
+
+
+def _record(job: Job, folder: Path, status: str, **more: Any) -> str:
+    content = {
+        "schema": SCHEMA,
+        "id": job.name,
+        "scene": str(job.scene),
+        "recording": str(job.recording),
+        "task": job.task,
+        "status": status,
+        "seed": job.seed,
+        "command": job.command,
+        **more,
+    }
+    with OutputDirectory(folder, [RECORD], [job.scene, job.recording]) as directory:
+        directory.write_json(RECORD, content)
+    return status
+
+
+def _named_files(scene: bytes) -> Iterator[str]:
+    """Meshes, quaternions, elements and ephemerides that a scene names; nothing where it is not TOML, which its
+    reader will say."""
+
+    def walk(node: Any) -> Iterator[str]:
+        if isinstance(node, dict):
+            for key, value in node.items():
+                if key in ("file", "tle_file", "oem_file") and isinstance(value, str):
+                    yield value
+                else:
+                    yield from walk(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from walk(value)
+
+    try:
+        yield from walk(tomllib.loads(scene.decode("utf-8-sig")))
+    except ValueError:
+        return
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

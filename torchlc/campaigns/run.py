@@ -1,0 +1,163 @@
+"""A campaign from its manifest to its summary."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchlc import __version__
+from torchlc.campaigns.cluster import connected, require_dask, spread
+from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
+from torchlc.campaigns.objects import record_failure, run_object
+from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
+from torchlc.errors import BusyError, InputError
+from torchlc.files.reading import kind_of
+from torchlc.files.writing import OutputDirectory, resources, without_nan
+
+if TYPE_CHECKING:
+    import pandas
+
+SCHEMA = "torchlc-campaign/1"
+SUMMARY = "campaign.json"
+FAILURES_TOLD = 20
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """What a campaign came to: how many objects there are, are done (``skipped``: of these, before this run)
+    and failed, and ``directory``, where the rest is.
+
+    The rows stay on disk; ``failures`` holds (id, reason) of the first that failed.
+    """
+
+    directory: Path
+    objects: int
+    done: int
+    skipped: int
+    failed: int
+    failures: tuple[tuple[str, str], ...]
+    seconds: float
+    provenance: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"CampaignResult({self.headline()})"
+
+    def headline(self) -> str:
+        """The campaign in one sentence."""
+        before = f" ({self.skipped} of them before)" if self.skipped else ""
+        failed = f", {self.failed} failed" if self.failed else ""
+        return f"{self.done} of {self.objects} objects done{before}{failed}"
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Each object's row of the summary, in the manifest's order."""
+        return summary_rows(self.directory / PARQUET)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The summary, one row an object; ``explode("parameters")`` gives one a parameter."""
+        import pandas
+
+        return pandas.read_parquet(self.directory / PARQUET)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of campaign.json."""
+        return without_nan(
+            {
+                "schema": SCHEMA,
+                **{key: getattr(self, key) for key in ("objects", "done", "skipped", "failed")},
+                "failures": [{"id": name, "reason": reason} for name, reason in self.failures],
+                "seconds": self.seconds,
+                "provenance": dict(self.provenance),
+            }
+        )
+
+
+def run_campaign(
+    manifest: Path,
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    threads: int = 1,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+    command: str | None = None,
+) -> CampaignResult:
+    """See :func:`torchlc.campaign`."""
+    require_dask()
+    began, started = time.monotonic(), datetime.now(UTC).isoformat()
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            None, "--workers", "given with --scheduler", "one of the two", "A cluster brings its own"
+        )
+    objects = check_manifest(manifest)
+    jobs = partial(read_manifest, manifest, seed=seed, threads=threads)
+    counts: Counter[str] = Counter()
+    held: dict[str, str] = {}
+    writes = [PARQUET, TABLE, PAGE, SUMMARY]
+    with OutputDirectory(out, writes, [manifest]) as directory, resources(directory.path):
+        root = directory.path.resolve() / OBJECTS
+        if os.path.lexists(root) and not root.is_dir():
+            raise InputError(
+                root, None, kind_of(root.lstat().st_mode), "a directory, or none", "Move it away"
+            )
+        with connected(scheduler, workers, threads) as client:
+            for job, outcome in spread(client, partial(_run_in, root, started), jobs()):
+                if isinstance(outcome, BusyError | InputError):
+                    held[job.directory] = str(outcome)
+                elif not isinstance(outcome, str):
+                    try:
+                        record_failure(job, root / job.directory, str(outcome))
+                    except (BusyError, InputError) as error:
+                        held[job.directory] = str(error)
+                counts[outcome if isinstance(outcome, str) else "failed"] += 1
+                if progress is not None:
+                    progress("objects", counts.total() / objects)
+        facts = {
+            "objects": objects,
+            "done": counts["done"] + counts["skipped"],
+            "skipped": counts["skipped"],
+            "failed": counts["failed"],
+        }
+        made = {
+            "started": started,
+            "manifest": str(manifest),
+            "torchlc": __version__,
+            "seed": seed,
+            "command": command,
+        }
+        write_summary(jobs(), held, directory, manifest.name, {**facts, **made})
+        result = CampaignResult(
+            directory=directory.path,
+            **facts,
+            failures=_failures(directory.path),
+            seconds=time.monotonic() - began,
+            provenance=made,
+        )
+        directory.write_json(SUMMARY, result.to_json())
+    return result
+
+
+def _run_in(root: Path, campaign: str, job: Job) -> str:
+    """One object, on a worker; what its libraries could hand back to the cluster they do where they are."""
+    import dask.config
+
+    with dask.config.set(scheduler="synchronous"):
+        return run_object(job, root / job.directory, campaign)
+
+
+def _failures(directory: Path) -> tuple[tuple[str, str], ...]:
+    """(id, reason) of the first that failed."""
+    found = []
+    for row in summary_rows(directory / PARQUET, ["id", "status", "reason"]):
+        if row["status"] == "failed":
+            found.append((row["id"], row["reason"] or ""))
+        if len(found) == FAILURES_TOLD:
+            break
+    return tuple(found)

@@ -1,0 +1,54 @@
+"""Names of candidate effects, as a person gives them: one check for the verb, the command line and campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torchlc.lightcurve.assembly import Assembly
+from torchlc.effects import Entry, names, registry
+from torchlc.errors import InputError
+from torchlc.scene.problems import shown
+from torchlc.suggest import did_you_mean
+
+DIVISIONS = ("curve", "night")
+"""What a diagnosis may divide an offset by."""
+
+
+def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = None) -> None:
+    """Raise InputError unless the library has every one of these effects, each ``name``, ``name[target]``, or either
+    with ``@curve`` or ``@night``; and unless a target is there in an ``assembly``, if given."""
+    known = names()
+    for text in effects or ():
+        entry = Entry.parse(text)
+        if entry.name not in known:
+            raise InputError(
+                None,
+                "--effects",
+                f"unknown effect {shown(text)}",
+                f"some of {', '.join(known)}",
+                did_you_mean(entry.name, known),
+            )
+        divisible = registry()[entry.name].divisible
+        if entry.width is not None or (entry.per is not None and not (divisible and entry.per in DIVISIONS)):
+            raise InputError(
+                None,
+                "--effects",
+                shown(text),
+                f"{entry.name} or, to give each a value, {entry.name}@curve or {entry.name}@night"
+                if divisible
+                else f"{entry.name} without @ and ~: it has one value for the whole recording",
+            )
+        if assembly is not None and entry.per is not None and len(assembly.row_index[entry.per][1]) < 2:
+            raise InputError(
+                None, "--effects", shown(text), f"several {entry.per}s, of which the recording has one"
+            )
+        if entry.target is not None and assembly is not None:
+            targets = [one for one in registry()[entry.name].targets(assembly.context) if one is not None]
+            if entry.target not in targets:
+                raise InputError(
+                    None,
+                    "--effects",
+                    f"{shown(text)}: {entry.name} cannot be applied to {shown(entry.target)}",
+                    f"one of {', '.join(targets)}" if targets else f"{entry.name} without brackets",
+                    did_you_mean(entry.target, targets),
+                )

@@ -1,0 +1,98 @@
+"""The geometric coordinates along which a residual may collapse."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchlc.stages.effect import View
+from torchlc.lightcurve.model import LightCurve
+from torchlc.geometry.orbit.track import angle_between
+
+MOST_FACES = 8
+"""Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
+name."""
+
+
+def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
+    """Every coordinate of FORMATS by name, each (T,), at natural values theta; those the data do not know are
+    left out."""
+    with torch.no_grad():
+        values = model.values(theta)
+        view = model.view(values)
+        if model.assembly.instants is not None:
+            view = view.at(model.assembly.instants.middle)
+        flux = model.brightness(theta).flux
+    context = model.assembly.context
+    middle = view.to_sun.shape[0] // 2
+    to_sun = view.to_sun[middle]
+    to_observer = view.to_observer.expand(view.to_sun.shape)[middle]
+    found = {
+        "time": context.seconds,
+        "phase_angle_deg": torch.rad2deg(angle_between(to_sun, to_observer)),
+        "flux": flux,
+        "inverse_flux": 1 / torch.where(flux > 0, flux, flux.max().clamp(min=1e-300)),
+    }
+    for name, direction in (("sun", to_sun), ("obs", to_observer)):
+        found[f"{name}_lon_body"] = torch.rad2deg(torch.atan2(direction[:, 1], direction[:, 0]))
+        found[f"{name}_lat_body"] = torch.rad2deg(torch.asin(direction[:, 2].clamp(-1, 1)))
+    if context.airmass is not None:
+        found["airmass"] = context.airmass
+    if context.track.supports("position"):
+        shadow = shadow_coordinate(view, middle)
+        if bool((shadow < 20).any()):
+            found["shadow_coordinate"] = shadow
+    phase = spin_phase(model, values)
+    if phase is not None:
+        found["spin_phase"] = phase
+    return found | face_angles(model, view, middle)
+
+
+def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]:
+    """Angle between normal and bisector of Sun and observer, and of incidence, degrees, for each face of the
+    plain components."""
+    found = {}
+    for number, part in enumerate(model.assembly.shape.parts):
+        if len(part.faces) > MOST_FACES:
+            continue
+        pose = view.poses[number]
+        to_sun, to_observer = view.to_sun[middle], view.to_observer.expand(view.to_sun.shape)[middle]
+        if pose is not None:
+            turn = pose.expand(*view.to_sun.shape, 3)[middle]
+            to_sun = torch.einsum("tij,ti->tj", turn, to_sun)
+            to_observer = torch.einsum("tij,ti->tj", turn, to_observer)
+        for index, face in enumerate(part.faces):
+            normal = view.facets[number].normal[index].expand_as(to_sun)
+            lit = (normal * to_sun).sum(-1) > 0
+            seen = (normal * to_observer).sum(-1) > 0
+            if not bool((lit & seen).any()):
+                continue
+            found[f"glint_angle_deg[{part.name}/{face}]"] = torch.rad2deg(
+                angle_between(normal, to_sun + to_observer)
+            )
+            found[f"incidence_deg[{part.name}/{face}]"] = torch.rad2deg(angle_between(normal, to_sun))
+    return found
+
+
+def shadow_coordinate(view: View, middle: int) -> Tensor:
+    """(c - b) / a of physics B2, (T,): -1 where the umbra begins, 1 where the penumbra ends; large in full
+    sunlight."""
+    assert view.state.position is not None  # asked only where the position is known
+    position = view.state.position.expand(*view.to_sun.shape)[middle]
+    sun = view.state.sun.expand(*view.to_sun.shape)[middle]
+    separation = angle_between(sun, -position)
+    limb = torch.asin((6378.137 / torch.linalg.vector_norm(position, dim=-1)).clamp(max=1.0))
+    radius = 695_700.0 / torch.linalg.vector_norm(sun, dim=-1)
+    return (separation - limb) / radius
+
+
+def spin_phase(model: LightCurve, values: dict[str, Tensor]) -> Tensor | None:
+    """Turns since the spin's epoch modulo 1, (T,); None for an object that does not spin."""
+    seconds = model.assembly.context.seconds
+    rate = values.get("attitude.spin_rate")
+    period = values.get("attitude.period")
+    if model.scene.attitude.mode == "spin-pole" and period is not None:
+        return torch.remainder(seconds / 3600 / period, 1.0)
+    if rate is not None and float(rate) != 0.0:
+        return torch.remainder(seconds / 3600 * rate, 1.0)
+    return None

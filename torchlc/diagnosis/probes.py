@@ -1,0 +1,157 @@
+"""Probes: what an effect would do to a refit, at many values of its parameters, without a refit of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.gate import residual_projection
+from torchlc.diagnosis.refit import Refit, Workbench, effect_columns, effect_starts, is_slow
+from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
+from torchlc.effects import effect_class
+from torchlc.stages.effect import Entry
+from torchlc.inference.likelihood import Likelihood
+
+GRID = 24
+"""Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""
+SLOW_GRID = 16
+LINEAR_GRID = 2
+"""Of an effect whose parameter only scales its light, so that one value looks like another."""
+MOST_SCANNED = 400
+"""Rows at which an effect is tried that no descent would find the row of."""
+PARTS = 24
+"""Of the recording's span, that the best of those rows must stand apart."""
+TURNS = 12
+"""Swings or jumps that are sought in the residuals."""
+SWING, JUMP = 5, 4
+"""Parameters of either, if the scene fixes none."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures
+    (G, T) off everything the refit can absorb, and the score (g'r)^2 / g'g of each (G,); ``aimed`` marks values that
+    were chosen by the residuals themselves, (G,)."""
+
+    entry: str
+    psi: Tensor
+    signatures: Tensor
+    scores: Tensor
+    aimed: Tensor
+    together: float = 0.0
+    """What the parts of a divided offset score together, less the one that each would in pure noise."""
+
+    @property
+    def score(self) -> float:
+        return float(self.scores.max()) if len(self.scores) else self.together
+
+
+def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
+    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters; of a divided offset
+    only what its parts score together."""
+    hypothesis = at.hypothesis.with_effect(entry)
+    likelihood = bench.likelihood(hypothesis)
+    columns = effect_columns(likelihood.model.parameter_set, entry)
+    per = Entry.parse(entry).per
+    theta = bench.start(hypothesis, at.theta[None], at.names)
+
+    def change(psi: Tensor) -> Tensor:
+        many = theta.repeat(len(psi), 1)
+        many[:, columns] = psi
+        with torch.no_grad():
+            moved = (at.delta - likelihood.residuals(many).delta) / at.sigma
+        return torch.nan_to_num(moved)
+
+    context = bench.base.context
+    basis = residual_projection(at)
+    u = torch.cat([at.delta / at.sigma, at.model.parameter_set.prior_residuals(at.theta)])
+    u[len(at.delta) :] = -u[len(at.delta) :]
+    psi = _tried(bench, likelihood, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
+    sought = psi[:0] if per is not None else _sought(bench, likelihood, entry, Target(u, basis, change))
+    psi = torch.cat([psi, sought])
+    moved = change(psi)
+    likelihood.model.forget()
+    if per is not None:
+        part = context.curve if per == "curve" else context.night
+        moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)
+    padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.prior_rows))], 1)
+    projected = padded - (padded @ basis) @ basis.T
+    norm = torch.linalg.vector_norm(projected, dim=1)
+    raw = torch.linalg.vector_norm(moved, dim=1)
+    usable = (norm > 1e-3) & (norm > 1e-7 * raw)
+    unit = projected[usable] / norm[usable, None]
+    scores = (unit @ u) ** 2
+    signatures = unit[:, : len(at.delta)]
+    if per is not None:
+        together = max(float((scores - 1.0).sum()), 0.0)
+        return Probe(entry, psi[:0], signatures[:0], scores[:0], usable[:0], together)
+    aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
+    return Probe(entry, psi[usable], signatures, scores, aimed[usable])
+
+
+def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target) -> Tensor:
+    """Values psi (G, k) of an effect that turns the body in the course of the recording, as its residuals ask for."""
+    columns, kind = effect_columns(likelihood.model.parameter_set, entry), effect_class(entry).turning
+    context = bench.base.context
+    if kind == "swing" and len(columns) == SWING:
+        limits = likelihood.model.parameter_set.free[columns[1]].prior
+        minutes, cadence = context.seconds / 60, context.cadence / 60
+        return swings(target, minutes, cadence, (limits.low, limits.high), TURNS)
+    if kind == "jump" and len(columns) == JUMP:
+        return jumps(target, context.seconds / 3600, scanned_hours(bench), least_apart(bench), TURNS)
+    return target.residual.new_zeros(0, len(columns))
+
+
+def _tried(bench: Workbench, likelihood: Likelihood, entry: str, seed: int) -> Tensor:
+    """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size."""
+    column = scanned_column(entry)
+    if column is not None:
+        hours = scanned_hours(bench)
+        quantities = effect_class(entry).quantities
+        sizes = [torch.full_like(hours, one.typical or 0.0) for one in quantities]
+        return torch.stack([*sizes[:column], hours, *sizes[column + 1 :]], -1)
+    dimensions = len(effect_columns(likelihood.model.parameter_set, entry))
+    count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
+    if effect_class(entry).linear:
+        count = min(count, LINEAR_GRID)
+    if is_slow(likelihood.model):
+        count = min(count, SLOW_GRID)
+    return effect_starts(likelihood, entry, count, torch.Generator().manual_seed(seed))
+
+
+def divided_step(entry: str) -> float:
+    """The offset by which every part of a divided effect is moved to see what it does."""
+    (quantity,) = effect_class(entry).quantities
+    return quantity.typical - quantity.off  # pyright: ignore[reportOperatorIssue]
+
+
+def scanned_column(entry: str) -> int | None:
+    """Which of an effect's own parameters has to be tried at every row, if one has."""
+    cls = effect_class(entry)
+    names = [quantity.name for quantity in cls.quantities]
+    return names.index(cls.scanned) if cls.scanned else None
+
+
+def scanned_hours(bench: Workbench) -> Tensor:
+    """The middles between rows, or between MOST_SCANNED of them, h after the first."""
+    stamps = torch.unique(bench.base.context.seconds).to(torch.float64) / 3600
+    middle = 0.5 * (stamps[1:] + stamps[:-1])
+    if len(middle) > MOST_SCANNED:
+        middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED).long()]
+    return middle
+
+
+def apart(bench: Workbench, entry: str, ranked: Tensor) -> Tensor:
+    """Probed values (G, k), best first; of an effect that was tried at every row, those that stand apart."""
+    column = scanned_column(entry)
+    if column is None or not len(ranked):
+        return ranked
+    return ranked[spaced(ranked[:, column], least_apart(bench), len(ranked))]
+
+
+def least_apart(bench: Workbench) -> float:
+    """Hours that instants must be apart to count as different."""
+    seconds = bench.base.context.seconds
+    return float(seconds.max() - seconds.min()) / 3600 / PARTS

@@ -1,0 +1,53 @@
+"""Sizes that the scene may have wrong: the rival of an appendage, which is area too."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from torchlc.lightcurve.assembly import assemble
+from torchlc.diagnosis.evidence import Scorer
+from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, refit
+from torchlc.diagnosis.search import Found, judged
+from torchlc.stages.effect import Entry
+from torchlc.readers import Recording
+from torchlc.scene import Scene
+from torchlc.scene.numbers import Free
+
+SIZES = ("size", "radius", "length")
+SIGMA = 0.1
+"""What is believed of a size that the scene gives as certain: this share of it."""
+
+
+def resized(
+    scene: Scene, recording: Recording, scorer: Scorer, baseline: Refit, final: Refit, seed: int
+) -> Found | None:
+    """The final model with every size of the scene's components free in place of its appendage; None where the
+    scene has no size to free."""
+    freed = with_free_sizes(scene)
+    if freed is None:
+        return None
+    kept = tuple(entry for entry in final.hypothesis.added if Entry.parse(entry).name != "appendage")
+    bench, hypothesis = Workbench(assemble(freed, recording), seed), Hypothesis(kept)
+    starts = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in (final, baseline)])
+    return judged(refit(bench.likelihood(hypothesis), hypothesis, starts), scorer)
+
+
+def with_free_sizes(scene: Scene) -> Scene | None:
+    """The scene with a normal prior about each size that it gives as certain; None where there is none."""
+    components = [
+        part.model_copy(update={name: _freed(getattr(part, name)) for name in SIZES if hasattr(part, name)})
+        for part in scene.components
+    ]
+    if components == list(scene.components):
+        return None
+    return scene.model_copy(update={"components": components})
+
+
+def _freed(size: Any) -> Any:
+    if isinstance(size, tuple):
+        return tuple(_freed(one) for one in size)
+    if isinstance(size, Free):
+        return size
+    return Free(value=size, low=0.5 * size, high=2.0 * size, sigma=SIGMA * size, prior="normal")

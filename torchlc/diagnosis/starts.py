@@ -1,0 +1,146 @@
+"""Where refits begin: many values of what light depends on in a curved way, each with the reflectances that a
+bounded regression finds for it.
+
+Light is linear in the reflectances, so that only exponents, widths and the effect's own parameters have to be
+searched; a lobe that is ten times too wide is a minimum of its own, out of which no descent leads.
+
+Letters: N trials, P parameters, K reflectances, T rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.refit import is_slow
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
+
+SWEEPS = 25
+PARENTS = 3
+"""Times the number of starts that are asked for: the best trials, of which further ones are made."""
+STRIDE = 0.5
+MOST_CROSSED = 4e6
+"""Facet-row pairs whose angles are worked out for descendants with geometries of their own."""
+
+
+def screened(
+    likelihood: Likelihood, trials: Tensor, count: int, group: Tensor, generator: torch.Generator
+) -> Tensor:
+    """The best ``count`` of natural trials (N, P) and of as many descendants of the best of them, by the objective
+    that they reach with reflectances found anew, as natural values (count, P); at most a third of them from one
+    ``group`` (N,).
+
+    A trial is judged both as it is given and with its reflectances from the regression.
+    """
+    with torch.no_grad():
+        made = len(trials)
+        trials, cost, group = _judged(likelihood, trials, group)
+        best = torch.argsort(cost)[: PARENTS * count]
+        children, own = crossed(likelihood, trials[best], group[best], made, generator)
+        children, further, own = _judged(likelihood, children, own)
+    trials, cost, group = torch.cat([trials, children]), torch.cat([cost, further]), torch.cat([group, own])
+    room = {int(one): max(1, -(-count // 3)) for one in torch.unique(group)}
+    chosen: list[int] = []
+    for index in torch.argsort(cost).tolist():
+        if room[int(group[index])] > 0 and len(chosen) < count:
+            room[int(group[index])] -= 1
+            chosen.append(index)
+    return trials[chosen]
+
+
+def _judged(likelihood: Likelihood, trials: Tensor, group: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    if linear_columns(likelihood.model):
+        trials, group = torch.cat([trials, regressed(likelihood, trials)]), group.repeat(2)
+    return trials, objective(likelihood, trials), group
+
+
+def crossed(
+    likelihood: Likelihood, parents: Tensor, group: Tensor, count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Natural values (count, P), each parameter of which is one of two parents' (M, P), some of them moved by STRIDE
+    of what two others differ by (as in Storn & Price 1997, J. Global Optim. 11, 341), and the first parent's
+    group (count,); where a geometry is dear, it is the first parent's, which has been worked out."""
+    parameters, assembly = likelihood.model.parameter_set, likelihood.model.assembly
+    dear = is_slow(likelihood.model) or count * assembly.pairs > MOST_CROSSED
+    still = assembly.geometry_columns if dear else []
+    low, high = parameters.flat_bounds()
+    y = parameters.to_flat(parents)
+    first, second, third, fourth = torch.randint(len(y), (4, count), generator=generator)
+    mixed = torch.where(_coin(y, count, generator), y[first], y[second])
+    moved = mixed + STRIDE * (y[third] - y[fourth])
+    child = torch.where(_coin(y, count, generator), mixed, moved).clamp(low, high)
+    child[:, still] = y[first][:, still]
+    return parameters.from_flat(child), group[first]
+
+
+def _coin(like: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    return (torch.rand(count, like.shape[-1], generator=generator) < 0.5).to(like.device)
+
+
+def objective(likelihood: Likelihood, theta: Tensor) -> Tensor:
+    """Chi-square with prior rows, (N,), of natural theta (N, P); where errors are fitted, what the logarithm
+    of the residuals' scatter stands for."""
+    found = likelihood.residuals(theta)
+    pull = likelihood.model.parameter_set.prior_residuals(theta).square().sum(-1)
+    if likelihood.fitted_errors:
+        square = likelihood.by_curve(found.delta**2) / likelihood.count
+        cost = (likelihood.count * torch.log(square.clamp(min=1e-300))).sum(-1)
+    else:
+        cost = likelihood.normalised(found).square().sum(-1)
+    return torch.nan_to_num(cost + pull, torch.inf, torch.inf, torch.inf)
+
+
+def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:
+    """Natural values (N, P) with their reflectances replaced by the regression's, within their bounds."""
+    model = likelihood.model
+    parameters = model.parameter_set
+    linear = linear_columns(model)
+    first = {second: one for one, second in parameters.pairs}
+    limits = [(parameters.free[i].prior.low, parameters.free[i].prior.high) for i in linear]
+    rest = {linear.index(i): linear.index(first[i]) for i in linear if first.get(i) in linear}
+    x = parameters.to_straight(theta)
+    dark, design = linear_light(model, x, linear)
+    found = likelihood.residuals(theta)
+    sigma = torch.where(likelihood.limit, torch.inf, found.sigma.expand(found.delta.shape))
+
+    def solved(target: Tensor, error: Tensor) -> Tensor:
+        return bounded(design / error[..., None], (target - dark) / error, limits, rest)
+
+    if likelihood.kind == "flux":
+        assert found.gain is not None  # flux has one
+        gain = found.gain[:, likelihood.curve].abs().clamp(min=1e-300)
+        values = solved(likelihood.observed / gain, sigma / gain)
+    else:
+        observed = (likelihood.observed_flux * 10 ** (0.4 * model.zero_point(theta))).expand(dark.shape)
+        values = solved(observed, observed * sigma / MAG_PER_LN)
+        for _ in range(REWEIGHTED):
+            target, near = about(dark, design, values, observed, likelihood.power)
+            values = solved(target, near * sigma / MAG_PER_LN)
+    x[:, linear] = values
+    return parameters.from_straight(x)[0]
+
+
+def bounded(
+    design: Tensor, target: Tensor, limits: Sequence[tuple[float, float]], rest: Mapping[int, int]
+) -> Tensor:
+    """Least squares |design x - target|^2 (N, T, K), (N, T) within ``limits``, by coordinate descent: (N, K).
+
+    Where ``rest`` maps a second reflectance to its first, the second is r_diff (1 - r_spec), and r_diff stays
+    within its limits and 1 - r_spec.
+    """
+    normal = design.transpose(1, 2) @ design
+    right = (design.transpose(1, 2) @ target[..., None])[..., 0]
+    diagonal = torch.diagonal(normal, dim1=1, dim2=2).clamp(min=1e-300)
+    x = torch.zeros_like(right)
+    for _ in range(SWEEPS):
+        for place, (low, high) in enumerate(limits):
+            pull = right[:, place] - (normal[:, place] * x).sum(-1) + normal[:, place, place] * x[:, place]
+            value = (pull / diagonal[:, place]).clamp(low, high)
+            if place in rest:
+                room = 1.0 - x[:, rest[place]]
+                value = torch.minimum(torch.maximum(value, low * room), room.clamp(max=high) * room)
+            x[:, place] = value
+    return x

@@ -1,0 +1,147 @@
+"""Where the named effects act: intervals in time, components, and the coordinate along which their trace
+collapses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.gate import runs
+from torchlc.diagnosis.refit import Refit
+from torchlc.inference.likelihood import MAG_PER_LN
+
+BINS = 12
+FOLDS = 4
+SEEN_SIGMA = 2.0
+SHORT_GAP = 2
+
+
+@dataclass(frozen=True)
+class Where:
+    """``rows`` (T,) marked; intervals as (first row, last row, significance in sigma); shares by component;
+    the best coordinate with its range, and the share of variance that each coordinate explains in held-out
+    rows."""
+
+    rows: Tensor
+    intervals: Sequence[tuple[int, int, float]]
+    components: Sequence[tuple[str, float]]
+    coordinate: tuple[str, float, float] | None
+    ranking: Mapping[str, float]
+
+
+def locate(before: Refit, after: Refit, coordinates: Mapping[str, Tensor]) -> Where:
+    """Where two refits differ by more than SEEN_SIGMA of a row."""
+    difference = (before.delta - after.delta) / after.sigma
+    rows = difference.abs() > SEEN_SIGMA
+    return Where(
+        rows,
+        intervals(rows, difference, after),
+        component_shares(before, after, rows),
+        *best_coordinate(difference, coordinates, rows),
+    )
+
+
+def intervals(rows: Tensor, strength: Tensor, refit: Refit) -> list[tuple[int, int, float]]:
+    """Runs of marked rows in time order within each station, with the root sum of squares of their
+    strength."""
+    context = refit.model.assembly.context
+    found = []
+    for station in torch.unique(context.station).tolist():
+        index = torch.nonzero(context.station == station)[:, 0]
+        index = index[torch.argsort(context.seconds[index])]
+        for first, last in joined(runs(rows[index])):
+            inside = index[first : last + 1]
+            found.append((int(inside[0]), int(inside[-1]), float(torch.linalg.vector_norm(strength[inside]))))
+    return found
+
+
+def joined(pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Runs of rows with those that at most SHORT_GAP rows part made one: a crossing of zero ends no
+    interval."""
+    found: list[tuple[int, int]] = []
+    for first, last in pieces:
+        if found and first - found[-1][1] - 1 <= SHORT_GAP:
+            found[-1] = (found[-1][0], last)
+        else:
+            found.append((first, last))
+    return found
+
+
+def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[str, float]]:
+    """Share of each component in the sum of |change of flux| / sigma over the marked rows, largest first."""
+    light = []
+    for refit in (before, after):
+        with torch.no_grad():
+            brightness = refit.model.brightness(refit.theta, shares=True)
+        assert brightness.shares is not None  # asked for
+        gain = (
+            1.0
+            if refit.likelihood.kind == "mag"
+            else refit.likelihood.profile_gain(brightness.flux)[refit.likelihood.curve]
+        )
+        flux = brightness.shares * brightness.flux * gain
+        light.append(dict(zip(brightness.components, flux, strict=True)))
+    with torch.no_grad():
+        total = after.model.brightness(after.theta).flux
+    sigma = after.sigma * (total / MAG_PER_LN if after.likelihood.kind == "mag" else 1.0)
+    names = list(dict.fromkeys([*light[0], *light[1]]))
+    pick = rows if bool(rows.any()) else torch.ones_like(rows)
+    zero = torch.zeros_like(total)
+    change = {
+        name: float(((light[1].get(name, zero) - light[0].get(name, zero)).abs() / sigma)[pick].sum())
+        for name in names
+    }
+    whole = sum(change.values()) or 1.0
+    return sorted(((name, value / whole) for name, value in change.items()), key=lambda item: -item[1])
+
+
+def best_coordinate(
+    strength: Tensor, coordinates: Mapping[str, Tensor], rows: Tensor
+) -> tuple[tuple[str, float, float] | None, dict[str, float]]:
+    """The coordinate whose piecewise-linear curve explains most of the variance in rows it has not seen, with
+    the range in which the marked rows lie."""
+    ranking = {name: held_out_r2(strength, value) for name, value in coordinates.items()}
+    if not ranking:
+        return None, {}
+    best = max(ranking, key=lambda name: ranking[name])
+    inside = coordinates[best][rows] if bool(rows.any()) else coordinates[best]
+    low, high = torch.quantile(inside, torch.tensor([0.05, 0.95], dtype=inside.dtype)).tolist()
+    return (best, low, high), dict(sorted(ranking.items(), key=lambda item: -item[1]))
+
+
+def held_out_r2(value: Tensor, coordinate: Tensor) -> float:
+    """Share of variance explained in held-out runs of rows by a piecewise-linear curve of the coordinate, at
+    most 1."""
+    total = len(value)
+    order = torch.argsort(coordinate)
+    x = torch.empty(total, dtype=value.dtype)
+    x[order] = torch.linspace(0, 1, total, dtype=value.dtype)
+    bins = min(BINS, max(2, total // 15))
+    knots = x[:, None] * bins - torch.arange(bins + 1, dtype=value.dtype)
+    basis = (1 - knots.abs()).clamp(min=0)
+    fold = (torch.arange(total) * 5 * FOLDS // total) % FOLDS
+    missed = 0.0
+    for one in range(FOLDS):
+        train, test = fold != one, fold == one
+        a = basis[train]
+        system = a.T @ a + 1e-3 * max(len(a), 1) / bins * torch.eye(bins + 1, dtype=value.dtype)
+        weight = torch.linalg.solve(system, a.T @ value[train])
+        missed += float(((value[test] - basis[test] @ weight) ** 2).sum())
+    return 1 - missed / float((value**2).sum().clamp(min=1e-300))
+
+
+def as_json(where: Where, times: Sequence[str], stations: Sequence[str]) -> dict[str, Any]:
+    """The ``where`` of diagnosis.json from row times (T,) and each row's station id."""
+    name, low, high = where.coordinate if where.coordinate is not None else (None, None, None)
+    return {
+        "intervals": [
+            {"start": times[a], "end": times[b], "station": stations[a], "significance": s}
+            for a, b, s in where.intervals
+        ],
+        "components": [{"name": component, "share": share} for component, share in where.components],
+        "coordinate": None if name is None else {"name": name, "from": low, "to": high},
+    }

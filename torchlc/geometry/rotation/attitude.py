@@ -1,0 +1,182 @@
+"""How the body is turned: each mode a pure function of the geometry, rotations with v_gcrs = R v_body.
+
+Letters: T rows; leading axes (...) are batches or instants. Modes map vectors (..., 3) to rotations
+(..., 3, 3), whose columns are the body axes in GCRS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchlc.errors import InputError
+from torchlc.geometry.orbit import State
+from torchlc.geometry.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
+from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
+from torchlc.readers import seconds_since
+from torchlc.geometry.rotation.matrices import frame_turned_about_y, frame_turned_about_z, rotation_about
+from torchlc.scene.timestamps import UnreadableTime, instant
+from torchlc.tensors.autodiff_state import transformed
+from torchlc.tensors.vectors import dot, unit
+
+if TYPE_CHECKING:
+    from torchlc.readers import Recording
+    from torchlc.scene import Scene
+
+ALIGNED = 1e-12
+"""Square of the sine below which two directions do not define a plane."""
+
+
+def nadir(position: Tensor, velocity: Tensor) -> Tensor:
+    """+Z to Earth's centre, +X along the velocity made orthogonal to it, +Y against the orbit normal."""
+    z = unit(-position)
+    y = _unit_cross(z, velocity)
+    return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
+
+
+def yaw_steering(position: Tensor, sun: Tensor) -> Tensor:
+    """+Z to Earth's centre, +Y = unit(Z x Sun), +X = Y x Z; any Y where the Sun is along Z."""
+    z = unit(-position)
+    y = _unit_cross(z, unit(sun))
+    return torch.stack([torch.linalg.cross(y, z), y, z], dim=-1)
+
+
+def sun_pointing(sun: Tensor) -> Tensor:
+    """+Z to the Sun, X = unit(z_gcrs x Z), Y = Z x X."""
+    z = unit(sun)
+    x = _unit_cross(z.new_tensor([0.0, 0.0, 1.0]).expand_as(z), z)
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=-1)
+
+
+def inertial(x_angle_deg: Tensor) -> Tensor:
+    """Z along z_gcrs, X in its equator at ``x_angle_deg`` (...,) from x_gcrs; (..., 3, 3)."""
+    return frame_turned_about_z(torch.deg2rad(x_angle_deg)).transpose(-1, -2)
+
+
+def spin_pole(longitude_deg: Tensor, latitude_deg: Tensor, turn: Tensor) -> Tensor:
+    """Body from inertial, Rz(turn) Ry(90 deg - latitude) Rz(longitude), each turning the frame; ``turn`` in
+    revolutions, the angles in degrees.
+    """
+    longitude, colatitude = torch.deg2rad(longitude_deg), torch.deg2rad(90.0 - latitude_deg)
+    spin = frame_turned_about_z(2 * torch.pi * turn)
+    return spin @ frame_turned_about_y(colatitude) @ frame_turned_about_z(longitude)
+
+
+def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
+    """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles."""
+    cross = torch.linalg.cross(a, b)
+    parallel = (dot(cross, cross) <= ALIGNED * dot(b, b))[..., None]
+    if not transformed() and not bool(parallel.any()):
+        return unit(cross)
+    x, y = (a.new_tensor(axis).expand_as(a) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    instead = torch.linalg.cross(a, torch.where(a[..., :1].abs() < 0.8, x, y))
+    return unit(torch.where(parallel, instead, cross))
+
+
+class Attitude(nn.Module):
+    """The attitude of a scene at the rows of a recording."""
+
+    spin_axis: Tensor
+    frame: Tensor
+    slerp: Slerp
+
+    def __init__(self, scene: Scene, recording: Recording) -> None:
+        super().__init__()
+        attitude = scene.attitude
+        self.mode = attitude.mode
+        self.numbers = {
+            f"attitude.{key}": getattr(number, "value", number) for key, number in attitude.numbers().items()
+        }
+        self._spinning = attitude.spin_axis is not None
+        if attitude.spin_axis is not None:
+            axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
+            self.register_buffer("spin_axis", axis / torch.linalg.norm(axis), persistent=False)
+        self._spin_epoch_s = _seconds_of_epoch(scene, recording, "spin_epoch")
+        self._retarded = self.mode == "spin-pole" and not recording.light_time_corrected
+        if self.mode in ("nadir", "yaw-steering"):
+            _check_geometry(scene, recording, needs_velocity=self.mode == "nadir")
+        elif self.mode == "spin-pole":
+            self._epoch_s = _seconds_of_epoch(scene, recording, "epoch")
+            frame = icrs_from_ecliptic() if scene.orbit.vectors == "ecliptic" else np.eye(3)
+            self.register_buffer("frame", torch.from_numpy(frame), persistent=False)
+        elif self.mode == "quaternions":
+            self.slerp = read_quaternions(scene.file_path(str(attitude.file)), recording)
+
+    @property
+    def spins(self) -> bool:
+        """Whether there is a rate of spin, be it 0."""
+        return self._spinning or self.mode == "spin-pole"
+
+    def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
+        """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
+        against (..., T); a name that is absent has the scene's value.
+        """
+        time = state.time
+        if self.mode == "spin-pole":
+            return self._spin_pole(state, values)
+        if self.mode == "quaternions":
+            return self.slerp(time)
+        if self.mode == "nadir":
+            assert state.position is not None and state.velocity is not None
+            start = nadir(state.position, state.velocity)
+        elif self.mode == "yaw-steering":
+            assert state.position is not None
+            start = yaw_steering(state.position, state.sun)
+        elif self.mode == "sun":
+            start = sun_pointing(state.sun)
+        else:
+            x_angle = self._value("attitude.x_angle", values, time)
+            start = inertial(torch.broadcast_tensors(x_angle, time)[0])
+        return start @ self._spin(time, values) if self._spinning else start
+
+    def _spin(self, time: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """The further spin: phase + 360 deg rate (t - epoch) about a body axis."""
+        phase = self._value("attitude.spin_phase", values, time)
+        rate = self._value("attitude.spin_rate", values, time)
+        angle = torch.deg2rad(phase) + 2 * torch.pi * rate * (time - self._spin_epoch_s) / 3600.0
+        return rotation_about(self.spin_axis.expand(*angle.shape, 3), angle)
+
+    def _spin_pole(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
+        time = state.time
+        if self._retarded:
+            time = time - torch.linalg.norm(state.observer, dim=-1) / LIGHT_KM_S
+        phase, period, longitude, latitude = (
+            self._value(f"attitude.{name}", values, time)
+            for name in ("phase", "period", "pole_lon", "pole_lat")
+        )
+        turn = phase / 360.0 + (time - self._epoch_s) / (3600.0 * period)
+        body_from_frame = spin_pole(*torch.broadcast_tensors(longitude, latitude, turn))
+        return self.frame @ body_from_frame.transpose(-1, -2)
+
+    def _value(self, name: str, values: Mapping[str, Tensor], like: Tensor) -> Tensor:
+        value = values[name] if name in values else self.numbers[name]
+        return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+
+
+def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool) -> None:
+    lacks_position = scene.orbit.vectors is not None and recording.position is None
+    lacks_velocity = scene.orbit.altaz or (scene.orbit.vectors is not None and recording.velocity is None)
+    if lacks_position or (needs_velocity and lacks_velocity):
+        columns = "r_x r_y r_z and v_x v_y v_z" if needs_velocity else "r_x r_y r_z"
+        raise InputError(
+            scene.source,
+            "attitude.mode",
+            f'"{scene.attitude.mode}" with no {"position" if lacks_position else "velocity"} of the object',
+            f"columns {columns} in the recording, or a TLE",
+            'Mode "yaw-steering" needs no velocity.' if needs_velocity and not lacks_position else None,
+        )
+
+
+def _seconds_of_epoch(scene: Scene, recording: Recording, key: str) -> float:
+    """Seconds from the recording's row 0 to an epoch of the scene, by default the first time of the file."""
+    epoch = getattr(scene.attitude, key)
+    first: Any = recording.time[0]
+    try:
+        moment = recording.first_time if epoch is None else instant(epoch, first.scale)
+    except UnreadableTime as error:
+        raise InputError(scene.source, f"attitude.{key}", repr(error.found), error.expected) from None
+    return float(seconds_since(moment, first))

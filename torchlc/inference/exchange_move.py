@@ -1,0 +1,232 @@
+"""A move of the ensemble between explanations: another shape of the lobes, and the reflectances that go with it.
+
+Brightness is linear in the reflectances once everything else is settled. So what is left of them, given the
+rest, is nearly a normal distribution cut off at the bounds, which a regression finds. The move proposes other
+exponents, widths or zero points, draws the reflectances anew from the regression that belongs to these, and
+is accepted by Metropolis and Hastings' rule; a glossy body beside dull panels and its reverse, an optimum
+each, exchange draws in one step. Where light is not quite linear in a reflectance (the lobe of Phong, a large
+noise in magnitudes) the proposal is less apt, never wrong.
+
+Letters: W walkers, P parameters, K reflectances, T rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.inference.optimiser import noise_columns
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
+
+WIDER = 1.2
+"""The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
+FLAT_VARIANCE = 1 / 12
+"""Of a reflectance about which nothing is known."""
+FAR_LOG_P = -15.0
+"""log of a normal probability, 5 standard deviations out, below which a quantile is polished."""
+KINDS = {
+    "one from its prior": 0.3,
+    "one by a step": 0.4,
+    "all from their priors": 0.1,
+    "two of a kind exchanged": 0.2,
+}
+
+
+class Redraw:
+    """Proposal for ``emcee.moves.MHMove``: straight coordinates (W, P) to new ones, and log q(old) / q(new) (W,).
+
+    The errors of the regression, and the gains of relative flux, are those at natural values ``theta`` (P,).
+    """
+
+    def __init__(self, likelihood: Likelihood, theta: Tensor) -> None:
+        self.likelihood = likelihood
+        model = likelihood.model
+        short = model.parameter_set.quantities
+        held = set(model.assembly.geometry_columns) | set(noise_columns(likelihood))
+        self.linear = [i for i in linear_columns(model) if i not in held]
+        self.others = [i for i in range(len(short)) if i not in held and i not in self.linear]
+        self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
+        self.first = {second: first for first, second in model.parameter_set.pairs}
+        bounds = [one.prior.flat_range() for one in model.parameter_set.free]
+        self.low, self.high = torch.tensor(bounds, dtype=theta.dtype).unbind(-1)
+        with torch.no_grad():
+            found = likelihood.residuals(theta)
+            sigma = found.sigma.expand(found.delta.shape)
+            if likelihood.fitted_errors:
+                sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
+            jitter = model.noise(theta).jitter
+            if jitter is not None:
+                sigma = torch.sqrt(sigma**2 + (jitter * found.scale) ** 2)
+        self._last: tuple[Tensor, Tensor, Tensor] | None = None
+        self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
+
+    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        old = torch.as_tensor(coords)
+        walkers = len(old)
+        with torch.no_grad():
+            new, factor = self.change(old, random)
+            within = (new >= self.low) & (new <= self.high)
+            factor = torch.where(within[:, self.others].all(-1), factor, -math.inf)
+            new[:, self.others] = torch.minimum(torch.maximum(new, self.low), self.high)[:, self.others]
+            centre, spread = self.regressions(old, new)
+            uniform = torch.as_tensor(random.random_sample((walkers, len(self.linear))))
+            _, back = self.truncated(old, centre[:walkers], spread[:walkers])
+            new, forth = self.truncated(new, centre[walkers:], spread[walkers:], uniform)
+        factor = factor + back - forth
+        sound = torch.isfinite(factor) & torch.isfinite(new).all(-1)  # else far out in a tail: no move
+        return torch.where(sound[:, None], new, old).numpy(), torch.where(sound, factor, -math.inf).numpy()
+
+    def change(self, old: Tensor, random: np.random.RandomState) -> tuple[Tensor, Tensor]:
+        """Other values of what is not a reflectance (W, P), and log q(old) / q(new) of that alone (W,)."""
+        new, factor = old.clone(), torch.zeros(len(old), dtype=old.dtype)
+        if not self.others:
+            return new, factor
+        kind = random.choice(list(KINDS), p=list(KINDS.values()))
+        rows = torch.arange(len(old))
+        picked = torch.as_tensor(random.choice(self.others, len(old)))
+        uniform = torch.as_tensor(random.random_sample((len(old), len(self.others))))
+        normal = torch.as_tensor(random.standard_normal(len(old)))
+        size = torch.as_tensor(10.0 ** random.uniform(-3.0, 0.0, len(old)))
+        free = self.likelihood.model.parameter_set.free
+        if kind in ("one from its prior", "all from their priors"):
+            for place, column in enumerate(self.others):
+                chosen = (picked == column) | (kind == "all from their priors")
+                prior = free[column].prior
+                draw = prior.quantile(uniform[:, place])
+                there = prior.to_scale(draw)
+                before = prior.log_density(prior.from_scale(old[:, column])) + prior.log_slope(old[:, column])
+                gain = before - prior.log_density(draw) - prior.log_slope(there)
+                new[:, column] = torch.where(chosen, there, old[:, column])
+                factor = factor + torch.where(chosen, gain, 0.0)
+        elif kind == "one by a step":
+            widths = torch.tensor([one.prior.scale for one in free], dtype=old.dtype)
+            new[rows, picked] += widths[picked] * size * normal
+        elif self.alike:
+            i, j = torch.as_tensor(self.alike)[
+                torch.as_tensor(random.randint(len(self.alike), size=len(old)))
+            ].T
+            new[rows, i], new[rows, j] = old[rows, j], old[rows, i]
+        return new, factor
+
+    def regressions(self, old: Tensor, new: Tensor) -> tuple[Tensor, Tensor]:
+        """`regression` of old (W, P) and of new coordinates (W, P), one after the other; that of a walker which
+        has none but other reflectances since the last move is known from there."""
+        whole = torch.cat([old, new])
+        given = whole.clone()
+        given[:, self.linear] = 0.0
+        if self._last is None or len(self._last[0]) != len(given):
+            centre, spread = self.regression(whole)
+        else:
+            before, centre, spread = self._last
+            places = torch.arange(len(old)), torch.arange(len(old), len(given))
+            match = torch.stack([(before[place] == given[: len(old)]).all(-1) for place in places])
+            source = torch.where(match[1], *reversed(places))
+            anew = torch.cat([torch.nonzero(~match.any(0))[:, 0], places[1]])
+            centre, spread = (
+                torch.cat([one[source], one[places[1]]]).index_copy(0, anew, found)
+                for one, found in zip((centre, spread), self.regression(whole[anew]), strict=True)
+            )
+        self._last = given, centre, spread
+        return centre, spread
+
+    def regression(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean (W, K) and lower Cholesky factor (W, K, K) of the reflectances' covariance, given the other
+        columns of x (W, P).
+        """
+        likelihood, model = self.likelihood, self.likelihood.model
+        dark, design = linear_light(model, x, self.linear)
+        if likelihood.kind == "flux":
+            assert self.gain is not None  # flux has one
+            gain = self.gain[likelihood.curve]
+            observed, sigma = likelihood.observed / gain, self.sigma / gain.abs()
+            mean, factor = self._solution(dark, design, observed, sigma)
+        else:
+            observed = likelihood.observed_flux * 10 ** (
+                0.4 * model.zero_point(model.parameter_set.from_straight(x)[0])
+            )
+            sigma = self.sigma / MAG_PER_LN
+            mean, factor = self._solution(dark, design, observed, observed * sigma)
+            for _ in range(REWEIGHTED):
+                target, near = about(dark, design, mean, observed, likelihood.power)
+                mean, factor = self._solution(dark, design, target, near * sigma)
+        return mean, torch.linalg.cholesky_ex(WIDER * torch.cholesky_inverse(factor))[0]
+
+    def _solution(
+        self, dark: Tensor, design: Tensor, observed: Tensor, sigma: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Weighted least squares for flux = dark + design @ reflectances, with the flat prior's variance: mean
+        (W, K) and lower Cholesky factor (W, K, K) of the precision.
+        """
+        design = design / sigma[..., None]
+        middle = torch.tensor([0.25 if i in self.first else 0.5 for i in self.linear], dtype=dark.dtype)
+        precision = design.mT @ design + torch.eye(len(middle), dtype=dark.dtype) / FLAT_VARIANCE
+        target = design.mT @ ((observed - dark) / sigma)[..., None] + middle[:, None] / FLAT_VARIANCE
+        factor = torch.linalg.cholesky_ex(precision)[0]
+        return torch.cholesky_solve(target, factor)[..., 0], factor
+
+    def truncated(
+        self, x: Tensor, mean: Tensor, spread: Tensor, uniform: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """x (W, P) with its reflectances drawn one after the other, each within the bounds that those before
+        leave it, and the log density of the draw (W,); without ``uniform`` (W, K) that of x as it is.
+        """
+        x = x.clone()
+        deviate = torch.zeros_like(mean)
+        density = torch.zeros(len(x), dtype=x.dtype)
+        for place, column in enumerate(self.linear):
+            sd = spread[:, place, place]
+            centre = mean[:, place] + (spread[:, place, :place] * deviate[:, :place]).sum(-1)
+            low, high = self._bounds(column, x)
+            cut = CutNormal((low - centre) / sd, (high - centre) / sd)
+            if uniform is not None:
+                value = centre + sd * cut.quantile(uniform[:, place])
+                x[:, column] = torch.minimum(torch.maximum(value, low), high)
+            deviate[:, place] = (x[:, column] - centre) / sd
+            inside = (x[:, column] >= low) & (x[:, column] <= high) & (high > low)
+            density = density + torch.where(inside, cut.log_density(deviate[:, place]) - sd.log(), -math.inf)
+        return x, density
+
+    def _bounds(self, column: int, x: Tensor) -> tuple[Tensor, Tensor]:
+        low, high = self.low[column].expand(len(x)), self.high[column].expand(len(x))
+        if column in self.first:
+            rest = 1.0 - x[:, self.first[column]]
+            return low * rest, torch.minimum(high, rest) * rest
+        return low, high
+
+
+class CutNormal:
+    """The standard normal distribution cut off at a and b, batched, without loss in its tails: an interval in
+    the upper tail is looked at in the mirror.
+    """
+
+    def __init__(self, a: Tensor, b: Tensor) -> None:
+        self.mirrored = a + b > 0
+        self.low, self.high = torch.where(self.mirrored, -b, a), torch.where(self.mirrored, -a, b)
+        self.log_low, self.log_high = torch.special.log_ndtr(torch.stack([self.low, self.high])).unbind()
+
+    def log_density(self, x: Tensor) -> Tensor:
+        """At x inside [a, b]."""
+        mass = self.log_high + torch.log(-torch.expm1((self.log_low - self.log_high).clamp(max=-1e-300)))
+        return -0.5 * x**2 - 0.5 * math.log(2 * math.pi) - mass
+
+    def quantile(self, p: Tensor) -> Tensor:
+        """Where a share p in [0, 1) of the distribution lies below; on the logarithm of the distribution,
+        by Newton's method, beyond 5 standard deviations.
+        """
+        share = torch.where(self.mirrored, 1.0 - p, p)
+        inner = share + (1.0 - share) * torch.exp(self.log_low - self.log_high)
+        log_p = self.log_high + torch.log(inner.clamp(min=1e-300))
+        x = torch.special.ndtri(torch.exp(log_p.clamp(min=-600.0)))
+        far = log_p < FAR_LOG_P
+        if bool(far.any()):
+            x = torch.where(log_p < -600.0, -torch.sqrt(-2.0 * log_p), x)
+            for _ in range(4):
+                value = torch.special.log_ndtr(x)
+                slope = torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - value)
+                x = torch.where(far, x - (value - log_p) / slope.clamp(min=1e-300), x)
+        x = torch.minimum(torch.maximum(x, self.low), self.high)
+        return torch.where(self.mirrored, -x, x)

@@ -1,0 +1,467 @@
+"""An unknown spin from a recording alone: Lomb-Scargle, candidates, and the aliases each could be instead.
+
+What changes slowly is taken off first: the range (and the Sun's distance) where the recording holds vectors, and a trend
+in time, phase angle and airmass, fitted together with two harmonics of the best period so that neither biases the other.
+
+The period is synodic: it is that of the light, whose pattern follows the bisector of Sun and observer. The sidereal period
+differs by up to one turn in the time in which the bisector turns once, and by that if it turns about the body's pole. A body with two like sides shows two maxima a turn: its
+period is twice what the periodogram prefers.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from torchlc.errors import InputError
+from torchlc.inference.likelihood import MAG_PER_LN
+from torchlc.readers import Recording
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+    from astropy.timeseries import LombScargle
+    from matplotlib.axes import Axes
+
+SCHEMA = "torchlc-period/1"
+OVERSAMPLING = 4
+MOST_FREQUENCIES = 2_000_000
+LEAST_TURNS = 2.0
+"""Turns that the longest uninterrupted run must hold, unless the search is asked for more."""
+RUN_GAP_H = 6.0
+MOST_CANDIDATES = 5
+MOST_GROUPS, MOST_PEAKS = 15, 8
+HARMONICS = (("double", 0.5), ("half", 2.0), ("three times", 1 / 3), ("four times", 0.25))
+"""What a period could be instead, and the factor on its frequency: bodies with two, three or four like
+sides.
+"""
+DAILY = (
+    (1, "one turn a day more"),
+    (-1, "one turn a day fewer"),
+    (2, "two turns a day more"),
+    (-2, "two turns a day fewer"),
+)
+DAY_S = 86400.0
+MIN_ROWS = 8
+LOWEST_DEG = 3.0
+"""Elevation below which the airmass counts as that there: 1/sin grows without end."""
+EQUAL = 0.8
+"""Share of a peak's power from which a frequency beyond Nyquist is listed: uneven steps tell it apart below."""
+SAME = 0.01
+"""Peaks nearer than this in relative frequency differ in the number of turns between runs, and are aliases
+of the higher.
+"""
+MOST_COUNTS = 3
+
+
+@dataclass(frozen=True)
+class Alias:
+    """Another period that explains the recording about as well: ``power`` there, and how the two are
+    related.
+    """
+
+    period_s: float
+    power: float
+    relation: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance
+    that a sinusoid explains; the false-alarm probability of the highest peak of noise; half of the range of
+    the sinusoid; ``sidereal_within_s`` bounds how far the sidereal period is from this synodic one if the light repeats once a turn
+    (m times that for m like sides), None where the recording has no vectors.
+    """
+
+    period_s: float
+    period_sd_s: float
+    power: float
+    false_alarm_probability: float
+    amplitude: float
+    aliases: Sequence[Alias] = field(default_factory=tuple)
+    sidereal_within_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Periodogram:
+    """The search: candidates best first, with the range of periods (s) that was looked at; ``sampling_s`` is the median
+    step between rows, ``trend_per_hour`` the slope in time that was taken off, by curve, in ``unit``."""
+
+    candidates: Sequence[Candidate]
+    rows: int
+    span_s: float
+    searched_s: tuple[float, float]
+    unit: str
+    warnings: Sequence[str]
+    sampling_s: float = math.nan
+    trend_per_hour: Mapping[str, float] = field(default_factory=dict)
+    measured: str = "synodic"
+
+    def to_table(self) -> Table:
+        """One row a candidate, best first: period_s, period_sd_s, power, false_alarm_probability, amplitude."""
+        from astropy.table import Table
+
+        names = ("period_s", "period_sd_s", "power", "false_alarm_probability", "amplitude")
+        return Table({name: [getattr(one, name) for one in self.candidates] for name in names})
+
+    def plot(self, recording: Recording, axes: Axes | None = None) -> Axes:
+        """``recording`` folded with the best period, brighter up."""
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots()[1]
+        best = self.candidates[0].period_s
+        phase, values = phase_curve(recording, best)
+        axes.plot(phase, values, ".")
+        axes.set(xlabel=f"phase of {spoken(best)}", ylabel="mag about the mean of its curve")
+        axes.invert_yaxis()
+        return axes
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
+    def to_json(self) -> dict[str, Any]:
+        from torchlc.files.writing import without_nan
+
+        told = [vars(one) | {"aliases": [vars(alias) for alias in one.aliases]} for one in self.candidates]
+        return without_nan(
+            {
+                "schema": SCHEMA,
+                "rows": self.rows,
+                "span_s": self.span_s,
+                "searched_s": list(self.searched_s),
+                "amplitude_unit": self.unit,
+                "measured": self.measured,
+                "sampling_s": self.sampling_s,
+                "trend_per_hour": dict(self.trend_per_hour),
+                "candidates": told,
+                "warnings": list(self.warnings),
+            }
+        )
+
+    def __repr__(self) -> str:
+        low, high = (spoken(seconds) for seconds in self.searched_s)
+        lines = [f"Periodogram: {self.rows} rows over {spoken(self.span_s)}, periods from {low} to {high}"]
+        for one in self.candidates:
+            size = f"amplitude {one.amplitude:.3g} {self.unit}".rstrip()
+            lines.append(
+                f"  {spoken(one.period_s)} ({one.period_s:.6g} ± {one.period_sd_s:.2g} s): {size}, "
+                f"power {one.power:.3f}, false alarm {one.false_alarm_probability:.1g}"
+            )
+            lines += [
+                f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases
+            ]
+        return "\n".join(
+            [*lines, *(f"  {text}" for text in self.notes()), *(f"  ! {text}" for text in self.warnings)]
+        )
+
+    def notes(self) -> list[str]:
+        """What was measured, and what was taken off before."""
+        known = [one.sidereal_within_s for one in self.candidates[:1] if one.sidereal_within_s is not None]
+        told = [
+            "periods are synodic, as the light shows them; the sidereal period of the first differs by at most "
+            f"{known[0]:.2g} s if it is a whole turn (the bisector of Sun and observer turned; m times that for m like sides)"
+            if known
+            else "periods are synodic, as the light shows them; without vectors of Sun and observer in the recording the "
+            "difference to the sidereal period is not known"
+        ]
+        slopes = [f"{slope:+.3g} {self.unit}/h ({curve})" for curve, slope in self.trend_per_hour.items()]
+        return [*told, f"taken off before: a trend of {', '.join(slopes[:4])}"]
+
+
+def find_period(
+    recording: Recording, *, shortest_s: float | None = None, longest_s: float | None = None
+) -> Periodogram:
+    """Candidate periods of a recording, each curve taken about its own trend.
+
+    The search goes from twice the median cadence to half of the longest uninterrupted run unless told
+    otherwise.
+    """
+    rows = np.flatnonzero(~recording.upper_limit)
+    if len(rows) < MIN_ROWS:
+        raise InputError(
+            recording.source, None, f"{len(rows)} measured rows", f"at least {MIN_ROWS} to find a period"
+        )
+    seconds = recording.seconds[rows]
+    span = float(np.ptp(seconds))
+    if span <= 0:
+        raise InputError(recording.source, "column time", "all rows at one time", "a stretch of time")
+    low, high, warnings = _search_range(recording, seconds, span, shortest_s, longest_s)
+    about = _Detrended(recording, rows)
+    search, unit = about.search(None), about.unit
+    count = max(100, math.ceil(OVERSAMPLING * span * (high - low)))
+    if count > MOST_FREQUENCIES:
+        high = low + MOST_FREQUENCIES / (OVERSAMPLING * span)
+        count = MOST_FREQUENCIES
+        warnings.append(
+            f"the recording is long: periods below {spoken(1 / high)} were left out; --shortest looks further"
+        )
+    frequency = np.linspace(low, high, count)
+    power = np.asarray(search.power(frequency, method="fast" if count > 2000 else "auto"))
+    search = about.search(float(frequency[np.argmax(power)]))
+    power = np.asarray(search.power(frequency, method="fast" if count > 2000 else "auto"))
+    several_nights = len(recording.night_ids) > 1
+    sampling = float(np.median(np.diff(np.unique(seconds))))
+    turned = _bisector_turns(recording, rows)
+    found: list[Candidate] = []
+    taken: list[float] = []
+    for group in _groups(search, frequency, power, span):
+        peak, counts = group[0], group[1 : 1 + MOST_COUNTS]
+        if any(abs(peak / other - 1) < SAME or abs(peak - other) < 1 / span for other in taken):
+            continue
+        candidate, related = _candidate(search, peak, counts, low, high, span, several_nights)
+        taken += [peak, *related]
+        beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
+        within = None if turned is None else turned / span * candidate.period_s**2
+        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond), sidereal_within_s=within))
+        if len(found) == MOST_CANDIDATES:
+            break
+    found.sort(key=lambda one: -one.power)
+    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
+    if fast:
+        periods = ", ".join(spoken(alias.period_s) for alias in fast)
+        warnings.append(
+            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
+            f"and {periods} would explain the best candidate as well"
+        )
+    searched = (1 / high, 1 / low)
+    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+
+
+def _beyond_nyquist(
+    search: LombScargle, frequency: float, power: float, sampling: float, span: float, high: float
+) -> list[Alias]:
+    """Frequencies that rows ``sampling`` seconds apart cannot tell from this one, and do not: k/sampling +- f for the
+    first two k, where the power is at least EQUAL of the peak's."""
+    found = []
+    for k in (1, 2):
+        for other in (k / sampling - frequency, k / sampling + frequency):
+            if other <= high:
+                continue
+            refined = _refined(search, other, 1 / (OVERSAMPLING * span))
+            reached = float(search.power(refined, method="cython"))
+            if reached > EQUAL * power:
+                relation = f"beyond Nyquist: {k} turn{'s' if k > 1 else ''} more or fewer between rows {sampling:.4g} s apart"
+                found.append(Alias(1 / refined, reached, relation))
+    return found
+
+
+def _bisector_turns(recording: Recording, rows: np.ndarray) -> float | None:
+    """Turns that the bisector of Sun and observer made in inertial space from the first row to the last, along its way;
+    None without vectors."""
+    if recording.sun is None or recording.obs is None:
+        return None
+    order = rows[np.argsort(recording.seconds[rows], kind="stable")]
+    bisector = sum(
+        vectors[order] / np.linalg.norm(vectors[order], axis=1)[:, None]
+        for vectors in (recording.sun, recording.obs)
+    )
+    length = np.linalg.norm(bisector, axis=1)
+    if not (length > 1e-9).all():
+        return None
+    unit = bisector / length[:, None]
+    apart = np.linalg.norm(np.diff(unit, axis=0), axis=1)
+    return float((2 * np.arcsin(np.minimum(apart / 2, 1.0))).sum()) / (2 * math.pi)
+
+
+def spoken(seconds: float) -> str:
+    """A length of time in the unit a person would take."""
+    for name, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.6g} {name}"
+    return f"{seconds:.6g} s"
+
+
+def _search_range(
+    recording: Recording, seconds: np.ndarray, span: float, shortest: float | None, longest: float | None
+) -> tuple[float, float, list[str]]:
+    """Lowest and highest frequency, 1/s."""
+    for name, value in (("--shortest", shortest), ("--longest", longest)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise InputError(None, name, f"{value:g} s", "a number > 0")
+    runs = np.split(seconds, np.flatnonzero(np.diff(seconds) > RUN_GAP_H * 3600) + 1)
+    longest_run = max(float(np.ptp(run)) for run in runs) or span
+    steps = np.diff(np.unique(seconds))
+    low = 1 / longest if longest is not None else LEAST_TURNS / longest_run
+    high = 1 / shortest if shortest is not None else 0.5 / float(np.median(steps))
+    if not low < high:
+        raise InputError(
+            recording.source,
+            "--shortest, --longest",
+            f"periods from {1 / high:.4g} to {1 / low:.4g} s",
+            "a range of periods",
+        )
+    warnings = []
+    if recording.exptime is not None and (smeared := float(np.median(recording.exptime))) > 0.5 / high:
+        warnings.append(f"exposures of {smeared:.3g} s wash out periods below about {spoken(2 * smeared)}")
+    return low, high, warnings
+
+
+class _Detrended:
+    """Rows of a recording as magnitudes, or flux over its curve's mean, about what changes slowly.
+
+    ``trend_per_hour`` holds the slopes in time, by curve.
+    """
+
+    def __init__(self, recording: Recording, rows: np.ndarray) -> None:
+        self.unit = "mag" if recording.kind == "mag" else ""
+        self.seconds = recording.seconds[rows]
+        self.values = recording.observed[rows].copy()
+        self.error = None if recording.error is None else recording.error[rows].copy()
+        self.curve, self.ids = recording.curve[rows], recording.curve_ids
+        self.trend_per_hour: dict[str, float] = {}
+        distance = _distances(recording, rows)
+        for one in np.unique(self.curve):
+            here = self.curve == one
+            if recording.kind == "flux":
+                self.values[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2)
+                scale = abs(float(self.values[here].mean())) or 1.0
+                self.values[here] = self.values[here] / scale - 1.0
+                if self.error is not None:
+                    self.error[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2) / scale
+            else:
+                self.values[here] -= 5 * np.log10(distance[here] / distance[here].mean())
+                self.values[here] -= self.values[here].mean()
+        self.slow = _slow_columns(recording, rows)
+
+    def search(self, frequency: float | None) -> LombScargle:
+        """The periodogram about the trend, which is fitted beside two harmonics of ``frequency`` if that is given."""
+        from astropy.timeseries import LombScargle
+
+        slow = self.slow
+        design = slow
+        if frequency is not None:
+            angle = 2 * np.pi * frequency * self.seconds[:, None] * np.array([1.0, 2.0])
+            design = np.concatenate([slow, np.cos(angle), np.sin(angle)], axis=1)
+        weight = np.ones(len(self.values)) if self.error is None else 1 / self.error
+        size = np.linalg.norm(design * weight[:, None], axis=0)
+        size[size == 0] = 1.0
+        found = np.linalg.lstsq(design * weight[:, None] / size, self.values * weight, rcond=1e-9)[0] / size
+        trend = slow @ found[: slow.shape[1]]
+        for number in np.unique(self.curve):
+            here = self.curve == number
+            hours = self.seconds[here] / 3600
+            slope = np.polyfit(hours, trend[here], 1)[0] if np.ptp(hours) > 0 else 0.0
+            self.trend_per_hour[self.ids[number]] = float(slope)
+        return LombScargle(self.seconds, self.values - trend, self.error)
+
+
+def _distances(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """What brightness falls with the square of, (N,): range times the Sun's distance where they are known, else 1."""
+    known = [one[rows] for one in (recording.sun, recording.obs) if one is not None]
+    return np.prod([np.linalg.norm(one, axis=1) for one in known], axis=0) if known else np.ones(len(rows))
+
+
+def _slow_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """Design (N, K) of what changes slowly: an offset and a slope in time for each curve of at least MIN_ROWS rows, phase
+    angle and airmass for all."""
+    curve, hours = recording.curve[rows], recording.seconds[rows] / 3600
+    columns = []
+    for one in np.unique(curve):
+        here = (curve == one).astype(float)
+        columns.append(here)
+        if here.sum() >= MIN_ROWS:
+            columns.append(here * (hours - hours[here > 0].mean()))
+    if recording.sun is not None and recording.obs is not None:
+        units = [
+            one[rows] / np.linalg.norm(one[rows], axis=1)[:, None] for one in (recording.sun, recording.obs)
+        ]
+        columns.append(np.arccos(np.clip((units[0] * units[1]).sum(1), -1, 1)))
+    if recording.alt is not None:
+        columns.append(1 / np.sin(np.radians(np.maximum(recording.alt[rows], LOWEST_DEG))))
+    return np.stack(columns, axis=1)
+
+
+def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span: float) -> list[list[float]]:
+    """The highest local maxima, 1/s, refined; those within SAME of a higher one go with it; highest first,
+    also within.
+    """
+    inside = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+    ends = [i for i, j in ((0, 1), (len(power) - 1, len(power) - 2)) if power[i] > power[j]]
+    maxima = np.concatenate([inside, np.array(ends, dtype=int)]).astype(int)
+    groups: list[list[float]] = []
+    for peak in frequency[maxima[np.argsort(-power[maxima])]].tolist():
+        near = (one for one in groups if abs(peak / one[0] - 1) < SAME or abs(peak - one[0]) < 1 / span)
+        home = next(near, None)
+        if home is None and len(groups) < MOST_GROUPS:
+            groups.append([peak])
+        elif home is not None and len(home) < MOST_PEAKS:
+            home.append(peak)
+        elif home is None:
+            break
+    step = 1 / (OVERSAMPLING * span)
+
+    def by_power(peaks: list[float]) -> list[float]:
+        refined = [_refined(search, peak, step) for peak in peaks]
+        distinct = [
+            one for i, one in enumerate(refined) if all(abs(one - two) > 0.5 / span for two in refined[:i])
+        ]
+        return sorted(distinct, key=lambda one: -float(search.power(one, method="cython")))
+
+    groups = [by_power(one) for one in groups]
+    return sorted(groups, key=lambda one: -float(search.power(one[0], method="cython")))
+
+
+def _refined(search: LombScargle, frequency: float, step: float) -> float:
+    """The maximum near a grid point, to a thousandth of a step."""
+    for _ in range(3):
+        trial = frequency + step * np.linspace(-1, 1, 21)
+        trial = trial[trial > 0]
+        frequency = float(trial[np.argmax(np.asarray(search.power(trial, method="cython")))])
+        step /= 10
+    return frequency
+
+
+def _candidate(
+    search: LombScargle,
+    frequency: float,
+    counts: Sequence[float],
+    low: float,
+    high: float,
+    span: float,
+    several_nights: bool,
+) -> tuple[Candidate, list[float]]:
+    """A candidate with its aliases, and the frequencies these stand for."""
+    power = float(search.power(frequency, method="cython"))
+    _, sine, cosine = search.model_parameters(frequency)
+    amplitude = math.hypot(sine, cosine)
+    left = np.asarray(search.y) - np.asarray(search.model(search.t, frequency))
+    sd = math.sqrt(6 / len(left)) * float(left.std()) / (math.pi * span * max(amplitude, 1e-300))
+    related = [(f"{name} the period", frequency * factor) for name, factor in HARMONICS]
+    related += [("another number of turns between runs", other) for other in counts]
+    if several_nights:
+        shifted = ((text, abs(frequency + turns / DAY_S)) for turns, text in DAILY)
+        related += [
+            (text, _refined(search, other, 1 / (OVERSAMPLING * span)))
+            for text, other in shifted
+            if other > low / 4
+        ]
+    kept = [(text, other) for text, other in related if low / 5 <= other <= 4 * high]
+    powers = [float(search.power(other, method="cython")) for _, other in kept]
+    chance = float(
+        search.false_alarm_probability(power, method="baluev", minimum_frequency=low, maximum_frequency=high)
+    )
+    made = Candidate(
+        period_s=1 / frequency,
+        period_sd_s=sd / frequency**2,
+        power=power,
+        false_alarm_probability=min(max(chance, 0.0), 1.0),
+        amplitude=amplitude,
+        aliases=[Alias(1 / other, one, text) for (text, other), one in zip(kept, powers, strict=True)],
+    )
+    return made, [other for _, other in kept]
+
+
+def phase_curve(recording: Recording, period_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Phase in [0, 1) and the values about each curve's mean, (T,) each, sorted by phase."""
+    search = _Detrended(recording, np.arange(len(recording))).search(1 / period_s)
+    phase = (recording.seconds / period_s) % 1.0
+    order = np.argsort(phase)
+    values = np.asarray(search.y)
+    return phase[order], (
+        values if recording.kind == "mag" else -MAG_PER_LN * np.log1p(np.maximum(values, -0.99))
+    )[order]

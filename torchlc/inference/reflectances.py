@@ -1,0 +1,77 @@
+"""Reflectances, in which light is linear once everything else is settled: which they are, what light is of them,
+and the data as a regression for them needs them.
+
+Letters: B batch, P parameters, K reflectances, T rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchlc.inference.likelihood import MAG_PER_LN, power_difference
+from torchlc.lightcurve.model import LightCurve
+
+NAMES = ("r_spec", "r_diff", "f0", "albedo")
+REWEIGHTED = 2
+"""Times that a regression is done again about its own result, so that it is one of magnitudes, not of flux."""
+
+
+def linear_columns(model: LightCurve) -> list[int]:
+    """Columns of theta that are reflectances, of which light is linear, and do not move the geometry."""
+    moving = set(model.assembly.geometry_columns)
+    places = [(parameter.origin, i) for i, parameter in enumerate(model.parameter_set.free)]
+    laws = model.assembly.models
+    curved = {(owner, name) for owner, law in laws.items() for name in law.curved}
+    return [
+        i
+        for origin, i in places
+        if origin.quantity in NAMES and i not in moving and (origin.owner, origin.quantity) not in curved
+    ]
+
+
+def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:
+    """Flux (B, T) at straight coordinates x (B, P) with the ``linear`` ones at zero, and what each of them adds
+    for a whole one (B, T, K), bounces between parts left out: these are products."""
+    parameters = model.parameter_set
+    units = x[:1].repeat(len(linear) + 1, 1)
+    units[:, linear] = 0.0
+    for place, column in enumerate(linear):
+        units[place + 1, column] = 1.0
+    if model.geometry_free:
+        points = x[:, None].repeat(1, len(units), 1)
+        points[:, :, linear] = units[:, linear]
+        flux = model.brightness(parameters.from_straight(points)[0]).flux
+    else:  # the lobes are those of one evaluation, only their shares differ
+        whole = dict(zip(parameters.names, parameters.from_straight(units)[0].unbind(-1), strict=True))
+        names = [parameters.names[column] for column in linear]
+        tables = model.tables(model.assembly.needs_shares)
+        direct = replace(tables, scatter=())
+        pieces, dark = [], []
+        for rows in x.split(max(1, model.batch_size(direct) // len(units))):
+            values = parameters.values(parameters.from_straight(rows)[0][:, None])
+            light = model.shine(direct, {**values, **{name: whole[name] for name in names}}).flux
+            pieces.append(light.expand(len(rows), len(units), -1))
+            if tables.scatter:
+                none = {name: whole[name][:1] for name in names}
+                dark.append(model.shine(tables, {**values, **none}).flux[:, 0])
+        flux = torch.cat(pieces)
+        if tables.scatter:
+            return torch.cat(dark), (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
+    return flux[:, 0], (flux[:, 1:] - flux[:, :1]).transpose(1, 2)
+
+
+def about(
+    dark: Tensor, design: Tensor, values: Tensor, observed: Tensor, power: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Flux (B, T) to compare with, and the flux that a magnitude's error is relative to, for a regression of
+    magnitudes, or of a ``power`` (T,) of flux, about reflectances ``values`` (B, K): the tangent of the logarithm or
+    the power there."""
+    predicted = dark + (design @ values[..., None])[..., 0]
+    near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
+    if power is None:
+        return near * (1.0 + torch.log(observed / near)), near
+    difference, share = power_difference(observed / near, power)
+    return near * (1.0 + difference / MAG_PER_LN), near * share

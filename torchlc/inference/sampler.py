@@ -1,0 +1,332 @@
+"""The posterior by emcee, with the same module that Adam trained, in batches without gradients.
+
+The ensemble moves in the straight coordinates of :class:`~torchlc.parameters.ParameterSet`: brightness is a
+sum over surfaces, so what one surface gives and another takes lies on a line there, and on a thin banana
+elsewhere (six times the autocorrelation time for the paper's Object 1). Densities carry the Jacobian, so the
+draws are those of the natural parameters; beyond a prior's bounds the density is 0. The chain lives in memory and is put on disk whole
+(:mod:`torchlc.inference.chain`) each time it has grown by a quarter: a killed run resumes from there with the random
+state it had, to the same result.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import emcee
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
+from torchlc.errors import InputError
+from torchlc.inference.optimiser import Fit, Progress
+from torchlc.inference.likelihood import Likelihood
+from torchlc.files.writing import write_whole
+from torchlc.inference.exchange_move import Redraw
+
+BLOCK = 20
+"""Steps between looks at the clock."""
+FIRST_CHECK = 500
+"""Steps after which a chain is first judged; then each time it has grown by a tenth."""
+WRITE_EVERY_S = 30.0
+LONG_ENOUGH = 50
+"""A chain is long enough when it holds this many autocorrelation times."""
+GOOD_RHAT = 1.03
+"""What R-hat of every parameter must not exceed. For walkers of N draws that are a stationary chain with
+autocorrelation time tau, the halves' means alone make it sqrt(1 + 2 tau / N): 1.02 at LONG_ENOUGH. The usual 1.01 is
+for a few long chains, and would ask each of some forty walkers for the length of one."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws after burn-in and thinning, theta (W walkers, N draws, P) natural, with log_prob (W, N).
+
+    ``tau`` (P,) autocorrelation times in steps, ``acceptance`` the mean fraction, ``steps`` run in all,
+    ``burn`` and ``thin`` applied.
+
+    R-hat and the effective number of draws are ArviZ's (rank-normalised and split; Vehtari et al. 2021,
+    eqs. 4, 13, 14), with a walker as a chain, of the very draws that posterior.nc holds. Walkers are not independent
+    chains: each step moves one towards or along others. What they share falls as 1 / W once the ensemble is
+    stationary, but an ensemble that is in the wrong place as a whole, as one that has not found a second mode, shows
+    in neither number. Walkers that have not yet mixed show in both.
+    """
+
+    names: list[str]
+    theta: Tensor
+    log_prob: Tensor
+    tau: np.ndarray
+    acceptance: float
+    steps: int
+    burn: int
+    thin: int
+
+    @property
+    def flat(self) -> Tensor:
+        """Draws of all walkers, (W N, P)."""
+        return self.theta.reshape(-1, self.theta.shape[-1])
+
+    @cached_property
+    def rhat(self) -> np.ndarray:
+        """Rank-normalised split R-hat of each parameter, (P,); NaN of fewer than four draws a walker."""
+        return _by_parameter("rhat", self.theta)
+
+    @cached_property
+    def ess(self) -> np.ndarray:
+        """Effective number of draws of each parameter in the bulk of its posterior, (P,); NaN as above."""
+        return _by_parameter("ess", self.theta)
+
+    @property
+    def lengths(self) -> float:
+        """Autocorrelation times, of the slowest parameter, that were kept."""
+        return (self.steps - self.burn) / float(np.max(self.tau))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chain is long enough and its walkers agree."""
+        return self.lengths >= LONG_ENOUGH * 0.9 and bool((self.rhat <= GOOD_RHAT).all())
+
+    @property
+    def reason(self) -> str:
+        """Why the chain is trusted, or not."""
+        said = (
+            f"{self.steps} steps, {self.lengths:.0f} autocorrelation times of {float(np.max(self.tau)):.0f} steps "
+            "after burn-in"
+        )
+        worst, least = float(np.max(self.rhat)), float(np.min(self.ess))
+        if math.isfinite(worst):
+            said += f"; R-hat up to {worst:.3f}, at least {least:.0f} effective draws"
+        else:
+            said += "; too few draws, or walkers that have not moved, for an R-hat"
+        if self.converged:
+            return said
+        return f"{said}; {LONG_ENOUGH} and {GOOD_RHAT} are wanted: run on with --resume and more --steps"
+
+
+def _by_parameter(name: str, theta: Tensor) -> np.ndarray:
+    """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of ArviZ's next version, and of walkers without enough draws
+        import arviz
+
+        diagnostic = getattr(arviz, name)
+        return np.array([float(diagnostic(draws)) for draws in theta.numpy().transpose(2, 0, 1)])
+
+
+def log_density(likelihood: Likelihood) -> Callable[[np.ndarray], np.ndarray]:
+    """What emcee calls: straight coordinates x (W, P) to log posterior densities (W,), batched, without
+    gradients, never NaN."""
+    parameters = likelihood.model.parameter_set
+
+    def call(x: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            point = torch.as_tensor(np.atleast_2d(x), dtype=parameters.dtype, device=parameters.device)
+            theta, log_det = parameters.from_straight(point)
+            total = likelihood.log_prob(theta) + log_det
+            return torch.where(torch.isfinite(total), total, -math.inf).cpu().numpy()
+
+    return call
+
+
+def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
+    """Starting points x (W, P) from the Laplace covariances of the modes, each mode with a share by its
+    Laplace evidence; what a bound holds, within 0.03 of its range from there."""
+    likelihood = fit.likelihood
+    parameters = likelihood.model.parameter_set
+    generator = torch.Generator().manual_seed(seed)
+    low, high = parameters.flat_bounds()
+    weights = []
+    for mode in fit.modes:
+        held = mode.at_bound
+        block = mode.covariance[~held][:, ~held]
+        log_det = float(torch.linalg.slogdet(block)[1]) if len(block) else 0.0
+        weights.append(-0.5 * mode.objective + 0.5 * log_det)
+    share = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0).clamp(min=0.05)
+    counts = torch.multinomial(share, walkers, replacement=True, generator=generator).bincount(
+        minlength=len(fit.modes)
+    )
+    points = []
+    for mode, count in zip(fit.modes, counts.tolist(), strict=True):
+        y0 = parameters.to_flat(mode.theta)
+        values, vectors = torch.linalg.eigh(mode.covariance)
+        spread = vectors @ torch.diag(torch.sqrt(values.clamp(min=0)))
+        needed, tries = count, 0
+        while needed > 0:
+            noise = torch.randn(4 * needed + 8, len(parameters), generator=generator, dtype=y0.dtype)
+            shrink = 0.7**tries
+            y = y0 + shrink * noise @ spread.T
+            inward = torch.rand(len(y), len(parameters), generator=generator, dtype=y0.dtype)
+            span = torch.where(torch.isfinite(high - low), high - low, 1.0)
+            step = torch.where(y0 - low <= high - y0, 0.03, -0.03) * inward * span
+            y = torch.where(mode.at_bound, y + step, y)
+            inside = y[((y > low) & (y < high)).all(-1)]
+            theta = parameters.from_flat(inside)
+            with torch.no_grad():
+                good = torch.isfinite(likelihood.log_prob(theta))
+            points.append(parameters.to_straight(theta)[good][:needed])
+            needed -= len(points[-1])
+            tries += 1
+            if tries > 60:
+                raise RuntimeError("no walker with a finite posterior could be placed around the fit")
+    return torch.cat(points)
+
+
+def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
+    """Differential evolution, its jumps between clusters (gamma 1), stretches; and where there are reflectances
+    the exchange of one explanation for another.
+
+    No snooker steps: those of emcee up to 3.1.6 shrink a standard normal's variance by a third.
+    """
+    chosen: list[tuple[emcee.moves.Move, float]] = [
+        (emcee.moves.DEMove(), 0.3),
+        (emcee.moves.DEMove(gamma0=1.0), 0.1),
+        (emcee.moves.StretchMove(), 0.25),
+    ]
+    redraw = Redraw(fit.likelihood, fit.theta)
+    return [*chosen, (emcee.moves.MHMove(redraw), 0.35)] if redraw.linear else chosen
+
+
+def sample(
+    fit: Fit,
+    *,
+    walkers: int | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    chain_file: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    longest: int = 12_000,
+    write: Write = write_whole,
+) -> Posterior:
+    """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time and its walkers agree, or for
+    ``steps``.
+
+    ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
+    ``resume`` finds a chain of another problem, or one that is damaged.
+    """
+    likelihood = fit.likelihood
+    names = likelihood.model.names
+    dimensions = len(names)
+    count = walkers if walkers is not None else max(32, 6 * dimensions)
+    count += count % 2
+    if count < 2 * dimensions + 2:
+        raise InputError(
+            None,
+            "--walkers",
+            f"{count} walkers",
+            f"at least {2 * dimensions + 2} for {dimensions} parameters",
+        )
+    origin = chain_origin(likelihood, count, seed)
+    backend = emcee.backends.Backend()
+    density = log_density(likelihood)
+    sampler = emcee.EnsembleSampler(
+        count, dimensions, density, moves=moves(fit), vectorize=True, backend=backend
+    )
+    # in place of emcee's wrapper, which prints a traceback of its own at Ctrl-C
+    sampler.log_prob_fn = density  # pyright: ignore[reportAttributeAccessIssue]
+    state = None
+    if resume and chain_file is not None:
+        state = _resumed(chain_file, backend, origin, density)
+    if state is None:
+        start = initial_walkers(fit, count, seed)
+        state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
+        backend.reset(count, dimensions)
+    limit = steps if steps is not None else longest
+    due = _next_check(backend.iteration)
+    finished = backend.iteration >= limit
+    if steps is None and backend.iteration == due:
+        finished = finished or _progress(likelihood, backend) >= 1
+    written, clock = backend.iteration, time.monotonic()
+    share = 0.0
+    while not finished:
+        block = min(BLOCK, limit - backend.iteration)
+        state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+        finished = backend.iteration >= limit
+        if steps is not None:
+            share = backend.iteration / limit
+        elif backend.iteration >= due:
+            share = _progress(likelihood, backend)
+            finished = finished or share >= 1
+            due = _next_check(backend.iteration + 1)
+        if progress is not None:
+            progress("emcee", min(max(share, backend.iteration / limit), 0.99))
+        grown = backend.iteration >= written + max(200, written // 4)
+        if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
+            write_chain(chain_file, backend, origin, write)
+            written, clock = backend.iteration, time.monotonic()
+    return _posterior(likelihood, backend)
+
+
+def _next_check(iteration: int) -> int:
+    """The first length from ``iteration`` on at which a chain is judged; resumed runs have the same."""
+    due = FIRST_CHECK
+    while due < iteration:
+        due += BLOCK * max(1, due // (10 * BLOCK))
+    return due
+
+
+def _resumed(
+    path: Path,
+    backend: emcee.backends.Backend,
+    origin: Mapping[str, Any],
+    density: Callable[[np.ndarray], np.ndarray],
+) -> emcee.State | None:
+    """Fill the in-memory backend from a chain on disk; None if there is none."""
+    stored = read_chain(path)
+    if stored is None:
+        return None
+    check_origin(path, stored, origin)
+    backend.reset(*stored.steps.shape[1:])
+    backend.grow(len(stored.steps), None)
+    backend.chain[:] = stored.steps
+    backend.log_prob[:] = stored.log_prob
+    backend.accepted[:] = stored.accepted
+    backend.iteration = len(stored.steps)
+    backend.random_state = stored.random_state
+    last: Any = backend.get_last_sample()
+    if not np.allclose(density(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
+        raise InputError(
+            path,
+            None,
+            "densities that this version of torchlc does not give for its last step",
+            "the chain of this version",
+            "Remove it to start anew",
+        )
+    return last
+
+
+def _tau(backend: emcee.backends.Backend) -> np.ndarray:
+    chain = backend.get_chain(discard=backend.iteration // 4)
+    with np.errstate(invalid="ignore"):  # a walker that has not moved has no autocorrelation
+        tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)
+    return np.nan_to_num(tau, nan=float(backend.iteration))
+
+
+def _progress(likelihood: Likelihood, backend: emcee.backends.Backend) -> float:
+    """Share of the wanted length that the chain has after burn-in; below 1 while its walkers do not agree.
+
+    R-hat, which takes longer than the autocorrelation time, is worked out for chains of that length only.
+    """
+    share = 0.75 * backend.iteration / (LONG_ENOUGH * float(np.max(_tau(backend))))
+    if share > 1 and _posterior(likelihood, backend).converged:
+        return share
+    return min(share, 0.99)
+
+
+def _posterior(likelihood: Likelihood, backend: Any) -> Posterior:
+    tau = _tau(backend)
+    longest = float(np.max(tau))
+    burn = min(int(max(3 * longest, backend.iteration // 4)), backend.iteration // 2)
+    thin = max(1, int(longest / 4))
+    chain = torch.as_tensor(backend.get_chain(discard=burn, thin=thin).copy())
+    log_prob = torch.as_tensor(backend.get_log_prob(discard=burn, thin=thin).copy())
+    accepted = float(np.mean(backend.accepted / max(backend.iteration, 1)))
+    with torch.no_grad():
+        theta = likelihood.model.parameter_set.from_straight(chain)[0].transpose(0, 1).contiguous()
+    return Posterior(likelihood.model.names, theta, log_prob.T, tau, accepted, backend.iteration, burn, thin)

@@ -1,0 +1,654 @@
+"""From a scene and a recording to everything a light curve needs: track, attitude, shape, effects and the
+parameter set."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.geometry.rotation.attitude import Attitude
+from torchlc.brdf import MODELS
+from torchlc.brdf.base import Brdf
+from torchlc.effects import GEOMETRY_STAGES, every, registry
+from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
+from torchlc.errors import InputError
+from torchlc.naming import Origin
+from torchlc.geometry.orbit import Track, make_track
+from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
+from torchlc.readers import Recording
+from torchlc.scene import Free as SceneFree
+from torchlc.scene import Number, Scene
+from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
+from torchlc.scene.problems import shown
+from torchlc.shapes import Facets, Part, Shape
+from torchlc.suggest import did_you_mean
+
+DEFAULT_SUN_MAGNITUDE = -26.7
+RESOLVED_N = 1e4
+"""Lobes are expected to be as sharp as this, or as a smaller upper bound of the exponent."""
+
+ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
+POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Everything fixed about a model; built once by :func:`assemble` and shared between models that differ in
+    their effects."""
+
+    scene: Scene
+    recording: Recording
+    track: Track
+    attitude: Attitude
+    shape: Shape
+    effects: tuple[Effect, ...]
+    parameters: ParameterSet
+    models: Mapping[str, type[Brdf]]
+    context: Context
+    sun_magnitude: Tensor
+    row_index: Mapping[str, tuple[Tensor, Sequence[str]]]
+    divided: Mapping[str, str]
+    """By full name, what a number has a value for each of: "curve", "station" or "night"."""
+    origins: Mapping[str, Origin]
+    """By full name, whose each number is."""
+    warnings: tuple[str, ...]
+    optics: Context
+    instants: Instants | None = None
+    pinned: Mapping[str, float] = field(default_factory=dict)
+    dtype: torch.dtype = torch.float64
+    device: str = "cpu"
+
+    @property
+    def T(self) -> int:
+        return len(self.context.seconds)
+
+    @property
+    def N(self) -> int:
+        """Instants at which the geometry is worked out: those of ``optics``, at least one a row."""
+        return len(self.optics.seconds)
+
+    @property
+    def instant_row(self) -> Tensor | None:
+        """The row of each instant, (N,); None if they are the rows."""
+        return None if self.instants is None else self.instants.row
+
+    @cached_property
+    def apart(self) -> Columns | None:
+        """Every instant as a column of the tables; None if rows have one."""
+        if self.instants is None:
+            return None
+        return Columns.joined(self.instants, torch.ones(self.T, dtype=torch.bool))
+
+    @cached_property
+    def columns(self) -> Columns | None:
+        """Columns of tables made for good: instants stay apart where the share of sunlight changes within the
+        exposure."""
+        if self.instants is None:
+            return None
+        apart = torch.zeros(self.T, dtype=torch.bool)
+        for effect in self.stage("shade"):
+            apart |= effect.change(self.context, exposures(self.context)) > 0
+        return Columns.joined(self.instants, apart)
+
+    @property
+    def components(self) -> list[str]:
+        names = [part.name for part in self.shape.parts]
+        return names + [
+            effect.label for effect in self.effects if effect.stage == "surface" and effect.quantities
+        ]
+
+    @property
+    def needs_shares(self) -> bool:
+        return any(effect.needs_shares for effect in self.effects)
+
+    @cached_property
+    def pairs(self) -> int:
+        """Pairs of facet, or of a point on a curved surface, and row of one evaluation, with the instants and lights that the effects bring; sizes the
+        batches."""
+        surfaces = sum(self._slots(part) for part in self.shape.parts)
+        return surfaces * self.N * max(1, math.prod(effect.nodes for effect in self.effects))
+
+    def _slots(self, part: Part) -> int:
+        """Facets and points at which light of a part is summed; where parts shadow each other also the facets of
+        curved surfaces."""
+        faces = dict.fromkeys(zip(part.faces, part.materials, strict=True))
+        whole = [
+            face for face, material in faces if face in part.whole and not self.models[material].additive
+        ]
+        points = sum(part.whole[face] for face in whole)
+        hidden = [face for face in whole if self.stage("surface") and part.whole[face] > 1]
+        apart = (face not in whole or face in hidden for face in part.faces)
+        return points + sum(apart)
+
+    @property
+    def traced_pairs(self) -> int:
+        """Facet-row pairs of the parts that are traced by rays."""
+        return self.N * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
+
+    @cached_property
+    def patches(self) -> list[list[tuple[str, str | None, Tensor]]]:
+        """For each part, the materials on it, each of its surfaces that is one whole by its label (else None), and the
+        facets (indices) of each."""
+        found = []
+        for part in self.shape.parts:
+            labels = [face if face in part.whole else None for face in part.faces]
+            groups: dict[tuple[str, str | None], list[int]] = {}
+            for index, key in enumerate(zip(part.materials, labels, strict=True)):
+                groups.setdefault(key, []).append(index)
+            found.append(
+                [(*key, torch.as_tensor(index, device=self.device)) for key, index in groups.items()]
+            )
+        return found
+
+    @cached_property
+    def moving(self) -> dict[str, str]:
+        """Free parameters that move the geometry, in the order of theta, and where each does: the attitude's
+        "spin", a "size", or the stage of an effect before shade."""
+        stages = {name: self._moves(name) for name in self.parameters.names}
+        return {name: stage for name, stage in stages.items() if stage is not None}
+
+    @cached_property
+    def settled(self) -> tuple[tuple[str, float], ...]:
+        """Fixed numbers that the geometry depends on."""
+        return tuple((name, value) for name, value in self.parameters.fixed.items() if self._moves(name))
+
+    @cached_property
+    def geometry_columns(self) -> list[int]:
+        """Places in theta of the parameters that move the geometry."""
+        return [self.parameters.names.index(name) for name in self.moving]
+
+    def _moves(self, name: str) -> str | None:
+        """The stage at which a number moves the geometry; None if it does not."""
+        origin = self.origins[name]
+        if origin.role == "attitude":
+            return "spin"
+        if origin.role == "components":
+            return "size"
+        if origin.role != "effects":
+            return None
+        for effect in self.effects:
+            if effect.name != origin.owner or effect.linear or effect.stage not in GEOMETRY_STAGES:
+                continue
+            if effect.brdf is None or not _is_material(effect.brdf, origin.quantity):
+                return effect.stage
+        return None
+
+    @property
+    def geometry_free(self) -> bool:
+        """True if a free parameter moves the geometry."""
+        return bool(self.geometry_columns)
+
+    def stage(self, name: str) -> list[Effect]:
+        return [effect for effect in self.effects if effect.stage == name]
+
+    def own(
+        self, effect: Effect, values: Mapping[str, Tensor], row: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """An effect's parameters by short name, each (..., 1) or (..., T), or for the rows ``row`` (N,) asked for."""
+        return {
+            quantity.name: self.rows(values, effect.full_name(quantity.name), row)
+            for quantity in effect.quantities
+        }
+
+    def rows(self, values: Mapping[str, Tensor], name: str, row: Tensor | None = None) -> Tensor:
+        """A parameter (..., 1), or (..., T) if it has a value for each curve, station or night; (..., N) for the rows
+        ``row`` (N,) asked for."""
+        if name in values:
+            return values[name][..., None]
+        index, ids = self.row_index[self.divided[name]]
+        index = index if row is None else index[row]
+        each = torch.broadcast_tensors(*[values[f"{name}[{member}]"] for member in ids])
+        return torch.stack(each, -1)[..., index]
+
+    def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """``values`` with the attitude's numbers by the attitude's own names, as `rows` gives them for every
+        instant."""
+        own = self._own_names["attitude"]
+        numbers = {plain: self.rows(values, name, self.instant_row) for plain, name in own.items()}
+        return {**values, **numbers}
+
+    def size_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """``values`` with the sizes of parts by the parts' own names."""
+        return {**values, **{plain: values[name] for plain, name in self._own_names["components"].items()}}
+
+    @cached_property
+    def _own_names(self) -> dict[str, dict[str, str]]:
+        """By role, the full names of the scene's numbers by their plain ones, which no two of a role share."""
+        names: dict[str, dict[str, str]] = {"materials": {}, "attitude": {}, "components": {}}
+        for name, origin in self.scene.origins().items():
+            names[origin.role][origin.full_name()] = name
+        return names
+
+    def material_values(
+        self, material: str, model: type[Brdf], values: Mapping[str, Tensor]
+    ) -> dict[str, Tensor]:
+        """Values of one material, of the scene or of an effect (by its :attr:`Effect.material_key`), by the short
+        names its model uses; a shared name appears under each name it stands for."""
+        given = self._material_names(material)
+        shared = {long: short for short, keys in model.shared.items() for long in keys}
+        names = (quantity.name for quantity in model.quantities)
+        return {name: values[given[name] if name in given else given[shared[name]]] for name in names}
+
+    def has_number(self, material: str, short: str) -> bool:
+        """Whether a material has a number of this short name."""
+        return short in self._material_names(material)
+
+    def _material_names(self, material: str) -> dict[str, str]:
+        """Full names of a material's numbers by the short ones."""
+        if material in self.scene.materials:
+            own = self._own_names["materials"]
+            return {key: own[f"{material}.{key}"] for key in self.scene.materials[material].parameters}
+        effect = next(one for one in self.effects if one.brdf is not None and one.material_key == material)
+        return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
+
+
+def assemble(
+    scene: Scene,
+    recording: Recording,
+    effects: Sequence[str] | None = None,
+    *,
+    base: Assembly | None = None,
+    pinned: Mapping[str, float] | None = None,
+    finer: Tensor | None = None,
+) -> Assembly:
+    """Bring scene and recording together under a list of effects (default: the scene's own).
+
+    An entry of ``effects`` is a name, or ``name[target]`` for one material or component alone. ``base`` lends
+    its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
+    them. ``finer`` (T,) marks rows whose exposures are divided twice as finely as they need.
+    """
+    if base is None:
+        with scene.reading():
+            track = make_track(scene, recording)
+            attitude = Attitude(scene, recording)
+            lobes = _finest_lobes(scene, RESOLVED_N)
+            shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
+    else:
+        track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
+    models = {name: MODELS[material.model] for name, material in scene.materials.items()}
+    context = (
+        base.context
+        if base is not None
+        else _context(scene, recording, track, attitude, shape, models, lobes)
+    )
+    row_index = {
+        "curve": (context.curve, recording.curve_ids),
+        "station": (context.station, recording.station_ids),
+        "night": (context.night, recording.night_ids),
+    }
+    wanted = scene.model.effects if effects is None else list(effects)
+    context = replace(context, finer=finer)
+    chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
+    models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
+    sun, warnings = _sun_magnitude(scene, recording)
+    parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
+    several = [one for effect in chosen if (one := effect.instants(context)) is not None]
+    instants = several[0] if several else None
+    notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
+    return Assembly(
+        scene,
+        recording,
+        track,
+        attitude,
+        shape,
+        chosen,
+        parameters,
+        models,
+        context,
+        torch.as_tensor(sun, dtype=torch.float64),
+        row_index,
+        divided,
+        origins,
+        tuple(dict.fromkeys(notes)),
+        context if instants is None else context.at_rows(instants.row),
+        instants,
+        pinned or {},
+    )
+
+
+def exposures(context: Context) -> Tensor:
+    """The longest time that each exposure may take, (T,), s: as recorded, else the cadence."""
+    return torch.full_like(context.seconds, context.cadence) if context.exptime is None else context.exptime
+
+
+def _is_material(model: type[Brdf], short: str) -> bool:
+    return short in model.shared or any(quantity.name == short for quantity in model.quantities)
+
+
+def _uneven(scene: Scene, material: str) -> bool:
+    """Whether a material's lobe may be wider along u than along v."""
+    given, shared = scene.materials[material].parameters, MODELS[scene.materials[material].model].shared
+    widths = [[given[name] for name in long] for short, long in shared.items() if short not in given]
+    return any(isinstance(one, SceneFree) or one != several[0] for several in widths for one in several)
+
+
+def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
+    """The largest exponent of each material's lobe: of a free one the upper bound, up to ``sharpest``."""
+    finest = {}
+    for name, material in scene.materials.items():
+        bounds = [1.0]
+        for key, number in material.parameters.items():
+            if key in ("n", "n_u", "n_v"):
+                if isinstance(number, SceneFree):
+                    top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
+                    bounds.append(min(top, max(sharpest, number.value)))
+                else:
+                    bounds.append(number)
+            elif key in ("alpha", "m"):
+                width = number.value if isinstance(number, SceneFree) else number
+                bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
+        finest[name] = max(bounds)
+    return finest
+
+
+def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:
+    numbers = {
+        name: number.value if isinstance(number, SceneFree) else number
+        for name, number in scene.numbers().items()
+    }
+    values = {name: torch.tensor(number, dtype=torch.float64) for name, number in numbers.items()}
+    sizes = {
+        origin.full_name(): values[name]
+        for name, origin in scene.origins().items()
+        if origin.role == "components"
+    }
+    return [part.facets({**values, **sizes}) for part in shape.parts]
+
+
+def _context(
+    scene: Scene,
+    recording: Recording,
+    track: Track,
+    attitude: Attitude,
+    shape: Shape,
+    models: Mapping[str, type[Brdf]],
+    lobes: Mapping[str, float],
+) -> Context:
+    seconds = torch.as_tensor(recording.seconds, dtype=torch.float64)
+    gaps = np.diff(np.unique(recording.seconds))
+    exptime = None if recording.exptime is None else torch.as_tensor(recording.exptime, dtype=torch.float64)
+    airmass = None if track.airmass is None else torch.as_tensor(track.airmass, dtype=torch.float64)
+    return Context(
+        seconds=seconds,
+        exptime=exptime,
+        cadence=float(np.median(gaps)) if len(gaps) else 0.0,
+        airmass=airmass,
+        curve=torch.as_tensor(recording.curve, dtype=torch.long),
+        station=torch.as_tensor(recording.station, dtype=torch.long),
+        night=torch.as_tensor(recording.night, dtype=torch.long),
+        curve_ids=recording.curve_ids,
+        night_ids=recording.night_ids,
+        track=track,
+        attitude=attitude,
+        shape=shape,
+        rest=_at_rest(scene, shape),
+        lobes=lobes,
+        lobe_bounds=_finest_lobes(scene),
+        materials=list(scene.materials),
+        models=dict(models),
+        mode=scene.attitude.mode,
+        light_time_corrected=recording.light_time_corrected,
+        kind=recording.kind,
+        errors=recording.error is not None,
+        limits=int(np.bincount(recording.curve[recording.upper_limit], minlength=1).max()),
+    )
+
+
+def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
+    known = registry()
+    numbers = frozenset(scene.origins())
+    parts = frozenset(component.name for component in scene.components)
+
+    def made(effect: Effect, by: str | None = None, width: float | None = None) -> Effect:
+        effect.taken, effect.by, effect.width = numbers | parts, by, width
+        return effect
+
+    if wanted is None:
+        standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
+        return tuple(made(effect) for effect in standard if effect.missing(context) is None)
+    found: list[Effect] = []
+    for entry in wanted:
+        parsed = Entry.parse(entry)
+        name, target = parsed.name, parsed.target
+        if name not in every():
+            raise InputError(
+                scene.source,
+                "model.effects",
+                f"{shown(entry)} is no effect",
+                f"one of {', '.join(known)}",
+                did_you_mean(name, known),
+            )
+        cls = every()[name]
+        targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
+        for one in targets:
+            effect = cls(one)
+            reason = effect.missing(context)
+            if reason is None and one not in cls.targets(context):
+                reason = "it has no target: it is of the whole object"
+            if reason is not None:
+                raise InputError(
+                    scene.source, "model.effects", f"{Entry(name, one).plain} cannot be applied: {reason}"
+                )
+            _check_axes(effect, scene, context)
+            found.append(made(effect, parsed.per, parsed.width))
+    for effect in found:
+        reason = effect.beside([other.name for other in found])
+        if reason is not None:
+            raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
+    order = list(every())
+    return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
+
+
+def _prepared(
+    effects: Sequence[Effect], scene: Scene, context: Context, pinned: Mapping[str, float]
+) -> tuple[tuple[Effect, ...], Context]:
+    """The effects made ready for these data, and the context that knows of them and of their numbers' bounds."""
+    given = scene.model.parameters
+    bounds: dict[str, tuple[float, float]] = {}
+
+    def bound(name: str, number: Number | None, quantity: Quantity) -> None:
+        if name in pinned:
+            bounds[name] = (pinned[name], pinned[name])
+        elif isinstance(number, SceneFree):
+            prior = _prior(number, quantity)
+            bounds[name] = (_end(prior, -1.0), _end(prior, 1.0))
+        elif number is not None:
+            bounds[name] = (float(number), float(number))
+        elif quantity.unless_set is not None:
+            bounds[name] = (quantity.unless_set, quantity.unless_set)
+        else:
+            bounds[name] = (quantity.low, quantity.high)
+
+    numbers = scene.numbers()
+    for name, origin in scene.origins().items():
+        if origin.role == "attitude":
+            bound(origin.full_name(), numbers[name], Quantity(name, "", -math.inf, math.inf, ""))
+    for effect in effects:
+        for quantity in effect.quantities:
+            name = effect.full_name(quantity.name)
+            plain = effect.origin(quantity.name).full_name()
+            number = None if effect.by else given.get(plain, given.get(f"{effect.name}.{quantity.name}"))
+            bound(name, number, quantity)
+    context = replace(context, bounds=bounds, effects=effects)
+    # how finely exposures are divided depends on what the others do
+    others = [effect if effect.spans_exposure else effect.prepared(context) for effect in effects]
+    context = replace(context, effects=others)
+    ready = tuple(effect.prepared(context) if effect.spans_exposure else effect for effect in others)
+    return ready, replace(context, effects=ready)
+
+
+def _end(prior: Prior, side: float) -> float:
+    """The lower (side -1) or upper (1) end of a prior, five standard deviations away where it has none."""
+    end = prior.low if side < 0 else prior.high
+    return end if math.isfinite(end) else prior.centre + side * 5 * prior.sigma
+
+
+def _check_axes(effect: Effect, scene: Scene, context: Context) -> None:
+    """InputError where an effect on a material gives it numbers along u and v, and a mesh of it has no such axes."""
+    numbers = {quantity.name for quantity in effect.quantities}
+    for component in scene.components if effect.stage == "material" else ():
+        if not isinstance(component, Mesh) or component.has_axes:
+            continue
+        apart = context.models[component.material].along_axes
+        if effect.target in (None, component.material) and len(numbers.intersection(apart)) > 1:
+            found = f"{effect.name} has {' and '.join(apart)} apart, and the mesh says nothing of the direction of u"
+            raise InputError(scene.source, f"component {component.name!r}", found, AXES_OF_A_MESH)
+
+
+def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
+    """Targets that [model.parameters] names in brackets for an effect that has one set of parameters for
+    each."""
+    if cls.per is None:
+        return []
+    marked = [
+        key.partition("[")[2].rstrip("]") for key in scene.model.parameters if key.startswith(f"{cls.name}.")
+    ]
+    return [target for target in dict.fromkeys(marked) if target]
+
+
+def _sun_magnitude(scene: Scene, recording: Recording) -> tuple[np.ndarray, list[str]]:
+    given = scene.model.band_sun_magnitude
+    rows = len(recording.seconds)
+    if isinstance(given, Mapping):
+        if recording.band is None:
+            raise InputError(
+                scene.source,
+                "model.parameters.band_sun_magnitude",
+                "a table by band, but the recording has no band column",
+                "one number, or a band column",
+                None,
+            )
+        unknown = sorted(set(recording.band) - set(given))
+        if unknown:
+            raise InputError(
+                scene.source, "model.parameters.band_sun_magnitude", f"no value for band {unknown[0]!r}"
+            )
+        return np.array([given[band] for band in recording.band]), []
+    if given is None:
+        warning = f"band_sun_magnitude is not given: {DEFAULT_SUN_MAGNITUDE} is taken"
+        return np.full(rows, DEFAULT_SUN_MAGNITUDE), [warning] if recording.kind == "mag" else []
+    return np.full(rows, float(given)), []
+
+
+def _parameters(
+    scene: Scene,
+    effects: Sequence[Effect],
+    models: Mapping[str, type[Brdf]],
+    row_index: Mapping[str, tuple[Tensor, Sequence[str]]],
+    pinned: Mapping[str, float],
+    warnings: list[str],
+) -> tuple[ParameterSet, dict[str, str], dict[str, Origin]]:
+    """The parameters; by full name what those with several values have one for each of; and by full name whose each
+    number is, free or fixed."""
+    free: list[Free] = []
+    fixed: dict[str, float] = {}
+    divided: dict[str, str] = {}
+    origins: dict[str, Origin] = {}
+
+    def add(name: str, origin: Origin, number: Number | None, quantity: Quantity) -> None:
+        origins[name] = origin
+        if name in pinned:
+            fixed[name] = pinned[name]
+        elif number is None and quantity.unless_set is not None:
+            fixed[name] = quantity.unless_set
+        elif number is None:
+            prior = prior_of(quantity)
+            start = quantity.mean if quantity.mean is not None else quantity.typical
+            begin = 0.0 if start is None else start
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin))
+        elif isinstance(number, SceneFree):
+            if number.prior == "isotropic" and quantity.prior != "isotropic":
+                raise InputError(
+                    scene.source,
+                    f"{name}.prior",
+                    '"isotropic" for a number that is no latitude of a direction',
+                    "another prior",
+                    "The longitude of a direction that may point anywhere is uniform.",
+                )
+            if quantity.prior == "isotropic" and "prior" not in number.model_fields_set:
+                warnings.append(
+                    f"{name} has a prior uniform in degrees, which favours directions near the poles; "
+                    'prior = "isotropic" is uniform on the sphere'
+                )
+            divide(name, origin, _prior(number, quantity), number.value, quantity, number.per)
+        else:
+            fixed[name] = float(number)
+
+    def divide(
+        name: str, origin: Origin, prior: Prior, start: float, quantity: Quantity, division: str | None
+    ) -> None:
+        """One free number, or one for each member of a division."""
+        members = [(name, origin)]
+        if division is not None:
+            divided[name] = division
+            ids = row_index[division][1]
+            members = [(f"{name}[{member}]", origin.of(division, member)) for member in ids]
+        for full, whose in members:
+            origins[full] = whose
+            if full in pinned:
+                fixed[full] = pinned[full]
+            else:
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose))
+
+    numbers = scene.numbers()
+    for name, origin in scene.origins().items():
+        short = origin.quantity
+        if origin.role == "materials":
+            quantity = models[origin.owner].quantity(short)
+        elif origin.role == "components":
+            quantity = Quantity(short, "m", 0.0, math.inf, short)
+        elif origin.role == "attitude" and short == POLE_LATITUDE.name:
+            quantity = POLE_LATITUDE
+        else:
+            quantity = Quantity(short, "", -math.inf, math.inf, short)
+        add(name, origin, numbers[name], quantity)
+    given = scene.model.parameters
+    add("zero_point", Origin("calibration", "", "zero_point"), given.get("zero_point", 0.0), ZERO_POINT)
+    for effect in effects:
+        for quantity in effect.quantities:
+            name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
+            if effect.by is not None:
+                centre = quantity.off or 0.0
+                prior = Prior(
+                    "normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0
+                )
+                divide(name, origin, prior, centre, quantity, effect.by)
+                continue
+            number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
+            whole = effect.brdf is not None or effect.stage == "material"
+            if whole and isinstance(number, SceneFree) and number.per is not None:
+                of = "a part" if effect.brdf is not None else "of a material"
+                place, expected = f"{name}.per", f"one value for the whole recording: the effect is {of}"
+                raise InputError(scene.source, f"model.parameters.{place}", f'"{number.per}"', expected)
+            add(name, origin, number, quantity)
+    own = {origin: name for name, origin in scene.origins().items()}
+    simplex = [
+        (own[Origin("materials", material, a)], own[Origin("materials", material, b)])
+        for material in scene.materials
+        for a, b in zip(models[material].simplex, models[material].simplex[1:], strict=False)
+    ]
+    simplex += [
+        (effect.full_name("r_spec"), effect.full_name("r_diff"))
+        for effect in effects
+        if {"r_spec", "r_diff"} <= {quantity.name for quantity in effect.quantities}
+    ]
+    return ParameterSet(free, fixed, simplex), divided, origins
+
+
+def _prior(number: SceneFree, quantity: Quantity) -> Prior:
+    kind = number.prior or ("normal" if number.sigma is not None else "uniform")
+    low = -math.inf if number.low is None else number.low
+    high = math.inf if number.high is None else number.high
+    low, high = max(low, quantity.low), min(high, quantity.high)
+    if kind == "lognormal":
+        low = max(low, 0.0)
+    if kind == "halfnormal":
+        low = max(low, 0.0)
+        return Prior(kind, low, high, low, number.sigma or 1.0)
+    return Prior(kind, low, high, number.value, number.sigma or 1.0)

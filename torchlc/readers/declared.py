@@ -1,0 +1,352 @@
+"""What a recording says about itself before its rows, and which of its columns a scene needs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+
+from torchlc.errors import InputError
+from torchlc.readers.table import METADATA, Header
+from torchlc.suggest import did_you_mean
+from torchlc.scene.timestamps import MJD_ZERO, REDUCED_ZERO
+
+if TYPE_CHECKING:
+    from torchlc.scene import Scene
+
+VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
+"""Field of a Recording and the prefix of its three columns."""
+UNITS = {"mag": u.mag, "mag_err": u.mag, "exptime": u.s, "alt": u.deg, "az": u.deg, "height": u.km}
+UNITS |= {f"{prefix}_{axis}": u.km for prefix in ("sun", "obs", "r") for axis in "xyz"}
+UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
+EQUATORIAL = re.compile(r"(icrs|icrf|gcrs|gcrf|eme ?2000|j2000|fk5|equatorial)\b")
+TIME_FORMATS = {"": "", "jd": "jd", "mjd": "mjd", "jd-2400000": "jd-2400000", "iso": "iso", "isot": "iso"}
+ZEROS = {"jd": 0.0, "mjd": MJD_ZERO, "jd-2400000": REDUCED_ZERO}
+"""Julian date from which the numbers of a time format count days."""
+SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
+"""Time scales that can be used, as people name them."""
+ON_A_CLOCK = re.compile(
+    r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])"
+)
+AT_THE_SUN = re.compile(
+    r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*)(?![A-Za-z])", re.IGNORECASE
+)
+_EXPOSED = r"(expos\w*|integration|frame|shutter|observation)"
+_OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
+MARKS = {
+    "start": re.compile(
+        rf"\b{_OPENS}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_OPENS}\b|^{_OPENS}$", re.I
+    ),
+    "end": re.compile(
+        rf"\b{_CLOSES}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_CLOSES}\b|^{_CLOSES}$", re.I
+    ),
+}
+"""How people say that a time stamp is not the middle of its exposure."""
+MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
+ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
+"""Keys of metadata that may say what the time stamps are."""
+OF_ANOTHER_CLOCK = re.compile(
+    r"\b(?i:local)\b"
+    r"|\b(CES?T|WES?T|EES?T|[ECMP][SD]T|BST|MSK|JST|KST|AE[SD]T)\b"
+    r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
+)
+"""Local time, by a word, the name of a zone or an offset from UTC."""
+PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
+"""Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
+FALSE_FRIENDS = (
+    "exptime",
+    *(f"{p}_{axis}" for p in VECTORS.values() for axis in "xyz"),
+    *UNITS,
+    "flux",
+    "flux_err",
+)
+"""Columns of ours, never offered for another one that is missing."""
+TIMES_OF_OTHERS = (
+    (
+        r"jd([-_ ]?utc)?|date[-_ ]?obs|utc|date[-_ ]?time|date[-_ ]?utc",
+        "Rename {} to time if it is UTC at mid-exposure",
+    ),
+    (r"mjd([-_ ]?utc)?", "Rename {} to time and say time_format: mjd {}"),
+    (r"r?jd ?-? ?24000?00(\.0*)?", "Rename {} to time and say time_format: jd-2400000 {}"),
+    (
+        r"[hb]m?jd.*",
+        "{} holds times at the Sun, up to 8.3 minutes off: a column time needs UTC at the telescope",
+    ),
+)
+"""Names of columns of time elsewhere, and what to do about them; the first that is there is taken."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (a key of
+    ZEROS, "iso", or "" where the cells decide), the ``mark`` of the exposure (start, mid, end) and what has
+    to be said of them.
+    """
+
+    scale: str
+    format: str
+    mark: str
+    notes: tuple[str, ...]
+
+
+def missing(header: Header, name: str, expected: str) -> InputError:
+    """The error of a column that is not there, with the nearest one that is."""
+    hint = did_you_mean(name, [other for other in header.names if other not in FALSE_FRIENDS])
+    if len(header.names) == 1:
+        hint = "The header holds one name only: is the delimiter a comma?"
+    elif name == "time" and _time_of_others(header):
+        hint = _time_of_others(header)
+    elif name == "time" and hint is None:
+        hint = "Columns are named time, mag and mag_err, or time, flux and flux_err: rename yours"
+    found = f"no column {name} among {', '.join(header.names)}"[:200]
+    return InputError(header.source, "header", found, expected, hint)
+
+
+def metadata_hint(header: Header) -> str:
+    """Where a file of this kind says its metadata."""
+    return "in the metadata" if header.ecsv else "in a line above the header that begins with #"
+
+
+def _time_of_others(header: Header) -> str | None:
+    for pattern, hint in TIMES_OF_OTHERS:
+        for name in header.names:
+            if re.fullmatch(pattern, name, re.IGNORECASE):
+                return hint.format(name, metadata_hint(header))
+    return None
+
+
+def brightness(header: Header, use: str | None) -> str:
+    """ "mag" or "flux": ``use``, else what is there, mag first."""
+    if use not in (None, "mag", "flux"):
+        raise InputError(None, "--use", repr(use), "mag or flux")
+    for name in ("time", use or "time"):
+        if name not in header.names:
+            raise missing(header, name, f"a column {name}")
+    if use is not None:
+        return use
+    if "mag" not in header.names and "flux" not in header.names:
+        raise missing(header, "mag", "a column mag or flux")
+    return "mag" if "mag" in header.names else "flux"
+
+
+def timing(header: Header) -> Timing:
+    """What header, description of ``time`` and metadata say of the time stamps; InputError where they cannot
+    be brought to the middle of the exposure in UTC or TDB, or contradict each other.
+    """
+    given = "time_scale" in header.meta
+    scale = str(header.meta.get("time_scale", "utc")).strip().lower()
+    if scale not in SCALES:
+        hint = "A local time cannot be converted safely." if "local" in scale else None
+        raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai or tt", hint)
+    scale, mark, notes = SCALES[scale], "mid", list(header.notes)
+    for place, text in _statements(header):
+        if AT_THE_SUN.search(text):
+            hint = "Give UTC at the telescope: the way of light to the Sun, up to 8.3 minutes, was taken off"
+            raise InputError(header.source, place, repr(text[:60]), "times at the observer", hint)
+        stated = _stated_scale(header, place, text, scale if given else None)
+        if stated not in (None, scale):
+            scale = stated
+            notes.append(f"{place} says {text[:60]!r}: the times are taken as {stated.upper()}")
+        for name, pattern in MARKS.items():
+            if pattern.search(text) and MIDDLE.search(text):
+                notes.append(f"{place} says {text[:60]!r}: the times are taken as mid-exposure")
+            elif pattern.search(text):
+                mark = name
+                notes.append(f"{place} says {text[:60]!r}: half of exptime is {_moved(name)} every time")
+    notes += [
+        f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}"
+        for text in _remarks(header)
+        if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK))
+    ]
+    if mark != "mid" and "exptime" not in header.names:
+        raise InputError(
+            header.source,
+            "column time",
+            f"the {mark} of the exposures",
+            "mid-exposure",
+            "Add a column exptime (s), by half of which the times are moved, or write the times of mid-exposure",
+        )
+    return Timing(scale, _time_format(header), mark, tuple(notes))
+
+
+def _moved(mark: str) -> str:
+    return "added to" if mark == "start" else "taken from"
+
+
+def _statements(header: Header) -> list[tuple[str, str]]:
+    """Place and text of what description and metadata say of the time stamps."""
+    found = [("the description of time", header.descriptions.get("time", ""))]
+    for key, value in header.meta.items():
+        if key in METADATA or not isinstance(value, str):
+            continue
+        if key.lower() in ("tz", "timezone", "time_zone"):
+            if not re.fullmatch(r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?", value.strip(), re.IGNORECASE):
+                raise InputError(
+                    header.source, f"metadata {key}", repr(value[:40]), "UTC", "Convert it first."
+                )
+        elif ABOUT_TIME.search(key):
+            found.append((f"metadata {key}", value))
+    return [(place, text) for place, text in found if text.strip()]
+
+
+def _remarks(header: Header) -> list[str]:
+    """Comment lines, of a CSV or kept by astropy, that speak of time."""
+    kept = header.meta.get("comments", [])
+    lines = [*header.comments, *(kept if isinstance(kept, list) else [kept])]
+    return [
+        str(line) for line in lines if re.search(r"time|date|jd|utc|expos|stamp", str(line), re.IGNORECASE)
+    ]
+
+
+def _stated_scale(header: Header, place: str, text: str, given: str | None) -> str | None:
+    """The time scale that a statement names, None where it names none; ``given`` is that of time_scale."""
+    if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
+        raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", "Convert it first.")
+    named = {name.lower() for name in ON_A_CLOCK.findall(text)}
+    if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
+        named -= {"gps"}  # what keeps the clock, beside a scale that is told
+    known = {SCALES[name] for name in named if name in SCALES}
+    if given is not None and (not named or given in known):
+        return given
+    if len(known) == 1 and len(named) == 1 and given is None:
+        return known.pop()
+    if not named:
+        return None
+    said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
+    hint = "Convert the times to UTC, or say time_scale in the metadata (utc, tdb, tai, tt)"
+    raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI or TT", hint)
+
+
+def _time_format(header: Header) -> str:
+    text = (
+        str(header.meta.get("time_format", ""))
+        .strip()
+        .lower()
+        .replace(" ", "")
+        .replace("2400000.0", "2400000")
+    )
+    if text not in TIME_FORMATS:
+        raise InputError(header.source, "metadata time_format", repr(text[:40]), "jd, mjd, jd-2400000 or iso")
+    unit = header.units.get("time", "d").lower()
+    if unit not in ("d", "day", "days", "jd", "mjd", "utc"):
+        raise InputError(header.source, "column time", f"unit {unit[:40]}", "d, for Julian dates")
+    return TIME_FORMATS[text] or ("mjd" if unit == "mjd" else "")
+
+
+def frame(header: Header, scene: Scene | None) -> str | None:
+    """Frame of the vectors, "icrs" or "ecliptic"; None where none are read."""
+    expected = None if scene is None else scene.orbit.vectors
+    if scene is not None and expected is None:
+        return None
+    said = str(header.meta.get("frame", "")).strip().lower()
+    if not said or not any(f"{prefix}_x" in header.names for prefix in VECTORS.values()):
+        return expected or "icrs"
+    found = "ecliptic" if said.startswith("ecliptic") else "icrs" if EQUATORIAL.match(said) else None
+    if found is None:
+        raise InputError(header.source, "metadata frame", repr(said[:40]), "icrs or ecliptic")
+    if expected and found != expected:
+        contradiction = f"{found}, but the scene says vectors = {expected!r}"
+        raise InputError(header.source, "metadata frame", contradiction, "the same frame in both")
+    return found
+
+
+def light_time_corrected(header: Header) -> bool:
+    """True if the times are those at the object."""
+    said = str(header.meta.get("light_time_corrected", False)).strip().lower()
+    if said not in ("true", "false"):
+        raise InputError(header.source, "metadata light_time_corrected", repr(said[:40]), "true or false")
+    return said == "true"
+
+
+def numeric_columns(header: Header, scene: Scene | None, kind: str) -> tuple[list[str], list[list[str]]]:
+    """Columns of numbers to read: those that are needed, and groups that may be blank altogether."""
+    groups: dict[str, list[str]] = {name: [f"{p}_{axis}" for axis in "xyz"] for name, p in VECTORS.items()}
+    groups["alt-az"] = ["alt", "az", "height"]
+    reasons = _reasons(scene)
+    needed, optional = [kind], [[name] for name in (f"{kind}_err", "exptime") if name in header.names]
+    for group, names in groups.items():
+        present = [name for name in names if name in header.names]
+        if group in reasons:
+            if len(present) < len(names):
+                name = next(name for name in names if name not in present)
+                raise missing(header, name, f"columns {', '.join(names)}: the scene has {reasons[group]}")
+            needed += names
+        elif len(present) == len(names) and _may_use(scene, group):
+            optional.append(names)
+    return needed, optional
+
+
+def _reasons(scene: Scene | None) -> dict[str, str]:
+    """Groups of columns that the scene cannot do without, each with the key that wants it."""
+    if scene is None:
+        return {}
+    mode = scene.attitude.mode
+    if scene.orbit.altaz:
+        if mode == "nadir":
+            found, expected = (
+                "nadir needs a velocity, which alt-az rows lack",
+                'a mode such as "yaw-steering"',
+            )
+            raise InputError(scene.source, "attitude.mode", found, expected)
+        return {"alt-az": "altaz = true"}
+    if scene.orbit.vectors is None:
+        return {}
+    vectors = f'vectors = "{scene.orbit.vectors}"'
+    reasons = {"sun": vectors, "obs": vectors}
+    if mode in ("nadir", "yaw-steering"):
+        reasons["position"] = f'attitude mode = "{mode}"'
+    if mode == "nadir":
+        reasons["velocity"] = f'attitude mode = "{mode}"'
+    return reasons
+
+
+def _may_use(scene: Scene | None, group: str) -> bool:
+    return scene is None or (scene.orbit.vectors is not None and group in VECTORS)
+
+
+def converted(header: Header, name: str, values: np.ndarray) -> np.ndarray:
+    """``values`` in our unit; a ``flux_err`` comes to the unit of ``flux``."""
+    text = header.units.get(name)
+    if name == "flux":
+        _refuse_logarithms(header, text)
+        return values
+    target = header.units.get("flux", "") if name == "flux_err" else UNITS.get(name)
+    if not text or text == target or target is None:
+        return values
+    try:
+        unit = u.Unit(text[:60])
+        if getattr(unit, "function_unit", None) == u.mag and target == u.mag:
+            return values
+        if name == "flux_err" and not target and unit != u.dimensionless_unscaled:
+            raise u.UnitsError("a share, or a unit that flux does not have")
+        factor = unit.to(u.Unit(target))
+    except (ValueError, TypeError, OverflowError, u.UnitsError):
+        place = f"column {name}"
+        expected = f"a unit like {target}" if target else "that of flux, which has none"
+        hint = "Give flux and flux_err in one unit, and a relative error times its flux"
+        raise InputError(
+            header.source, place, f"unit {text[:60]}", expected, hint if name == "flux_err" else None
+        ) from None
+    return values if factor == 1.0 else values * factor
+
+
+def _refuse_logarithms(header: Header, text: str | None) -> None:
+    """A column flux in magnitudes or dex is none; units that astropy does not know are the file's own."""
+    try:
+        unit = u.Unit((text or "")[:60])
+    except (ValueError, TypeError, OverflowError):
+        return
+    if hasattr(unit, "function_unit") or any(unit == one for one in (u.mag, u.dex, u.dB)):
+        hint = "Name the columns mag and mag_err if they are magnitudes"
+        raise InputError(header.source, "column flux", f"unit {text}", "a linear unit", hint)
+
+
+def units_told(header: Header, kind: str) -> list[str]:
+    """What has to be said of units that the file leaves open."""
+    unit = header.units.get("flux")
+    if kind == "flux" and unit and "flux_err" in header.names and not header.units.get("flux_err"):
+        return [f"flux_err has no unit and is taken in that of flux, {unit[:40]}"]
+    return []

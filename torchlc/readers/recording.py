@@ -1,0 +1,168 @@
+"""A light curve as recorded: one checked array per quantity."""
+
+from __future__ import annotations
+
+import html
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+from erfa import ErfaWarning
+
+from torchlc.errors import InputError
+from torchlc.readers.groups import compact
+
+if TYPE_CHECKING:
+    from astropy.timeseries import TimeSeries
+
+    from torchlc.scene import Scene
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
+
+    ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
+    are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
+    ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
+    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
+    ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
+    """
+
+    time: Time
+    seconds: np.ndarray
+    first_time: Time
+    kind: str
+    observed: np.ndarray
+    error: np.ndarray | None
+    station: np.ndarray
+    station_ids: tuple[str, ...]
+    curve: np.ndarray
+    curve_ids: tuple[str, ...]
+    night: np.ndarray
+    night_ids: tuple[str, ...]
+    upper_limit: np.ndarray
+    exptime: np.ndarray | None = None
+    band: np.ndarray | None = None
+    sun: np.ndarray | None = None
+    obs: np.ndarray | None = None
+    position: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    alt: np.ndarray | None = None
+    az: np.ndarray | None = None
+    height: np.ndarray | None = None
+    frame: str | None = None
+    light_time_corrected: bool = False
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    source: Path | None = None
+    sha256: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.observed)
+
+    def __repr__(self) -> str:
+        first, last = (str(cast(Any, self.time[i]).isot)[:19] for i in (0, -1))
+        told = [f"{len(self)} rows of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
+        for names, what in (
+            (self.curve_ids, "curve"),
+            (self.night_ids, "night"),
+            (self.station_ids, "station"),
+        ):
+            told.append(f"{len(names)} {what}{'s' * (len(names) != 1)}")
+        told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")
+        told += [f"{count} {reason} dropped" for reason, count in self.dropped.items()]
+        return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
+    @property
+    def error_source(self) -> str:
+        """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
+        return "fitted" if self.error is None else "recording"
+
+    @classmethod
+    def from_timeseries(
+        cls, series: TimeSeries, scene: Scene | None = None, *, use: str | None = None
+    ) -> Recording:
+        """The recording that an astropy TimeSeries or a lightkurve LightCurve holds, checked as a file is.
+
+        Columns have the names and units of a file, ``time`` first. Times in TDB or TCB become TDB, all others
+        UTC; barycentric times are taken as they are.
+        """
+        from torchlc.readers.exchange import from_timeseries
+
+        return from_timeseries(series, scene, use=use)
+
+    def to_timeseries(self) -> TimeSeries:
+        """An astropy TimeSeries with every column and its unit; ``from_timeseries`` gives the same recording."""
+        from torchlc.readers.exchange import to_timeseries
+
+        return to_timeseries(self)
+
+    def to_lightkurve(self) -> Any:
+        """A lightkurve LightCurve; magnitudes become flux over that of their median, and are kept beside it."""
+        from torchlc.readers.exchange import to_lightkurve
+
+        return to_lightkurve(self)
+
+    def keep(self, mask: np.ndarray, reason: str) -> Recording:
+        """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""
+        lost = int(np.size(mask) - np.count_nonzero(mask))
+        if not lost:
+            return self
+        dropped = {**self.dropped, reason: self.dropped.get(reason, 0) + lost}
+        if lost == len(self):
+            raise no_usable_row(self.source, dropped)
+        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped)
+
+    def _rows(self, index: np.ndarray) -> Recording:
+        arrays = {
+            name: value[index]
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night")
+        }
+        curve, curve_ids = compact(self.curve[index], self.curve_ids)
+        night, night_ids = compact(self.night[index], self.night_ids)
+        time = cast(Time, self.time[index])
+        return replace(
+            self,
+            **arrays,
+            time=time,
+            seconds=seconds_since(time, cast(Time, time[:1])),
+            curve=curve,
+            curve_ids=curve_ids,
+            night=night,
+            night_ids=night_ids,
+        )
+
+
+def seconds_since(time: Time, origin: Time) -> np.ndarray:
+    """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
+        return np.asarray((time - origin).to_value(u.s))
+
+
+def counted(dropped: Mapping[str, int]) -> str:
+    """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
+    return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+
+
+def left_out(recording: Recording) -> list[str]:
+    """The warning that rows were dropped, with why; empty if none were."""
+    return [f"rows left out: {counted(recording.dropped)}"] if recording.dropped else []
+
+
+def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
+    """The error of a recording of which nothing is left; says why the rows went."""
+    return InputError(
+        source, None, f"no usable row ({counted(dropped)})", "at least one row with finite values"
+    )

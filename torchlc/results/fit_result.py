@@ -1,0 +1,480 @@
+"""What the verbs give back: objects that print their conclusion, plot themselves and turn into tables,
+ArviZ data and JSON.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+import unicodedata
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.stages.effect import View
+from torchlc.inference.optimiser import Fit, Mode
+from torchlc.inference.identifiability import Insight, bare_view, judge
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood, widened
+from torchlc.materials.known import match
+from torchlc.lightcurve.model import LightCurve
+from torchlc.files.writing import without_nan, write_whole
+from torchlc.readers import Recording, left_out
+from torchlc.inference.sampler import Posterior
+
+if TYPE_CHECKING:
+    import arviz
+    from astropy.table import Table
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from torchlc.figures.curves import Comparison
+
+FIT_SCHEMA = "torchlc-fit/1"
+NOISE_DRAWS = 400
+BAND_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted recording: the maximum a posteriori, the posterior (None where nothing is free) and what
+    they mean.
+
+    ``seconds`` by stage; ``warnings`` in words; ``provenance`` says from what, with what and how it was
+    made.
+    """
+
+    fit: Fit
+    posterior: Posterior | None
+    seconds: Mapping[str, float]
+    warnings: Sequence[str]
+    seed: int = 0
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def model(self) -> LightCurve:
+        return self.fit.model
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return self.fit.likelihood
+
+    @property
+    def recording(self) -> Recording:
+        return self.model.recording
+
+    @property
+    def names(self) -> list[str]:
+        """Full names of the free parameters."""
+        return self.model.names
+
+    @property
+    def converged(self) -> bool:
+        return self.fit.converged and (self.posterior is None or self.posterior.converged)
+
+    @property
+    def reason(self) -> str:
+        """Why the search and the chain are trusted, or not."""
+        return self.fit.reason if self.posterior is None else f"{self.fit.reason}; {self.posterior.reason}"
+
+    @cached_property
+    def view(self) -> View:
+        """Geometry of every row at the maximum a posteriori."""
+        return bare_view(self.model, self.fit.theta)
+
+    @cached_property
+    def insight(self) -> Insight:
+        """What the data say about each parameter."""
+        if self.posterior is None:
+            return Insight({}, [])
+        return judge(self.likelihood, self.fit.theta, self.posterior.flat, self.view, self.seed)
+
+    @cached_property
+    def delta(self) -> np.ndarray:
+        """Residuals at the maximum a posteriori, observed minus model, (T,), mag or relative flux."""
+        return self.recording.observed - self.prediction
+
+    @cached_property
+    def prediction(self) -> np.ndarray:
+        """The model at the maximum a posteriori in the recording's unit, (T,), gains applied."""
+        with torch.no_grad():
+            return self.likelihood.residuals(self.fit.theta).prediction.numpy()
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """Share of each component in each row's light, (C, T); 0 in rows without light."""
+        with torch.no_grad():
+            found = self.model.brightness(self.fit.theta, shares=True).shares
+        assert found is not None  # asked for
+        return found.numpy()
+
+    @cached_property
+    def band(self) -> np.ndarray | None:
+        """5, 50 and 95 % of the model's prediction over the posterior, (3, T); None where nothing is free."""
+        if self.posterior is None:
+            return None
+        with torch.no_grad():
+            many = self.likelihood.residuals(_thinned(self.posterior.flat, BAND_DRAWS)).prediction.numpy()
+        return np.quantile(many, [0.05, 0.5, 0.95], axis=0)
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Standard deviation of each row, (T,): as recorded, or as fitted."""
+        with torch.no_grad():
+            found = self.likelihood.residuals(self.fit.theta)
+            if self.likelihood.fitted_errors:
+                return self.likelihood.fitted_levels(found.delta)[self.likelihood.curve].numpy()
+            sigma = widened(found, self.model.noise(self.fit.theta))
+            return sigma.expand(found.delta.shape).numpy()
+
+    @property
+    def comparison(self) -> Comparison:
+        """Recording and model as the light curve's figure shows them."""
+        from torchlc.figures.curves import Comparison
+
+        band = None if self.band is None else self.band[[0, 2]]
+        return Comparison(self.recording, self.prediction, self.error, band)
+
+    # ------------------------------------------------------------------ numbers
+
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Everything known of each free parameter, by name, as in fit.json; noise levels where they were
+        fitted.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        if self.posterior is not None:
+            draws = self.posterior.flat
+            quantiles = torch.quantile(_thinned(draws, 100_000), draws.new_tensor([0.05, 0.5, 0.95]), dim=0)
+            rhat, ess = self.posterior.rhat, self.posterior.ess
+            for i, entry in enumerate(self.model.parameter_set.free):
+                found[entry.name] = {
+                    "map": float(self.fit.theta[i]),
+                    "median": float(quantiles[1, i]),
+                    "sd": float(draws[:, i].std()),
+                    "q05": float(quantiles[0, i]),
+                    "q95": float(quantiles[2, i]),
+                    "rhat": float(rhat[i]),
+                    "ess": float(ess[i]),
+                    "unit": entry.unit,
+                    "informed": self.insight.informed[entry.name],
+                }
+        return found | self._noise_levels()
+
+    def _noise_levels(self) -> dict[str, dict[str, Any]]:
+        """Of curves without errors: given the residuals of a draw, N s^2 / S of each curve follows the
+        inverse chi-square.
+        """
+        likelihood = self.likelihood
+        if not likelihood.fitted_errors:
+            return {}
+        with torch.no_grad():
+            best = likelihood.fitted_levels(likelihood.residuals(self.fit.theta).delta)
+            theta = self.fit.theta[None] if self.posterior is None else self.posterior.flat
+            theta = (
+                _thinned(theta, NOISE_DRAWS).expand(NOISE_DRAWS, -1)
+                if len(theta) < 2
+                else _thinned(theta, NOISE_DRAWS)
+            )
+            squares = likelihood.squares(likelihood.residuals(theta).delta)
+        freedom = (likelihood.count - (1 if likelihood.gains else 0)).clamp(min=1.0)
+        generator = np.random.default_rng(self.seed)
+        drawn = np.sqrt(squares.numpy() / generator.chisquare(freedom.numpy(), squares.shape))
+        unit = "mag" if likelihood.kind == "mag" else ""
+        return {
+            f"noise[{curve}]": {
+                "map": float(best[i]),
+                "median": float(np.median(drawn[:, i])),
+                "sd": float(drawn[:, i].std()),
+                "q05": float(np.quantile(drawn[:, i], 0.05)),
+                "q95": float(np.quantile(drawn[:, i], 0.95)),
+                "rhat": None,
+                "ess": None,
+                "unit": unit,
+                "informed": True,
+            }
+            for i, curve in enumerate(self.recording.curve_ids)
+        }
+
+    def gains(self) -> dict[str, float]:
+        """Scale of each curve of relative flux at the maximum a posteriori."""
+        with torch.no_grad():
+            gain = self.likelihood.residuals(self.fit.theta).gain
+        return {} if gain is None else dict(zip(self.recording.curve_ids, gain.tolist(), strict=True))
+
+    def _ratio(self) -> np.ndarray:
+        """Observed over predicted flux of the measured rows, (M,); inf where the model is dark."""
+        measured = ~self.recording.upper_limit
+        if self.recording.kind == "mag":
+            return 10 ** (-0.4 * self.delta[measured])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.recording.observed[measured] / self.prediction[measured]
+
+    @property
+    def rms_mag(self) -> float:
+        """Root mean square residual, mag, over measured rows in which both fluxes are positive."""
+        if self.recording.kind == "mag":
+            return _rms(self.delta[~self.recording.upper_limit])
+        ratio = self._ratio()
+        return _rms(MAG_PER_LN * np.log(ratio[np.isfinite(ratio) & (ratio > 0)]))
+
+    @property
+    def rms_relative(self) -> float:
+        """Root mean square residual of flux over the model (magnitudes), or over the mean of its curve
+        (relative flux).
+        """
+        measured = ~self.recording.upper_limit
+        if self.recording.kind == "mag":
+            return _rms(self._ratio() - 1)
+        curve = self.recording.curve
+        mean = {
+            c: self.recording.observed[(curve == c) & measured].mean() for c in np.unique(curve[measured])
+        }
+        return _rms(self.delta[measured] / np.array([mean[c] for c in curve[measured]]))
+
+    def mean_shares(self) -> dict[str, dict[str, float]]:
+        """Mean share of each component over the rows with light."""
+        lit = self.shares.sum(0) > 0
+        mean = self.shares[:, lit].mean(1) if lit.any() else np.zeros(len(self.shares))
+        return {
+            name: {"mean_share": float(one)}
+            for name, one in zip(self.model.assembly.components, mean, strict=True)
+        }
+
+    def materials(self) -> dict[str, list[dict[str, Any]]]:
+        """For each material with free parameters, the known materials, most probable first."""
+        if self.posterior is None:
+            return {}
+        draws: dict[str, dict[str, np.ndarray]] = {}
+        for free, column in zip(self.model.parameter_set.free, self.posterior.flat.numpy().T, strict=True):
+            if free.origin.role == "materials":
+                draws.setdefault(free.origin.owner, {})[free.origin.quantity] = column
+        found = {}
+        for name, material in self.model.scene.materials.items():
+            own = draws.get(name)
+            if own:
+                found[name] = [vars(one) for one in match(own, model=material.model)]
+        return found
+
+    def modes(self) -> list[dict[str, Any]]:
+        """Distinct minima: chi-square (with the priors' rows) and parameters of each, best first."""
+
+        def told(mode: Mode) -> dict[str, Any]:
+            return {
+                "chi2": mode.objective,
+                "parameters": dict(zip(self.names, mode.theta.tolist(), strict=True)),
+            }
+
+        return [told(mode) for mode in self.fit.modes]
+
+    @cached_property
+    def all_warnings(self) -> list[str]:
+        """Everything a reader should know, each once."""
+        return list(dict.fromkeys([*left_out(self.recording), *self.warnings, *self.insight.warnings]))
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of fit.json; numbers that do not exist are None."""
+        posterior = self.posterior
+        content = {
+            "schema": FIT_SCHEMA,
+            "converged": self.converged,
+            "reason": self.reason,
+            "error_source": self.recording.error_source,
+            "dropped": dict(self.recording.dropped),
+            "rows": len(self.recording),
+            "effects": list(dict.fromkeys(effect.name for effect in self.model.effects)),
+            "parameters": self.parameters(),
+            "gains": self.gains(),
+            "modes": self.modes(),
+            "chi2": self.fit.chi2,
+            "dof": self.fit.dof,
+            "p_value": self.fit.p_value,
+            "rms_mag": self.rms_mag,
+            "rms_relative": self.rms_relative,
+            "acceptance": None if posterior is None else posterior.acceptance,
+            "autocorrelation_time": None if posterior is None else float(posterior.tau.max()),
+            "samples": 0 if posterior is None else len(posterior.flat),
+            "seconds": dict(self.seconds),
+            "components": self.mean_shares(),
+            "materials": self.materials(),
+            "warnings": self.all_warnings,
+            "provenance": dict(self.provenance),
+        }
+        return without_nan(content)
+
+    # ------------------------------------------------------------------ other people's objects
+
+    def to_table(self) -> Table:
+        """One row a parameter: name, map, median, sd, q05, q95, rhat, ess, unit, informed."""
+        from astropy.table import Table
+
+        rows = [{"name": name, **row} for name, row in self.parameters().items()]
+        names = ["name", "map", "median", "sd", "q05", "q95", "rhat", "ess", "unit", "informed"]
+        return Table({key: [math.nan if row[key] is None else row[key] for row in rows] for key in names})
+
+    def to_arviz(self) -> arviz.InferenceData:
+        """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",
+        which netCDF needs, and the attribute ``parameter`` of each variable holds the name itself.
+        """
+        import arviz
+
+        if self.posterior is None:
+            raise ValueError("nothing was free: there is no posterior")
+        names = variable_names(self.posterior.names)
+        posterior = {name: self.posterior.theta[..., i].numpy() for i, name in enumerate(names)}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "More chains", UserWarning)  # walkers, of a short chain
+            data = arviz.from_dict(
+                posterior=posterior,
+                sample_stats={"lp": self.posterior.log_prob.numpy()},
+                observed_data={self.recording.kind: self.recording.observed},
+                constant_data={"seconds": self.recording.seconds},
+                coords={"row": np.arange(len(self.recording))},
+                dims={self.recording.kind: ["row"], "seconds": ["row"]},
+                attrs={
+                    "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
+                    "seed": self.seed,
+                },
+            )
+        for variable, name in names.items():
+            data["posterior"][variable].attrs["parameter"] = name
+        return data
+
+    # ------------------------------------------------------------------ pictures
+
+    def plot_curve(self, axes: Sequence[Axes] | None = None) -> Sequence[Axes]:
+        """Recording, model with its 90 % band, and residuals below: a pair of axes for each night, or curve
+        of relative flux.
+        """
+        from torchlc.figures.curves import curve_size, draw_curves, draw_on
+
+        if axes is not None:
+            draw_on(self.comparison, axes)
+            return axes
+        import matplotlib.pyplot as plt
+
+        return draw_curves(self.comparison, plt.figure(figsize=curve_size(self.recording)))
+
+    def plot_shares(self, axes: Axes | None = None) -> Axes:
+        """Light of each component along the recording."""
+        from torchlc.figures import posterior as figures
+
+        return figures.shares(self, axes)
+
+    def plot_corner(self) -> Figure:
+        """Posterior of every pair of parameters."""
+        from torchlc.figures import posterior as figures
+
+        return figures.corner_plot(self)
+
+    def plot_traces(self) -> Figure:
+        """Every walker's way after burn-in."""
+        from torchlc.figures import posterior as figures
+
+        return figures.traces(self)
+
+    def plot_object(self, row: int | None = None, axes: Axes | None = None) -> Axes:
+        """The object with the directions of Sun and observer at ``row``, by default the brightest."""
+        from torchlc.figures.object_drawing import brightest, draw_object
+
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots(figsize=(5.6, 5.0))[1]
+        row = brightest(self.recording, self.prediction) if row is None else row
+        return draw_object(self.model, self.view, row, axes)
+
+    def write_report(self, path: str | Path) -> Path:
+        """One HTML file that needs no network."""
+        from torchlc.report import fit_page as report
+
+        page = report.render_fit(self)
+        return write_whole(Path(path), lambda partial: partial.write_text(page, encoding="utf-8"))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """(name, value with its uncertainty) of every parameter, ready to print."""
+        return [
+            (name, stated(row) + ("" if row["informed"] else "  (prior)"))
+            for name, row in self.parameters().items()
+        ]
+
+    def headline(self) -> str:
+        """The fit in one sentence."""
+        state = "converged" if self.converged else "not converged"
+        return (
+            f"{self.model.scene.name}: {len(self.recording)} rows, chi2 {self.fit.chi2:.1f} for "
+            f"{self.fit.dof} degrees of freedom, rms {self.rms_mag:.3f} mag, {state}"
+        )
+
+    def __repr__(self) -> str:
+        rows = self.lines()
+        width = max((len(name) for name, _ in rows), default=0)
+        warned = [f"  ! {text}" for text in self.all_warnings]
+        return "\n".join(
+            [f"FitResult: {self.headline()}", *(f"  {name:{width}}  {text}" for name, text in rows), *warned]
+        )
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{html.escape(n)}</td><td>{html.escape(v)}</td></tr>" for n, v in self.lines()
+        )
+        warned = "".join(f"<li>{html.escape(text)}</li>" for text in self.all_warnings)
+        return f"<p>{html.escape(self.headline())}</p><table>{rows}</table><ul>{warned}</ul>"
+
+
+def stated(row: Mapping[str, Any]) -> str:
+    """``median +- sd unit`` with as many digits as the uncertainty bears; an interval where it is skewed."""
+    median, sd, low, high = row["median"], row["sd"], row["q05"], row["q95"]
+    unit = f" {row['unit']}" if row["unit"] else ""
+    skew = (high - median) / max(median - low, 1e-300)
+    if not math.isfinite(sd) or sd <= 0:
+        return f"{median:.5g}{unit}"
+    digits = decimals(sd)
+    if sd > 0.3 * abs(median) and not 0.5 < skew < 2:
+        return f"{rounded(median, 2)} ({rounded(low, 2)} to {rounded(high, 2)}){unit}"
+    if abs(median) >= 1e5 or digits > 8:
+        return f"{median:.4g} ± {sd:.2g}{unit}"
+    if sd >= 10:
+        place = 10 ** (math.floor(math.log10(sd)) - 1)
+        return f"{round(median / place) * place:.0f} ± {round(sd / place) * place:.0f}{unit}"
+    return f"{median:.{digits}f} ± {sd:.{digits}f}{unit}"
+
+
+def decimals(sd: float) -> int:
+    """Decimals that a number with this uncertainty bears: two digits of it."""
+    return max(0, min(12, 1 - math.floor(math.log10(sd)))) if math.isfinite(sd) and sd > 0 else 6
+
+
+def rounded(value: float, digits: int) -> str:
+    """``value`` to that many significant digits, without an exponent where it can be read without."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):g}" if abs(float(text)) < 1e6 else text
+
+
+def variable_names(names: Sequence[str]) -> dict[str, str]:
+    """Names of netCDF variables for parameters, all different also where signs are composed (Unicode's NFC, which
+    netCDF applies), and the parameters' own."""
+    variables: dict[str, str] = {}
+    composed: set[str] = set()
+    for name in names:
+        variable, copy = name.replace("/", "|"), 2
+        while unicodedata.normalize("NFC", variable) in composed:
+            variable, copy = f"{name.replace('/', '|')} ({copy})", copy + 1
+        composed.add(unicodedata.normalize("NFC", variable))
+        variables[variable] = name
+    return variables
+
+
+def _thinned(draws: Tensor, most: int) -> Tensor:
+    """At most that many of the draws (N, P), evenly spaced."""
+    return draws[:: max(1, math.ceil(len(draws) / most))]
+
+
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan

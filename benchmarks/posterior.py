@@ -20,8 +20,8 @@ from benchmarks.cases import WALKERS, object_1
 from benchmarks.numpy_reference import Prepared
 from benchmarks.timing import Result
 from torchlc.inference import sampler as sample
-from torchlc.inference.optimiser import fit_map
 from torchlc.inference.exchange_move import Redraw
+from torchlc.inference.optimiser import fit_map
 
 NUTS = "benchmarks.nuts"
 FLAT = 400

@@ -23,9 +23,9 @@ from torch import Tensor
 
 import torchlc
 from torchlc.brdf import MODELS, incidence
+from torchlc.figures.style import DATA, MODEL, OBSERVER, style
 from torchlc.inference.optimiser import fit_map
 from torchlc.materials.goniometer import ReflectanceFit, ReflectanceTable, fit_table, read_table
-from torchlc.figures.style import DATA, MODEL, OBSERVER, style
 
 ROOT = Path(__file__).parents[1]
 STARLINK = ROOT.parent / "shared" / "data" / "starlink_v15"

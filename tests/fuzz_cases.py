@@ -25,8 +25,8 @@ from tests.bad_input_cases import (
     VECTOR_SCENE,
 )
 from tests.test_layouts import ALCDEF, DAMIT, MMT, SIMPLE
-from torchlc.effects import names as effect_names
 from torchlc.cli.scaffold import PRESETS, new_scene
+from torchlc.effects import names as effect_names
 from torchlc.scene.tle import Elements
 from torchlc.scene.writer import toml_key, toml_value
 

@@ -13,9 +13,9 @@ from astropy.time import Time, TimeDelta
 from scipy.spatial.transform import Rotation, Slerp
 
 from tests.paper_orbits import ORBIT_1, ORBIT_2, ORBIT_3, ORBIT_4, hours, recording, scene, tle_scene
-from torchlc.geometry.rotation.attitude import Attitude, inertial, nadir, sun_pointing, yaw_steering
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import angle_between, make_track
+from torchlc.geometry.rotation.attitude import Attitude, inertial, nadir, sun_pointing, yaw_steering
 
 DAY = "2020-10-10"
 START = f"{DAY}T12:00:00"

@@ -13,8 +13,8 @@ import torch
 from scipy import stats
 
 import torchlc
-from torchlc.inference.optimiser import fit_map
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import fit_map
 from torchlc.inference.sampler import sample
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

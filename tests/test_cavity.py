@@ -14,9 +14,9 @@ import trimesh
 
 import torchlc
 from tests.effects.cases import RANGE_KM, STILL, flux, seen_from, tilted, unit
+from torchlc.errors import InputError
 from torchlc.lightcurve.assembly import assemble
 from torchlc.pairs.cavity import cavities, exchanged, returned
-from torchlc.errors import InputError
 
 SHADOWS, BOUNCES = ["self_shadowing"], ["self_shadowing", "interreflection"]
 MESH = '[[components]]\nname = "bowl"\nshape = "mesh"\nfile = "mesh.obj"\ncentre = [0, 0, 0]\nmaterial = "white"\n'

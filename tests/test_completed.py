@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 import torchlc
 from tests.bad_input_cases import SCENE
-from torchlc.lightcurve.assembly import assemble
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.refit import Hypothesis, Workbench
 from torchlc.diagnosis.result import completed_scene
@@ -21,6 +20,7 @@ from torchlc.diagnosis.search import candidate_entries
 from torchlc.effects import Entry, registry
 from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import Free, Scene

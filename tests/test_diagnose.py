@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.lightcurve.assembly import assemble
 from torchlc.diagnosis.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.plan import next_nights
@@ -27,13 +26,14 @@ from torchlc.diagnosis.refit import (
 )
 from torchlc.diagnosis.run import diagnose
 from torchlc.diagnosis.search import Found, candidate_entries, judged, released, stuck, unaided
-from torchlc.stages.effect import Entry
-from torchlc.inference.optimiser import find_modes, polish
 from torchlc.inference.likelihood import matern32
+from torchlc.inference.optimiser import find_modes, polish
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
 from torchlc.scene.numbers import Free
+from torchlc.stages.effect import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
 DEMO = Path(__file__).parents[1] / "torchlc" / "demo"

@@ -13,11 +13,11 @@ import torch
 from scipy import integrate, optimize, stats
 
 import torchlc
-from torchlc.stages.effect import Noise
-from torchlc.inference.optimiser import adam, fit_map, laplace, polish
-from torchlc.tensors.least_squares import minimise
 from torchlc.inference.likelihood import Likelihood, magnitude_difference
+from torchlc.inference.optimiser import adam, fit_map, laplace, polish
 from torchlc.inference.sampler import log_density
+from torchlc.stages.effect import Noise
+from torchlc.tensors.least_squares import minimise
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))

@@ -15,12 +15,12 @@ from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
 from torchlc.diagnosis.gate import Battery, gate
 from torchlc.diagnosis.refit import Hypothesis, linearised
-from torchlc.stages.effect import Noise
 from torchlc.errors import InputError
-from torchlc.inference.optimiser import fit_map
 from torchlc.inference.likelihood import Likelihood, power_difference
+from torchlc.inference.optimiser import fit_map
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Scene
+from torchlc.stages.effect import Noise
 
 FREE = '[materials.white]\nmodel = "lambert"\nalbedo = {value = 0.5, low = 0.05, high = 1.0}\n'
 KNOWN = '[materials.white]\nmodel = "lambert"\nalbedo = 0.5\n'

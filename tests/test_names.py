@@ -13,11 +13,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import torchlc
-from torchlc.lightcurve.assembly import assemble
 from torchlc.effects import Entry, registry
 from torchlc.errors import InputError
-from torchlc.inference.optimiser import fit_map
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import fit_map
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve, module_key
 from torchlc.readers import load_recording
 from torchlc.results.fit_result import variable_names

@@ -12,10 +12,10 @@ from scipy import integrate, stats
 
 import torchlc
 from tests.effects.cases import seen_from, still
-from torchlc.lightcurve.assembly import assemble
 from torchlc.diagnosis.refit import gaussian_prior
 from torchlc.effects import registry
 from torchlc.errors import InputError
+from torchlc.lightcurve.assembly import assemble
 from torchlc.parameters import PRIORS, Free, ParameterSet, Prior, prior_of
 
 BOUNDS = [(-90.0, 90.0), (-30.0, 75.0), (80.0, 90.0), (-89.0, -88.0)]

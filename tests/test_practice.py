@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene

@@ -28,11 +28,11 @@ from scipy import stats
 
 import torchlc
 from tests.small_case import write_case
-from torchlc.inference.chain import read_chain
 from torchlc.cli.commands import run
 from torchlc.errors import InputError
-from torchlc.inference.optimiser import fit_map
+from torchlc.inference.chain import read_chain
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import fit_map
 from torchlc.inference.sampler import Posterior, moves, sample
 
 ROOT = Path(__file__).parents[1]

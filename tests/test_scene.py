@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
 from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
-from torchlc.materials import known as materials
 from torchlc.errors import InputError
+from torchlc.materials import known as materials
 from torchlc.scene import Free, Scene, load_scene
 from torchlc.scene.checks import MAX_FILE_BYTES
 from torchlc.scene.numbers import CONTROLS

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from torchlc.lightcurve.model import LightCurve
     from torchlc.readers import Recording
     from torchlc.results.fit_result import FitResult
-    from torchlc.scene import Scene
     from torchlc.results.simulated_curve import SimulatedCurve
+    from torchlc.scene import Scene
 
 __version__ = "0.1.0"
 

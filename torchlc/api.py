@@ -15,23 +15,30 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import torch
 
-from torchlc import __version__
-from torchlc.lightcurve.assembly import assemble
-from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
-from torchlc.inference.optimiser import Fit, fit_map
+from torchlc.files.writing import (
+    CHAIN_FILE,
+    DIAGNOSIS_FILES,
+    FIT_FILES,
+    OutputDirectory,
+    resources,
+    write_whole,
+)
+from torchlc.geometry.orbit import above_horizon, observation_grid
+from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import Fit, fit_map
+from torchlc.inference.sampler import sample
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
-from torchlc.geometry.orbit import above_horizon, observation_grid
-from torchlc.files.writing import CHAIN_FILE, DIAGNOSIS_FILES, FIT_FILES, OutputDirectory, resources, write_whole
 from torchlc.readers import Recording, counted, load_recording
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
-from torchlc.inference.sampler import sample
-from torchlc.scene import Scene, load_scene
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
+from torchlc.scene import Scene, load_scene
+from torchlc.version import __version__
 
 if TYPE_CHECKING:
     from torchlc.campaigns.run import CampaignResult

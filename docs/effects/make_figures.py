@@ -24,11 +24,11 @@ import torchlc
 from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.refit import Hypothesis, refit
 from torchlc.effects import registry
-from torchlc.stages.effect import Entry
-from torchlc.inference.likelihood import Likelihood
-from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
-from torchlc.readers import Recording
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
+from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
+from torchlc.inference.likelihood import Likelihood
+from torchlc.readers import Recording
+from torchlc.stages.effect import Entry
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"

@@ -17,8 +17,8 @@ from publish import Made, publish
 from setting import HEIGHT, LATITUDE, LONGITUDE, TABLE_3, free_materials, object_1
 
 import torchlc
-from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.figures.style import DATA, MODEL, OBSERVER
+from torchlc.inference.optimiser import Fit, fit_map
 
 NIGHTS = ("2020-10-16", "2020-10-17", "2020-10-18")
 STATIONS = {"weihai": (LATITUDE, LONGITUDE, HEIGHT), "lijiang": (26.70, 100.03, 3200.0)}

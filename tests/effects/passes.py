@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from tests.paper_orbits import ORBIT_1
-from torchlc.lightcurve.model import LightCurve
 from torchlc.geometry.orbit.grid import observation_grid
+from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 

@@ -14,8 +14,8 @@ from tests.effects.passes import LOW_PASS, TUMBLING, orbiting, rows
 from tests.paper_orbits import LOW, ORBIT_1, ORBIT_2, recording, tle_scene
 from torchlc.api import simulate
 from torchlc.effects.earth_shadow import softened_fraction, sunlit_fraction, wright_omega
-from torchlc.lightcurve.model import LightCurve
 from torchlc.geometry.orbit import make_track
+from torchlc.lightcurve.model import LightCurve
 
 FREE = """
 "earth_shadow.scale_height" = { value = 8.0, low = 0.0, high = 20.0 }

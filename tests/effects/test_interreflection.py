@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from tests.effects.cases import RANGE_KM, check_contract, flux, material, seen_from, still, tilted, unit
-from torchlc.pairs.double_reflection import form_factor
 from torchlc.errors import InputError
+from torchlc.pairs.double_reflection import form_factor
 
 CORNER = """
     [[components]]

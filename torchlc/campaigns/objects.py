@@ -12,11 +12,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchlc import __version__
 from torchlc.campaigns.manifest import Job
 from torchlc.errors import BusyError, TorchlcError
 from torchlc.files.reading import changed, readable_file, sha256_of
 from torchlc.files.writing import OutputDirectory, read_manifest
+from torchlc.version import __version__
 
 RECORD = "object.json"
 SCHEMA = "torchlc-object/1"

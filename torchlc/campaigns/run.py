@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchlc import __version__
 from torchlc.campaigns.cluster import connected, require_dask, spread
 from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
 from torchlc.campaigns.objects import record_failure, run_object
@@ -20,6 +19,7 @@ from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_row
 from torchlc.errors import BusyError, InputError
 from torchlc.files.reading import kind_of
 from torchlc.files.writing import OutputDirectory, resources, without_nan
+from torchlc.version import __version__
 
 if TYPE_CHECKING:
     import pandas

@@ -125,8 +125,8 @@ def plain_cell(value: Any) -> Any:
 
 
 def _write_page(path: Path, table: Path, name: str, facts: Mapping[str, Any]) -> None:
-    from torchlc import __version__
     from torchlc.report.fit_page import environment
+    from torchlc.version import __version__
 
     template = environment().get_template("campaign.html")
     columns = ["id", "directory", "task", "status", "reason", "result", "chi2", "dof", "rms_mag", "global_p", "seconds"]  # fmt: skip

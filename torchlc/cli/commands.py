@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchlc import __version__
 from torchlc.cli import completion
 from torchlc.files.decimals import advice, decimal
 from torchlc.terminal import exit_code, printable, progress_bar, say, show_json
+from torchlc.version import __version__
 
 if TYPE_CHECKING:
     from torchlc.results.fit_result import FitResult

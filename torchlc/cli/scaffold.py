@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from torchlc.files.decimals import decimal
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 from torchlc.scene import Scene
+from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.scene.tle import Elements, nearest, read_elements
 from torchlc.scene.writer import toml_value
 from torchlc.suggest import did_you_mean
-from torchlc.scene.timestamps import UnreadableTime, instant
 
 TEMPLATES = Path(__file__).parent / "templates"
 PLACEHOLDER_STATION = ("site", 0.0, 0.0, 0.0)

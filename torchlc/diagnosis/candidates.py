@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchlc.lightcurve.assembly import Assembly
 from torchlc.effects import Entry, names, registry
 from torchlc.errors import InputError
+from torchlc.lightcurve.assembly import Assembly
 from torchlc.scene.problems import shown
 from torchlc.suggest import did_you_mean
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import View
-from torchlc.lightcurve.model import LightCurve
 from torchlc.geometry.orbit.track import angle_between
+from torchlc.lightcurve.model import LightCurve
+from torchlc.stages.effect import View
 
 MOST_FACES = 8
 """Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to

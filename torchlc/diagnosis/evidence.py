@@ -23,8 +23,8 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.refit import Refit
-from torchlc.inference.optimiser import lightened
 from torchlc.inference.likelihood import matern32
+from torchlc.inference.optimiser import lightened
 
 LONGEST_TAU_MIN = 120.0
 JITTER_SCALE = 0.05

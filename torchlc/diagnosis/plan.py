@@ -11,16 +11,16 @@ import torch
 from astropy.time import Time, TimeDelta
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import assemble
 from torchlc.diagnosis.refit import Refit
 from torchlc.diagnosis.search import Found
 from torchlc.errors import TorchlcError
-from torchlc.tensors.least_squares import differences
-from torchlc.lightcurve.model import LightCurve
 from torchlc.geometry.orbit import above_horizon, make_track
 from torchlc.geometry.orbit.grid import observation_grid
+from torchlc.lightcurve.assembly import assemble
+from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
 from torchlc.scene import Scene
+from torchlc.tensors.least_squares import differences
 
 NIGHTS = (1, 3, 7, 14, 30, 60, 91, 182)
 """Days after the recording at which a repeat of its hours is tried."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.diagnosis.gate import residual_projection
 from torchlc.diagnosis.refit import Refit, Workbench, effect_columns, effect_starts, is_slow
-from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.effects import effect_class
-from torchlc.stages.effect import Entry
 from torchlc.inference.likelihood import Likelihood
+from torchlc.stages.effect import Entry
 
 GRID = 24
 """Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""

@@ -11,14 +11,14 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly, assemble
 from torchlc.effects import effect_class
-from torchlc.stages.effect import Entry
-from torchlc.inference.optimiser import polish
-from torchlc.tensors.least_squares import differences
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import polish
+from torchlc.lightcurve.assembly import Assembly, assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.parameters import ParameterSet
+from torchlc.stages.effect import Entry
+from torchlc.tensors.least_squares import differences
 
 LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
 """Sizes of an effect that are tried, in units of its typical one."""

@@ -20,10 +20,10 @@ from torchlc.diagnosis.refit import Refit, effect_columns
 from torchlc.diagnosis.rejected_hypotheses import told
 from torchlc.diagnosis.search import Found
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.stages.effect import Effect, Entry
 from torchlc.inference.identifiability import limits
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
+from torchlc.stages.effect import Effect, Entry
 
 if TYPE_CHECKING:
     from astropy.table import Table

@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.lightcurve.assembly import assemble
+from torchlc.diagnosis.brdf_alternatives import under_other_laws
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.coordinates import coordinates
+from torchlc.diagnosis.discrepancy import stranger, told_of
 from torchlc.diagnosis.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnosis.families import families
 from torchlc.diagnosis.gate import Battery, Gate, gate
-from torchlc.diagnosis.brdf_alternatives import under_other_laws
 from torchlc.diagnosis.plan import Option, next_nights, sentence
 from torchlc.diagnosis.probes import Probe, probe
 from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, linearised
@@ -34,12 +34,12 @@ from torchlc.diagnosis.search import (
     search,
 )
 from torchlc.diagnosis.sizes import resized
-from torchlc.diagnosis.discrepancy import stranger, told_of
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
-from torchlc.stages.effect import Entry
 from torchlc.inference.optimiser import find_modes
+from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
 from torchlc.scene import Scene
+from torchlc.stages.effect import Entry
 
 ADEQUATE_P = 0.01
 STRUCTURE_P = 1e-3

@@ -28,9 +28,9 @@ from torchlc.diagnosis.refit import (
 )
 from torchlc.diagnosis.starts import objective, screened
 from torchlc.effects import effect_class, every, registry
-from torchlc.stages.effect import Effect, Entry, Quantity
-from torchlc.inference.optimiser import polish
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import polish
+from torchlc.stages.effect import Effect, Entry, Quantity
 
 MOST_RESCANS = 3
 """Times that an effect that was tried at every row is tried there again from its refit."""

@@ -6,14 +6,14 @@ from typing import Any
 
 import torch
 
-from torchlc.lightcurve.assembly import assemble
 from torchlc.diagnosis.evidence import Scorer
 from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, refit
 from torchlc.diagnosis.search import Found, judged
-from torchlc.stages.effect import Entry
+from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
+from torchlc.stages.effect import Entry
 
 SIZES = ("size", "radius", "length")
 SIGMA = 0.1

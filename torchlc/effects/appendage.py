@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.stages.effect import Effect, Patch
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect, Patch
 
 
 class Appendage(Effect):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 def _rate(name: str) -> Quantity:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 WIDTH_IN_CADENCES = 0.1
 

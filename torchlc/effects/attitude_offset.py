@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.stages.effect import Effect, Parameters
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect, Parameters
 
 SERIES_BELOW = 1e-4
 """Square of the angle, rad^2, below which the series of Rodrigues' coefficients are exact to 1e-17."""

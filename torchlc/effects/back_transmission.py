@@ -6,8 +6,8 @@ import math
 
 import torch
 
-from torchlc.stages.effect import Effect, Scatter
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect, Scatter
 
 
 class BackTransmission(Effect):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 def median(flux: torch.Tensor) -> torch.Tensor:

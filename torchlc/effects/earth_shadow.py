@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import Effect, Instants
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect, Instants
 from torchlc.tensors.autodiff_state import traced
 
 EARTH_RADIUS_KM = 6378.137

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import Effect, Light
 from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect, Light
 
 EARTH_RADIUS_KM = 6371.0
 LEAST, MOST = 12, 20

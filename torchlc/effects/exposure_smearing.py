@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect, Instants, Nodes
 from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
+from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect, Instants, Nodes
 
 DIFFUSE_RAD = 0.1
 """Path of the Sun or the observer, seen from a part, that counts as one width where facets rise and set."""

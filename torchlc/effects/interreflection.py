@@ -8,12 +8,12 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.brdf.base import Brdf, Incidence
 from torchlc.pairs.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
-from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
-from torchlc.parameters import Quantity
+from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.pairs.facet_pairs import joined, slotted
+from torchlc.parameters import Quantity
+from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
 from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200

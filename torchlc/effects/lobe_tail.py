@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents, widened
 from torchlc.brdf.base import per_pair
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from torchlc.brdf.base import Brdf
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 class NormalDispersion(Effect):

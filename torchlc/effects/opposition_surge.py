@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 class OppositionSurge(Effect):

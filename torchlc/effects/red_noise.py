@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 MOST_LIMITS = 150
 """Upper limits in one curve whose joint probability is worked out: a tenth of a second for a single model."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 class SecondMaterial(Effect):

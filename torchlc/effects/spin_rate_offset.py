@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 SLOWEST = 1e-9
 """Revolutions in the time of one of the scene's, below which an object is taken to stand still."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.stages.effect import Effect
-from torchlc.parameters import Quantity
 from torchlc.geometry.rotation.matrices import rotation_about
+from torchlc.parameters import Quantity
 from torchlc.shapes.part import like
+from torchlc.stages.effect import Effect
 
 
 class WingSplit(Effect):

@@ -7,8 +7,8 @@ import math
 import torch
 
 from torchlc.effects.attitude_offset import rotation_of
-from torchlc.stages.effect import Effect
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 
 class Wobble(Effect):

@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from torchlc.figures.style import BEFORE, DATA, MARK, MODEL, PALETTE, plain, style
 from torchlc.readers import Recording
 from torchlc.results.simulated_curve import iso_times
-from torchlc.figures.style import BEFORE, DATA, MARK, MODEL, PALETTE, plain, style
 
 MOST_PANELS = 24
 LONGEST_GAP = 5.0

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from torchlc.stages.effect import View
-from torchlc.lightcurve.model import LightCurve
 from torchlc.figures.raster import Mesh, fan, looking_along, render
+from torchlc.figures.style import INK, OBSERVER, PALETTE, SUN, component_colour, plain, style
+from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
 from torchlc.results.simulated_curve import iso_times
-from torchlc.figures.style import INK, OBSERVER, PALETTE, SUN, component_colour, plain, style
+from torchlc.stages.effect import View
 
 
 def posed_mesh(model: LightCurve, view: View, row: int) -> Mesh:

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchlc.figures.curves import stretches
-from torchlc.results.simulated_curve import SimulatedCurve, iso_times
 from torchlc.figures.style import PALETTE, component_colour, plain, style
+from torchlc.results.simulated_curve import SimulatedCurve, iso_times
 
 if TYPE_CHECKING:
     from torchlc.results.fit_result import FitResult

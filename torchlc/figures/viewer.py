@@ -11,12 +11,12 @@ import numpy as np
 import torch
 
 from torchlc.figures.object_drawing import brightest, good_camera, levelled, posed_mesh
-from torchlc.stages.effect import View
-from torchlc.lightcurve.model import LightCurve
-from torchlc.geometry.orbit import angle_between
 from torchlc.figures.raster import fan
-from torchlc.results.simulated_curve import iso_times
 from torchlc.figures.style import component_colour
+from torchlc.geometry.orbit import angle_between
+from torchlc.lightcurve.model import LightCurve
+from torchlc.results.simulated_curve import iso_times
+from torchlc.stages.effect import View
 
 MOST_ROWS = 240
 MOST_TRIANGLES = 6000

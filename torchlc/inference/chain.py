@@ -21,8 +21,8 @@ from astropy.time import Time
 
 from torchlc.errors import InputError
 from torchlc.files.reading import kind_of
-from torchlc.inference.likelihood import Likelihood
 from torchlc.files.writing import write_whole
+from torchlc.inference.likelihood import Likelihood
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 

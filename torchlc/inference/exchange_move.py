@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.inference.optimiser import noise_columns
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.optimiser import noise_columns
 from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
 
 WIDER = 1.2

@@ -16,16 +16,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import assemble
 from torchlc.effects import GEOMETRY_STAGES
-from torchlc.stages.effect import View
 from torchlc.effects.exposure_smearing import ExposureSmearing
+from torchlc.geometry.orbit import angle_between
 from torchlc.inference.likelihood import Likelihood
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import DARKEST, LightCurve
 from torchlc.naming import Origin
-from torchlc.geometry.orbit import angle_between
 from torchlc.parameters import Prior
 from torchlc.shapes import Band, Dome
+from torchlc.stages.effect import View
 
 COVERED = 0.5
 """Share of a flat prior that lies in the 90 % interval of a posterior that says nothing, or hardly more than

@@ -26,14 +26,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import Noise
 from torchlc.effects.red_noise import WITH_OUTLIERS, too_many
-from torchlc.inference.error_law import MAG_PER_LN, error_powers
 from torchlc.errors import InputError
-from torchlc.tensors.least_squares import Colours
-from torchlc.lightcurve.model import LightCurve
+from torchlc.inference.error_law import MAG_PER_LN, error_powers
 from torchlc.inference.orthant import log_orthant
+from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
+from torchlc.stages.effect import Noise
+from torchlc.tensors.least_squares import Colours
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 FAINTEST_RATIO = 1e-2

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchlc.inference.likelihood import Likelihood, Residuals, widened
+from torchlc.inference.orthant import POINTS
+from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.effect import Noise
 from torchlc.tensors.least_squares import Minimum, minimise
-from torchlc.inference.likelihood import Likelihood, Residuals, widened
-from torchlc.lightcurve.model import LightCurve
-from torchlc.inference.orthant import POINTS
 
 DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""

@@ -24,12 +24,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.errors import InputError
-from torchlc.inference.optimiser import Fit, Progress
-from torchlc.inference.likelihood import Likelihood
 from torchlc.files.writing import write_whole
+from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.inference.exchange_move import Redraw
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import Fit, Progress
 
 BLOCK = 20
 """Steps between looks at the clock."""

@@ -12,14 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.geometry.rotation.attitude import Attitude
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
 from torchlc.effects import GEOMETRY_STAGES, every, registry
-from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.errors import InputError
-from torchlc.naming import Origin
 from torchlc.geometry.orbit import Track, make_track
+from torchlc.geometry.rotation.attitude import Attitude
+from torchlc.naming import Origin
 from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
@@ -27,6 +26,7 @@ from torchlc.scene import Number, Scene
 from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
+from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
 
 DEFAULT_SUN_MAGNITUDE = -26.7

@@ -17,7 +17,14 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
+from torchlc.geometry.orbit import State
 from torchlc.lightcurve.assembly import Assembly, assemble
+from torchlc.pairs.facet_pairs import pair_table
+from torchlc.parameters import ParameterSet
+from torchlc.readers import Recording
+from torchlc.scene import Scene
+from torchlc.shapes import tracking_pose
+from torchlc.shapes.part import like
 from torchlc.stages.effect import (
     GEOMETRY_STAGES,
     Brightness,
@@ -35,13 +42,6 @@ from torchlc.stages.effect import (
     Surface,
     View,
 )
-from torchlc.geometry.orbit import State
-from torchlc.parameters import ParameterSet
-from torchlc.readers import Recording
-from torchlc.scene import Scene
-from torchlc.shapes import tracking_pose
-from torchlc.shapes.part import like
-from torchlc.pairs.facet_pairs import pair_table
 from torchlc.tensors.autodiff_state import apart, readable, transformed
 from torchlc.tensors.vectors import unit
 

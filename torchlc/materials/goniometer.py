@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf import MODELS, Brdf, incidence
-from torchlc.files.decimals import decimal
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 from torchlc.tensors.least_squares import minimise
 
 COLUMNS = ("incidence", "azimuth", "exit", "brdf")

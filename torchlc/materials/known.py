@@ -17,7 +17,7 @@ import torch
 from torchlc.brdf import MODELS
 from torchlc.errors import InputError
 
-LIBRARY = Path(__file__).parent / "data" / "materials.toml"
+LIBRARY = Path(__file__).parent / "materials.toml"
 OTHER = "other"
 """The class of materials that no one has listed."""
 

@@ -16,11 +16,11 @@ import torch
 from scipy.stats import qmc
 from torch import Tensor
 
-from torchlc.pairs.double_reflection import NEAR, form_factor
 from torchlc.brdf.base import Brdf, Incidence, incidence
-from torchlc.stages.effect import Context, View
+from torchlc.pairs.double_reflection import NEAR, form_factor
 from torchlc.shapes import Facets
 from torchlc.shapes.part import like
+from torchlc.stages.effect import Context, View
 from torchlc.visibility import visible_fractions
 from torchlc.visibility.rays import Traced
 

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
-from torchlc.stages.effect import Columns, Light, Patch, View
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
+from torchlc.stages.effect import Columns, Light, Patch, View
 from torchlc.tensors.autodiff_state import followed, transformed
 from torchlc.tensors.vectors import dot
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.readers.table import METADATA, Header
-from torchlc.suggest import did_you_mean
 from torchlc.scene.timestamps import MJD_ZERO, REDUCED_ZERO
+from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene

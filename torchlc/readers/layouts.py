@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from torchlc.files.decimals import checked_decimal
 from torchlc.errors import InputError
+from torchlc.files.decimals import checked_decimal
 from torchlc.readers.table import BEYOND_MAG, Header, lines_of
 
 MAG_PER_LN = 2.5 / math.log(10)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from astropy.time import Time
 
-from torchlc.files.decimals import advice, decimal
 from torchlc.errors import InputError
+from torchlc.files.decimals import advice, decimal
 from torchlc.files.reading import sha256_of, unchanged
 from torchlc.readers import declared, groups
 from torchlc.readers.layouts import LAYOUTS
@@ -26,7 +26,6 @@ from torchlc.readers.table import (
     read_numbers,
     row_place,
 )
-from torchlc.suggest import did_you_mean
 from torchlc.scene.timestamps import (
     JULIAN_DATE,
     REDUCED,
@@ -35,6 +34,7 @@ from torchlc.scene.timestamps import (
     julian_dates_of_iso,
     julian_dates_of_numbers,
 )
+from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene

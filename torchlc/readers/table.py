@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from astropy.table.meta import get_header_from_yaml
 
-from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.errors import InputError
+from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.reading import readable_file
 from torchlc.readers.astropy_tables import described_table, read_table
 

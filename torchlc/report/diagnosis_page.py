@@ -11,19 +11,19 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from torchlc import __version__
-from torchlc.figures.curves import Comparison, curve_size, draw_curves
 from torchlc.diagnosis.result import Diagnosis, effect_parameters
-from torchlc.figures.object_drawing import brightest, draw_object
 from torchlc.effects import registry
-from torchlc.stages.effect import Entry
-from torchlc.inference.identifiability import bare_view
-from torchlc.report.listing import first_sentence
+from torchlc.figures.curves import Comparison, curve_size, draw_curves
+from torchlc.figures.object_drawing import brightest, draw_object
+from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, RESULT_FILES, OutputDirectory
+from torchlc.inference.identifiability import bare_view
 from torchlc.readers import left_out
 from torchlc.report.fit_page import environment, markup, origin, png
+from torchlc.report.listing import first_sentence
 from torchlc.results.fit_result import stated
-from torchlc.figures.viewer import viewer_data
+from torchlc.stages.effect import Entry
+from torchlc.version import __version__
 
 MOST_PARTS = 4
 MOST_CANDIDATES = 15

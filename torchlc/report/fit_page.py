@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from torchlc import __version__
 from torchlc.figures import posterior as figures
 from torchlc.figures import style
 from torchlc.figures.curves import MOST_PANELS, curve_size, draw_curves, stretches
-from torchlc.report.listing import first_sentence
-from torchlc.materials.known import OTHER
+from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
+from torchlc.inference.sampler import GOOD_RHAT
+from torchlc.materials.known import OTHER
 from torchlc.parameters import Free
 from torchlc.readers import Recording, counted
+from torchlc.report.listing import first_sentence
 from torchlc.results.fit_result import FitResult, decimals, rounded, stated
-from torchlc.inference.sampler import GOOD_RHAT
 from torchlc.results.simulated_curve import iso_times
-from torchlc.figures.viewer import viewer_data
+from torchlc.version import __version__
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from torchlc.effects import registry
-from torchlc.stages.effect import Effect
 from torchlc.errors import InputError
 from torchlc.materials.goniometer import ReflectanceFit
 from torchlc.materials.known import load_library
 from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
 
 LEAST_PROBABILITY = 1e-3
 """Matches below this are not printed."""

@@ -18,15 +18,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import View
-from torchlc.inference.optimiser import Fit, Mode
+from torchlc.files.writing import without_nan, write_whole
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood, widened
-from torchlc.materials.known import match
-from torchlc.lightcurve.model import LightCurve
-from torchlc.files.writing import without_nan, write_whole
-from torchlc.readers import Recording, left_out
+from torchlc.inference.optimiser import Fit, Mode
 from torchlc.inference.sampler import Posterior
+from torchlc.lightcurve.model import LightCurve
+from torchlc.materials.known import match
+from torchlc.readers import Recording, left_out
+from torchlc.stages.effect import View
 
 if TYPE_CHECKING:
     import arviz

@@ -17,10 +17,10 @@ from astropy.table import MaskedColumn, Table
 from torch import Tensor
 
 from torchlc.effects.earth_shadow import sunlit_fraction
+from torchlc.files.writing import without_nan, write_whole
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.inference.likelihood import MAG_PER_LN, matern32
 from torchlc.lightcurve.model import LightCurve
-from torchlc.files.writing import without_nan, write_whole
 from torchlc.readers import Recording, left_out
 from torchlc.readers.exchange import carried, told
 from torchlc.scene import Scene

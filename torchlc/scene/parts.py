@@ -24,8 +24,8 @@ from torchlc.scene.numbers import (
     between,
     problem,
 )
-from torchlc.scene.tle import checked_lines
 from torchlc.scene.timestamps import ISO, UnreadableTime, instant
+from torchlc.scene.tle import checked_lines
 
 MAX_PLATE_SKEW = 1e-3
 """Largest |cos| of the angle between a plate's u and v that counts as a right angle."""

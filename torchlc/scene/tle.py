@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from torchlc.files.decimals import decimal
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 from torchlc.files.reading import readable_file
 from torchlc.scene.numbers import problem
 

@@ -41,8 +41,8 @@ from torchlc.naming import ENTRY, Origin
 from torchlc.parameters import Quantity
 
 if TYPE_CHECKING:
-    from torchlc.geometry.rotation.attitude import Attitude
     from torchlc.geometry.orbit import State, Track
+    from torchlc.geometry.rotation.attitude import Attitude
     from torchlc.shapes import Facets, Part, Shape
     from torchlc.shapes import Surface as SurfaceShape
 

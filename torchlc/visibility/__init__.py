@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from torchlc.shapes import Facets, Shape
+from torchlc.visibility.batched_rows import rowwise
 from torchlc.visibility.polygons import polygon_fractions
 from torchlc.visibility.rays import ray_fractions
-from torchlc.visibility.batched_rows import rowwise
 
 __all__ = ["visible_fractions"]
 

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from torchlc.shapes import Part
 from torchlc.shapes.part import like
-from torchlc.visibility.polygon_union import covered_area, settled
-from torchlc.visibility.outline import Joints, facing, outline
 from torchlc.visibility.batched_rows import picked
+from torchlc.visibility.outline import Joints, facing, outline
+from torchlc.visibility.polygon_union import covered_area, settled
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it

@@ -10,8 +10,8 @@ from astropy.time import Time
 from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
 from torchlc.errors import InputError
-from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, piecewise
 from torchlc.geometry.orbit.earth import julian_dates
+from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, piecewise
 from torchlc.geometry.orbit.motion import Piecewise
 
 FRESH_DAYS = 30.0

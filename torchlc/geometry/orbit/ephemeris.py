@@ -16,8 +16,8 @@ from astropy.time import Time, TimeDelta
 from erfa import ErfaWarning
 from scipy.interpolate import KroghInterpolator
 
-from torchlc.files.decimals import decimals
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimals
 from torchlc.files.reading import readable_file
 from torchlc.geometry.orbit import earth
 from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, REACH_S, STENCIL

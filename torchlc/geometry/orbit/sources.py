@@ -16,9 +16,9 @@ from torch import Tensor
 
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import earth
-from torchlc.geometry.orbit.ephemeris_polynomials import Source, piecewise
 from torchlc.geometry.orbit.elements import ElementSet
 from torchlc.geometry.orbit.ephemeris import LOWEST_KM, Ephemeris
+from torchlc.geometry.orbit.ephemeris_polynomials import Source, piecewise
 from torchlc.geometry.orbit.motion import EarthFixed, Motion, Straight, TwoBody, inverse_semi_major_axis
 from torchlc.geometry.orbit.track import Track
 from torchlc.scene.tle import Elements, nearest, read_elements

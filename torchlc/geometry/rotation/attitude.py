@@ -16,9 +16,9 @@ from torch import Tensor, nn
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import State
 from torchlc.geometry.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
+from torchlc.geometry.rotation.matrices import frame_turned_about_y, frame_turned_about_z, rotation_about
 from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
 from torchlc.readers import seconds_since
-from torchlc.geometry.rotation.matrices import frame_turned_about_y, frame_turned_about_z, rotation_about
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.tensors.autodiff_state import transformed
 from torchlc.tensors.vectors import dot, unit

@@ -1,0 +1,1 @@
+"""Pictures, each from arrays or a result; no physics is computed here."""

@@ -1,0 +1,1 @@
+"""Where the object, the observer and the Sun are, and how the object is turned."""

@@ -1,0 +1,1 @@
+"""Attitude: modes, quaternions and rotation matrices."""

@@ -1,0 +1,1 @@
+"""The light curve as a module: scene, recording and effects brought together, and evaluated."""

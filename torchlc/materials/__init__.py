@@ -1,0 +1,1 @@
+"""Known materials, and materials from laboratory measurements."""

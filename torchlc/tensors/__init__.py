@@ -1,0 +1,1 @@
+"""Small pure functions of tensors: vectors, least squares, and whether gradients follow."""

@@ -8,13 +8,13 @@ The verbs are :func:`load`, :func:`simulate`, :func:`fit`, :func:`diagnose` and 
 from __future__ import annotations
 
 import importlib
-import sys
-import types
 from typing import TYPE_CHECKING, Any
 
+from torchlc.version import __version__
+
 if TYPE_CHECKING:
-    from torchlc.api import campaign, diagnose, fit, load, simulate
-    from torchlc.campaigns.run import CampaignResult
+    from torchlc.api import diagnose, fit, load, simulate
+    from torchlc.campaigns.run import CampaignResult, campaign
     from torchlc.errors import InputError, TorchlcError
     from torchlc.inference.likelihood import Likelihood
     from torchlc.lightcurve.model import LightCurve
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from torchlc.results.simulated_curve import SimulatedCurve
     from torchlc.scene import Scene
 
-__version__ = "0.1.0"
-
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
-    "campaign": "api", "CampaignResult": "campaign.run",
-    "LightCurve": "model", "Likelihood": "likelihood", "Scene": "scene", "Recording": "recording",
-    "FitResult": "results", "SimulatedCurve": "simulated", "InputError": "errors", "TorchlcError": "errors",
+    "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
+    "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
+    "Scene": "scene", "Recording": "readers",
+    "FitResult": "results.fit_result", "SimulatedCurve": "results.simulated_curve",
+    "InputError": "errors", "TorchlcError": "errors",
 }  # fmt: skip
 """Public name: the module it comes from."""
 
@@ -61,17 +61,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
-
-
-class _Package(types.ModuleType):
-    """Keeps ``torchlc.fit``, ``diagnose`` and ``campaign`` the verbs: importing the modules of those names would
-    put them in their place.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (_HOME.get(name) == "api" and isinstance(value, types.ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
+    return sorted(__all__)

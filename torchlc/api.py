@@ -41,7 +41,6 @@ from torchlc.scene import Scene, load_scene
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
-    from torchlc.campaigns.run import CampaignResult
     from torchlc.diagnosis.result import Diagnosis
 
 Progress = Callable[[str, float], None]
@@ -221,41 +220,6 @@ def diagnose(
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
     return result
-
-
-def campaign(
-    manifest: str | Path,
-    *,
-    out: str | Path,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    threads: int = 1,
-    seed: int = 0,
-    progress: Progress | None = None,
-    command: str | None = None,
-) -> CampaignResult:
-    """Fit or diagnose many objects on Dask; one directory each in ``out``, a summary and a page of all.
-
-    ``manifest`` is a CSV file with the columns scene, recording, task (fit or diagnose) and, if wanted, id
-    and options (as typed after the command). Work is done by ``workers`` processes started here, by default
-    one a core, or by those of the ``scheduler`` at an address, which must see the same files; each uses
-    ``threads`` threads. An object that fails is recorded with its reason; those finished from the same
-    inputs are not done again. Each has a seed of its own made from ``seed`` and its id, so its result is
-    that of :func:`fit` or :func:`diagnose` with that seed, whoever did it. Worker processes import the main
-    script: guard it by ``if __name__ == "__main__"``.
-    """
-    from torchlc.campaigns.run import run_campaign
-
-    return run_campaign(
-        Path(manifest),
-        Path(out),
-        scheduler=scheduler,
-        workers=workers,
-        threads=threads,
-        seed=seed,
-        progress=progress,
-        command=command,
-    )
 
 
 def demo(

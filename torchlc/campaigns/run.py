@@ -78,9 +78,9 @@ class CampaignResult:
         )
 
 
-def run_campaign(
-    manifest: Path,
-    out: Path,
+def campaign(
+    manifest: str | Path,
+    out: str | Path,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -89,8 +89,18 @@ def run_campaign(
     progress: Callable[[str, float], None] | None = None,
     command: str | None = None,
 ) -> CampaignResult:
-    """See :func:`torchlc.campaign`."""
+    """Fit or diagnose many objects on Dask; one directory each in ``out``, a summary and a page of all.
+
+    ``manifest`` is a CSV file with the columns scene, recording, task (fit or diagnose) and, if wanted, id
+    and options (as typed after the command). Work is done by ``workers`` processes started here, by default
+    one a core, or by those of the ``scheduler`` at an address, which must see the same files; each uses
+    ``threads`` threads. An object that fails is recorded with its reason; those finished from the same
+    inputs are not done again. Each has a seed of its own made from ``seed`` and its id, so its result is
+    that of :func:`fit` or :func:`diagnose` with that seed, whoever did it. Worker processes import the main
+    script: guard it by ``if __name__ == "__main__"``.
+    """
     require_dask()
+    manifest, out = Path(manifest), Path(out)
     began, started = time.monotonic(), datetime.now(UTC).isoformat()
     if scheduler is not None and workers is not None:
         raise InputError(

@@ -259,10 +259,10 @@ def campaign(
 ) -> None:
     """Fit or diagnose many objects on Dask. Repeated, it does what is not done yet."""
     use_threads(threads)
-    from torchlc import api
+    from torchlc.campaigns.run import campaign as run
 
     with progress_bar(not (quiet or json)) as progress:
-        result = api.campaign(
+        result = run(
             manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed,
             progress=progress, command=command_line(context),
         )  # fmt: skip

@@ -34,7 +34,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> FitResult:
 
 @pytest.fixture(scope="module")
 def page(result: FitResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return result.write_report(tmp_path_factory.mktemp("report") / "report.html")
+    return torchlc.write_report(result, tmp_path_factory.mktemp("report") / "report.html")
 
 
 class Reader(HTMLParser):

@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from torchlc.inference.likelihood import Likelihood
     from torchlc.lightcurve.model import LightCurve
     from torchlc.readers import Recording
+    from torchlc.report.write import write_report
     from torchlc.results.fit_result import FitResult
     from torchlc.results.simulated_curve import SimulatedCurve
     from torchlc.scene import Scene
 
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
-    "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
+    "write_report": "report.write", "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
     "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
     "Scene": "scene", "Recording": "readers",
     "FitResult": "results.fit_result", "SimulatedCurve": "results.simulated_curve",
@@ -49,6 +50,7 @@ __all__ = [
     "fit",
     "load",
     "simulate",
+    "write_report",
 ]
 
 

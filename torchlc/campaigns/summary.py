@@ -125,7 +125,7 @@ def plain_cell(value: Any) -> Any:
 
 
 def _write_page(path: Path, table: Path, name: str, facts: Mapping[str, Any]) -> None:
-    from torchlc.report.fit_page import environment
+    from torchlc.report.page import environment
     from torchlc.version import __version__
 
     template = environment().get_template("campaign.html")

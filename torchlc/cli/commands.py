@@ -220,10 +220,8 @@ def diagnose(
     if json:
         show_json(without_nan(result.to_json()))
     elif not quiet:
-        from torchlc.report.diagnosis_page import lines, warnings
-
-        print("\n".join(map(printable, lines(result))))
-        warn(warnings(result))
+        print("\n".join(map(printable, result.lines())))
+        warn(result.warnings)
         print(f"written: {out / 'report.html'}, diagnosis.json and figures")
 
 
@@ -457,9 +455,9 @@ def demo(
     with progress_bar(not (quiet or json)) as progress:
         diagnosis, result = api.demo(out, seed=seed, progress=progress, command=command_line(context))
     if not (quiet or json):
-        from torchlc.report.diagnosis_page import headline
+        from torchlc.diagnosis.words import headline
 
-        print(printable(headline(diagnosis.to_json())))
+        print(printable(headline(diagnosis.content)))
     show_fit(result, out, quiet=quiet, json=json)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,14 +21,19 @@ from torchlc.diagnosis.refit import Refit, effect_columns
 from torchlc.diagnosis.rejected_hypotheses import told
 from torchlc.diagnosis.search import Found
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.inference.identifiability import limits
+from torchlc.diagnosis.words import added_values, lines
+from torchlc.inference.identifiability import bare_view, limits
+from torchlc.lightcurve.model import LightCurve
+from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
-from torchlc.stages.effect import Effect, Entry
+from torchlc.stages.effect import Effect, Entry, View
 
 if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.axes import Axes
+
+    from torchlc.figures.curves import Comparison
 
 SCHEMA = "torchlc-diagnosis/1"
 DRAWS = 4000
@@ -65,9 +71,16 @@ class Diagnosis:
     next_observation: str = ""
 
     def __repr__(self) -> str:
-        from torchlc.report.diagnosis_page import lines
+        return "\n".join(["Diagnosis: " + self.verdict, *self.lines()])
 
-        return "\n".join(["Diagnosis: " + self.verdict, *lines(self)])
+    def lines(self) -> list[str]:
+        """The verdict, what was found, the materials before and after, and what to do next, line by line."""
+        return lines(self.content, self.added, self.completed.model.effects or ())
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader should know of scene and recording, each once."""
+        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *self.limits]))
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
@@ -90,10 +103,48 @@ class Diagnosis:
         import matplotlib.pyplot as plt
 
         from torchlc.figures.curves import curve_size, draw_curves
-        from torchlc.report.diagnosis_page import comparison
 
-        shown = comparison(self)
+        shown = self.comparison
         return draw_curves(shown, plt.figure(figsize=curve_size(shown.recording)))
+
+    @property
+    def model(self) -> LightCurve:
+        """The final model."""
+        return self.final.refit.model
+
+    @cached_property
+    def view(self) -> View:
+        """Geometry of every row at the final model's best parameters."""
+        return bare_view(self.model, self.final.refit.theta)
+
+    @property
+    def recording(self) -> Recording:
+        return self.model.recording
+
+    @property
+    def prediction(self) -> np.ndarray:
+        """The final model in the recording's unit, (T,)."""
+        return self.final.refit.prediction.numpy()
+
+    @property
+    def comparison(self) -> Comparison:
+        """Recording, the baseline refitted, and the final model; rows where they differ are marked."""
+        from torchlc.figures.curves import Comparison
+
+        before, after = self.baseline.refit, self.final.refit
+        return Comparison(
+            self.recording,
+            self.prediction,
+            after.sigma.expand(len(self.recording)).numpy(),
+            before=before.prediction.numpy() if after.hypothesis.added else None,
+            marked=None if self.where is None else self.where.rows.numpy(),
+        )
+
+    @property
+    def added(self) -> dict[str, str]:
+        """Values of the parameters that the final model adds, by effect and name, ready to print."""
+        refit = self.final.refit
+        return added_values({entry: effect_parameters(refit, entry) for entry in self.final.hypothesis.added})
 
     @property
     def completed(self) -> Scene:
@@ -111,6 +162,11 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
+        return dict(self.content)
+
+    @cached_property
+    def content(self) -> dict[str, Any]:
+        """What :meth:`to_json` gives, worked out once."""
         recording = self.baseline.refit.model.recording
         time = [str(one) for one in cast(Any, recording.time.isot)]
         stations = (

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from torchlc.figures.style import BEFORE, DATA, MARK, MODEL, PALETTE, plain, style
-from torchlc.readers import Recording
-from torchlc.results.simulated_curve import iso_times
+from torchlc.readers import Recording, iso_times
 
 MOST_PANELS = 24
 LONGEST_GAP = 5.0

@@ -11,8 +11,7 @@ from matplotlib.patches import Patch
 from torchlc.figures.raster import Mesh, fan, looking_along, render
 from torchlc.figures.style import INK, OBSERVER, PALETTE, SUN, component_colour, plain, style
 from torchlc.lightcurve.model import LightCurve
-from torchlc.readers import Recording
-from torchlc.results.simulated_curve import iso_times
+from torchlc.readers import Recording, iso_times
 from torchlc.stages.effect import View
 
 

@@ -15,7 +15,7 @@ from torchlc.figures.raster import fan
 from torchlc.figures.style import component_colour
 from torchlc.geometry.orbit import angle_between
 from torchlc.lightcurve.model import LightCurve
-from torchlc.results.simulated_curve import iso_times
+from torchlc.readers import iso_times
 from torchlc.stages.effect import View
 
 MOST_ROWS = 240

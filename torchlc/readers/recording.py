@@ -151,6 +151,13 @@ def seconds_since(time: Time, origin: Time) -> np.ndarray:
         return np.asarray((time - origin).to_value(u.s))
 
 
+def iso_times(recording: Recording) -> list[str]:
+    """Times of the T rows as ISO text to the microsecond, in the recording's scale."""
+    time: Any = recording.time.copy(format="isot")
+    time.precision = 6
+    return np.asarray(time.value, dtype=str).tolist()
+
+
 def counted(dropped: Mapping[str, int]) -> str:
     """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
     return ", ".join(f"{count} {reason}" for reason, count in dropped.items())

@@ -4,49 +4,29 @@ inside.
 
 from __future__ import annotations
 
-import html
-import io
 import math
-import re
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from torchlc.figures import posterior as figures
-from torchlc.figures import style
-from torchlc.figures.curves import MOST_PANELS, curve_size, draw_curves, stretches
+from torchlc.digits import decimals, rounded, stated
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
 from torchlc.inference.sampler import GOOD_RHAT
 from torchlc.materials.known import OTHER
 from torchlc.parameters import Free
-from torchlc.readers import Recording, counted
-from torchlc.report.listing import first_sentence
-from torchlc.results.fit_result import FitResult, decimals, rounded, stated
-from torchlc.results.simulated_curve import iso_times
+from torchlc.readers import counted
+from torchlc.report.figures import Drawn, by_section, draw_all, png
+from torchlc.report.page import environment, origin
+from torchlc.results.fit_result import FitResult
+from torchlc.stages.effect import first_sentence
 from torchlc.version import __version__
 
-if TYPE_CHECKING:
-    from jinja2 import Environment
-
-TEMPLATES = Path(__file__).parent / "templates"
-INKS = {
-    style.INK: "--ink",
-    style.GRID: "--grid",
-    style.DATA: "--data",
-    style.MODEL: "--model",
-    style.BEFORE: "--before",
-    style.SUN: "--sun",
-    style.OBSERVER: "--observer",
-}
-"""Colours of the figures that follow the page's light or dark dress."""
-PNG_DPI = 130
 MANY_ROWS = 30
 """Rows of a table beyond which it is folded."""
+SECTIONS = ("curve", "object", "posterior", "chain")
+"""Sections of the page that figures may close; other figures have sections of their own."""
 GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
 
@@ -66,9 +46,9 @@ def write_fit(
     if result.posterior is not None:
         data = result.to_arviz()
         directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
-    drawn = fit_figures(result)
-    for number, (name, figure) in enumerate(drawn.items()):
-        directory.write_bytes(f"{name}.png", png(figure))
+    drawn = draw_all("fit", result)
+    for number, (kind, figure) in enumerate(drawn):
+        directory.write_bytes(f"{kind.name}.png", png(figure))
         if progress is not None:
             progress("report", (number + 1) / (len(drawn) + 1))
     directory.write_text("report.html", render_fit(result, drawn, diagnosis))
@@ -76,68 +56,13 @@ def write_fit(
         progress("report", 1.0)
 
 
-def fit_figures(result: FitResult) -> dict[str, Figure]:
-    """The figures of a fit by the name of their file."""
-    drawn = {
-        "curve": Figure(figsize=curve_size(result.recording)),
-        "shares": Figure(figsize=(8.2, 2.8)),
-        "object": Figure(figsize=(5.6, 5.0)),
-    }
-    draw_curves(result.comparison, drawn["curve"])
-    figures.shares(result, figure=drawn["shares"])
-    result.plot_object(axes=drawn["object"].subplots())
-    if result.posterior is not None:
-        side = 1.2 + 1.35 * len(figures.corner_names(result))
-        drawn["corner"] = figures.corner_plot(result, Figure(figsize=(side, side)))
-        bands = -(-min(len(result.names), figures.MOST_TRACES) // 2)
-        drawn["traces"] = figures.traces(result, Figure(figsize=(8.2, 0.6 + 1.2 * bands)))
-    return drawn
-
-
-def png(figure: Figure) -> bytes:
-    """A figure on white ground."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=PNG_DPI, bbox_inches="tight", facecolor="white")
-    return stream.getvalue()
-
-
-def svg(figure: Figure, alt: str, name: str = "") -> str:
-    """A figure as an SVG element in the page's colours, for a reader and for a screen reader."""
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", bbox_inches="tight", transparent=True, dpi=PNG_DPI)
-    text = stream.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
-    text = re.sub(r'<g id="[^"]*_\d+">', "<g>", text)
-    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
-    for colour, ink in INKS.items():
-        text = text.replace(colour, f"var({ink})")
-    label = f'<svg role="img" aria-label="{html.escape(alt, quote=True)}"' + (
-        f' class="{name}"' if name else ""
-    )
-    return text.replace("<svg", label, 1)
-
-
-def markup(figure: Figure, alt: str, *, square: bool = False) -> Any:
-    """A figure as SVG that the template does not escape: ours, with names escaped by matplotlib."""
-    from markupsafe import Markup
-
-    return Markup(svg(figure, alt, "square" if square else ""))
-
-
 def render_fit(
-    result: FitResult, drawn: dict[str, Figure] | None = None, diagnosis: dict[str, Any] | None = None
+    result: FitResult, drawn: Sequence[Drawn] | None = None, diagnosis: dict[str, Any] | None = None
 ) -> str:
     """The page of a fit; with ``diagnosis``, from :func:`~torchlc.report.diagnosis_page.context`, what it lacks as
     well.
     """
-    drawn = fit_figures(result) if drawn is None else drawn
-    alts = _alts(result)
-    pictures = {
-        key: markup(figure, alts[key], square=key == "corner")
-        for key, figure in drawn.items()
-        if key != "object"
-    }
+    drawn = draw_all("fit", result) if drawn is None else drawn
     return (
         environment()
         .get_template("fit.html")
@@ -155,28 +80,13 @@ def render_fit(
             matches=[(material, _match_words(found)) for material, found in result.materials().items()],
             viewer=viewer_data(result.model, result.view, result.prediction),
             chain_words=_chain_words(result),
-            curve_alt=alts["curve"],
-            curve_caption=_curve_caption(result),
-            several=len(result.model.assembly.components) > 1,
-            shares_alt=alts["shares"],
-            corner_alt=alts.get("corner"),
-            corner_caption=_corner_caption(result),
+            sampled=result.posterior is not None,
+            pictures=by_section(result, drawn, SECTIONS),
             effects=[(one.name, first_sentence(type(one))) for one in _distinct_effects(result)],
             facts=_facts(result),
             made={"inputs": {}, "versions": {}, "command": None, "seed": result.seed}
             | dict(result.provenance),
-            **{"corner": None, "traces": None} | pictures,
         )
-    )
-
-
-@cache
-def environment() -> Environment:
-    """Every value that reaches a page is escaped."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    return Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
 
 
@@ -258,20 +168,6 @@ def _match_words(found: list[dict[str, Any]]) -> str:
     )
 
 
-def origin(recording: Recording) -> str:
-    """File, rows, times and stations of a recording in one line."""
-    times = iso_times(recording)
-    first, last = (text[:16].replace("T", " ") for text in (times[0], times[-1]))
-    places = ", ".join(recording.station_ids[i] for i in np.unique(recording.station))
-    nights = len(recording.night_ids)
-    source = recording.source.name if recording.source is not None else "a recording"
-    return (
-        f"{source}: {len(recording)} rows, {first} to {last} {recording.time.scale.upper()}"
-        + (f", {nights} nights" if nights > 1 else "")
-        + (f", from {places}" if places != "unknown" else "")
-    )
-
-
 def _chain_words(result: FitResult) -> str:
     posterior = result.posterior
     if posterior is None:
@@ -280,38 +176,6 @@ def _chain_words(result: FitResult) -> str:
         f"{posterior.theta.shape[0]} walkers; {posterior.reason}. Acceptance {posterior.acceptance:.2f}; "
         f"{len(posterior.flat)} draws kept, one of {posterior.thin} steps after {posterior.burn}."
     )
-
-
-def _curve_caption(result: FitResult) -> str:
-    total = len(stretches(result.recording))
-    more = f" The first {MOST_PANELS} of {total} are drawn." if total > MOST_PANELS else ""
-    band = " with the 90 % band of the posterior" if result.posterior is not None else ""
-    return f"Recording (dots) and model (line){band}; below, what is left.{more}"
-
-
-def _corner_caption(result: FitResult) -> str:
-    drawn = len(figures.corner_names(result)) if result.posterior is not None else 0
-    more = (
-        f" {drawn} of {len(result.names)} parameters, those that the data inform first."
-        if drawn < len(result.names)
-        else ""
-    )
-    return f"Contours hold 39 and 86 % of the posterior: 1 and 2 sigma in two dimensions.{more}"
-
-
-def _alts(result: FitResult) -> dict[str, str]:
-    recording = result.recording
-    low, high = np.nanmin(recording.observed), np.nanmax(recording.observed)
-    unit = "magnitudes" if recording.kind == "mag" else "relative fluxes"
-    means = ", ".join(f"{name} {100 * one['mean_share']:.0f} %" for name, one in result.mean_shares().items())
-    return {
-        "curve": f"Light curve: {len(recording)} rows, {unit} from {low:.4g} to {high:.4g}, the model "
-        "over them, residuals below.",
-        "shares": f"Shares of the light along the recording; on average {means}.",
-        "corner": f"Corner plot of the posterior of {', '.join(figures.corner_names(result))}.",
-        "traces": "Traces of all walkers after burn-in, one panel a parameter.",
-        "object": "The object at its brightest.",
-    }
 
 
 def _facts(result: FitResult) -> list[tuple[str, str]]:

@@ -4,7 +4,6 @@ materials.
 
 from __future__ import annotations
 
-import inspect
 import json
 import math
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from torchlc.errors import InputError
 from torchlc.materials.goniometer import ReflectanceFit
 from torchlc.materials.known import load_library
 from torchlc.parameters import Quantity
-from torchlc.stages.effect import Effect
+from torchlc.stages.effect import first_sentence
 
 LEAST_PROBABILITY = 1e-3
 """Matches below this are not printed."""
@@ -35,12 +34,6 @@ def effects_listing() -> list[dict[str, Any]]:
         }
         for name, effect in registry().items()
     ]
-
-
-def first_sentence(effect: type[Effect]) -> str:
-    """The first paragraph of an effect's docstring, up to its first full stop or colon."""
-    paragraph = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
-    return " ".join(paragraph.split()).replace("``", "")
 
 
 def _told(quantity: Quantity) -> dict[str, Any]:

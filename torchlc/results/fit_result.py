@@ -11,14 +11,14 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.files.writing import without_nan, write_whole
+from torchlc.digits import stated
+from torchlc.files.writing import without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood, widened
 from torchlc.inference.optimiser import Fit, Mode
@@ -35,9 +35,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from torchlc.figures.curves import Comparison
+    from torchlc.figures.draws import Draws
 
 FIT_SCHEMA = "torchlc-fit/1"
 NOISE_DRAWS = 400
+MOST_CORNER = 10
+"""Parameters of a corner plot: more panels than 10 x 10 cannot be read on a page."""
 BAND_DRAWS = 200
 
 
@@ -140,6 +143,32 @@ class FitResult:
 
         band = None if self.band is None else self.band[[0, 2]]
         return Comparison(self.recording, self.prediction, self.error, band)
+
+    def foremost(self, most: int = MOST_CORNER) -> list[str]:
+        """At most that many parameters, those that the data inform first, in the order of theta."""
+        informed = self.insight.informed
+        first = sorted(self.names, key=lambda name: not informed.get(name, False))[:most]
+        return [name for name in self.names if name in first]
+
+    def draws(self, names: Sequence[str]) -> list[Draws]:
+        """The posterior's draws of some parameters, by walker and step. ValueError where nothing was free."""
+        from torchlc.figures.draws import Draws
+
+        if self.posterior is None:
+            raise ValueError("nothing was free: there is no posterior")
+        places = [self.posterior.names.index(name) for name in names]
+        free = self.model.parameter_set.free
+        return [
+            Draws(free[k].name, free[k].unit, self.posterior.theta[..., k].numpy(), free[k].prior.logarithmic)
+            for k in places
+        ]
+
+    @property
+    def chain_steps(self) -> np.ndarray:
+        """Steps of the chain, (draws of a walker,), at which the posterior's draws were taken."""
+        if self.posterior is None:
+            raise ValueError("nothing was free: there is no posterior")
+        return self.posterior.burn + self.posterior.thin * np.arange(self.posterior.theta.shape[1])
 
     # ------------------------------------------------------------------ numbers
 
@@ -362,21 +391,24 @@ class FitResult:
 
     def plot_shares(self, axes: Axes | None = None) -> Axes:
         """Light of each component along the recording."""
-        from torchlc.figures import posterior as figures
+        from torchlc.figures.shares import SIZE, draw_shares
 
-        return figures.shares(self, axes)
+        axes = _notebook_figure(SIZE).subplots() if axes is None else axes
+        return draw_shares(self.recording, self.model.assembly.components, self.shares, axes)
 
     def plot_corner(self) -> Figure:
-        """Posterior of every pair of parameters."""
-        from torchlc.figures import posterior as figures
+        """Posterior of every pair of the :meth:`foremost` parameters."""
+        from torchlc.figures.draws import corner_size, draw_corner
 
-        return figures.corner_plot(self)
+        chosen = self.foremost()
+        return draw_corner(self.draws(chosen), _notebook_figure(corner_size(len(chosen))))
 
     def plot_traces(self) -> Figure:
         """Every walker's way after burn-in."""
-        from torchlc.figures import posterior as figures
+        from torchlc.figures.draws import draw_traces, traces_size
 
-        return figures.traces(self)
+        figure = _notebook_figure(traces_size(len(self.names)))
+        return draw_traces(self.draws(self.names), self.chain_steps, figure)
 
     def plot_object(self, row: int | None = None, axes: Axes | None = None) -> Axes:
         """The object with the directions of Sun and observer at ``row``, by default the brightest."""
@@ -388,13 +420,6 @@ class FitResult:
             axes = plt.subplots(figsize=(5.6, 5.0))[1]
         row = brightest(self.recording, self.prediction) if row is None else row
         return draw_object(self.model, self.view, row, axes)
-
-    def write_report(self, path: str | Path) -> Path:
-        """One HTML file that needs no network."""
-        from torchlc.report import fit_page as report
-
-        page = report.render_fit(self)
-        return write_whole(Path(path), lambda partial: partial.write_text(page, encoding="utf-8"))
 
     def lines(self) -> list[tuple[str, str]]:
         """(name, value with its uncertainty) of every parameter, ready to print."""
@@ -427,33 +452,11 @@ class FitResult:
         return f"<p>{html.escape(self.headline())}</p><table>{rows}</table><ul>{warned}</ul>"
 
 
-def stated(row: Mapping[str, Any]) -> str:
-    """``median +- sd unit`` with as many digits as the uncertainty bears; an interval where it is skewed."""
-    median, sd, low, high = row["median"], row["sd"], row["q05"], row["q95"]
-    unit = f" {row['unit']}" if row["unit"] else ""
-    skew = (high - median) / max(median - low, 1e-300)
-    if not math.isfinite(sd) or sd <= 0:
-        return f"{median:.5g}{unit}"
-    digits = decimals(sd)
-    if sd > 0.3 * abs(median) and not 0.5 < skew < 2:
-        return f"{rounded(median, 2)} ({rounded(low, 2)} to {rounded(high, 2)}){unit}"
-    if abs(median) >= 1e5 or digits > 8:
-        return f"{median:.4g} ± {sd:.2g}{unit}"
-    if sd >= 10:
-        place = 10 ** (math.floor(math.log10(sd)) - 1)
-        return f"{round(median / place) * place:.0f} ± {round(sd / place) * place:.0f}{unit}"
-    return f"{median:.{digits}f} ± {sd:.{digits}f}{unit}"
+def _notebook_figure(size: tuple[float, float]) -> Figure:
+    """A figure that a notebook shows."""
+    import matplotlib.pyplot as plt
 
-
-def decimals(sd: float) -> int:
-    """Decimals that a number with this uncertainty bears: two digits of it."""
-    return max(0, min(12, 1 - math.floor(math.log10(sd)))) if math.isfinite(sd) and sd > 0 else 6
-
-
-def rounded(value: float, digits: int) -> str:
-    """``value`` to that many significant digits, without an exponent where it can be read without."""
-    text = f"{value:.{digits}g}"
-    return f"{float(text):g}" if abs(float(text)) < 1e6 else text
+    return plt.figure(figsize=size)
 
 
 def variable_names(names: Sequence[str]) -> dict[str, str]:

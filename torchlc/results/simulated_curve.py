@@ -21,7 +21,7 @@ from torchlc.files.writing import without_nan, write_whole
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.inference.likelihood import MAG_PER_LN, matern32
 from torchlc.lightcurve.model import LightCurve
-from torchlc.readers import Recording, left_out
+from torchlc.readers import Recording, iso_times, left_out
 from torchlc.readers.exchange import carried, told
 from torchlc.scene import Scene
 
@@ -86,9 +86,13 @@ class SimulatedCurve:
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Magnitude along time, a line a station."""
-        from torchlc.figures import posterior as figures
+        from torchlc.figures.magnitudes import SIZE, draw_magnitudes
 
-        return figures.simulated(self, axes)
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.figure(figsize=SIZE).subplots()
+        return draw_magnitudes(self.recording, self.mag, axes)
 
     def to_json(self) -> dict[str, Any]:
         """A summary: rows, range of magnitude, the brightest row, mean shares; the same of recorded magnitudes."""
@@ -190,13 +194,6 @@ def simulated_curve(
         warnings=[*left_out(recording), *model.assembly.warnings, *limits(model, theta)],
         seed=seed,
     )
-
-
-def iso_times(recording: Recording) -> list[str]:
-    """Times of the T rows as ISO text to the microsecond, in the recording's scale."""
-    time: Any = recording.time.copy(format="isot")
-    time.precision = 6
-    return np.asarray(time.value, dtype=str).tolist()
 
 
 def masked(values: np.ndarray | None, rows: int, name: str) -> MaskedColumn:

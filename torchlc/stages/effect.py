@@ -27,6 +27,7 @@ Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C c
 from __future__ import annotations
 
 import hashlib
+import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -612,3 +613,9 @@ class Effect:
 
     def noise(self, noise: Noise, p: Parameters, context: Context) -> Noise:
         return noise
+
+
+def first_sentence(effect: type[Effect]) -> str:
+    """The first paragraph of an effect's docstring, up to its first full stop or colon."""
+    paragraph = inspect.cleandoc(effect.__doc__ or "").split("\n\n")[0]
+    return " ".join(paragraph.split()).replace("``", "")

@@ -1,0 +1,219 @@
+"""A diagnosis in words, from the content of diagnosis.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from torchlc.digits import stated
+from torchlc.effects import registry
+from torchlc.stages.effect import Entry, first_sentence
+
+MOST_PARTS = 4
+"""Values of one parameter, of curves or nights, that are listed one by one."""
+NOISE = {
+    "jitter": "errors larger than quoted",
+    "red_noise": "noise that is correlated in time",
+    "outliers": "outliers",
+}
+VERDICTS = {
+    "adequate": "Nothing is missing that these data could show.",
+    "missing_physics": "The model lacks {named}.",
+    "noise_model": "The misfit is noise, not physics: {named}.",
+    "unexplained": "Something is missing, and no effect of the library explains it.",
+}
+
+
+def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Values of the parameters of the added effects (entry: parameters), by effect and name, ready to print."""
+    return {
+        f"{Entry.parse(entry).name}.{short}": value
+        for entry, parameters in added.items()
+        for short, value in values_in_words(parameters).items()
+    }
+
+
+def headline(content: Mapping[str, Any]) -> str:
+    """The verdict in one line, from the content of diagnosis.json."""
+    told = [_or(family) for family in content["families"]]
+    noise = [NOISE.get(str(name), str(name)) for name in content["named"]]
+    verdict = VERDICTS[content["verdict"]].format(
+        named=_and(noise if content["verdict"] == "noise_model" else told)
+    )
+    if content["doubt"]:
+        verdict = f"{verdict} {_first_upper(content['doubt'])}."
+    p = chance(content["global_p"])
+    return f"{verdict} The chance of structure like this where nothing is missing: {p}."
+
+
+def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
+    """What a terminal shows, from the content of diagnosis.json: the verdict, what was found, the materials before and
+    after, what to do next; ``completed`` is the list of effects to fit with."""
+    told = [headline(content)]
+    told += [f"  {name} = {value}" for name, value in added.items()]
+    if content["named"]:
+        rows = [(f"  {name}", before, f"→ {after}") for name, before, after in changes(content["materials"])]
+        rows += [(f"  {name}", before, f"→ {after}") for name, before, after in improvement(content)]
+        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+        told += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
+    told.append(f"left: {content['remaining']['note']}")
+    if content["next_observation"]:
+        told.append(f"next: {content['next_observation']}")
+    if content["verdict"] == "missing_physics":
+        effects = json.dumps(list(completed))
+        told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")
+    return told
+
+
+def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
+    """Verdict, proof, place, materials and what cannot be told, in sentences, from the content of
+    diagnosis.json.
+    """
+    named, gains = content["named"], content["improvement"]
+    paragraphs = [headline(content)]
+    if content["verdict"] == "missing_physics":
+        proof = (
+            f"With it in the model the residuals fall from {gains['rms_before']:.3f} to "
+            f"{gains['rms_after']:.3f} mag (root mean square)"
+            if content["error_source"] == "fitted"
+            else f"With it in the model chi-square falls from {gains['chi2_before']:.0f} to "
+            f"{gains['chi2_after']:.0f} for {gains['dof']} degrees of freedom"
+        )
+        if gains["heldout_rms_after"] is not None and gains["heldout_rms_before"] is not None:
+            proof += (
+                f", and rows that the fit had not seen are predicted to {gains['heldout_rms_after']:.3g} mag "
+                f"instead of {gains['heldout_rms_before']:.3g}"
+            )
+        meant = [
+            f"{name}: {_lowered(first_sentence(registry()[name]))}" for name in named if name in registry()
+        ]
+        values = (
+            f" Found: {', '.join(f'{name} = {value}' for name, value in added.items())}." if added else ""
+        )
+        paragraphs.append(f"{proof}.{values} {' '.join(meant)}")
+    if content["where"] is not None:
+        paragraphs.append(_place(content["where"]))
+    paragraphs.append(f"What is left: {content['remaining']['note']}.")
+    if content["next_observation"]:
+        paragraphs.append(_first_upper(content["next_observation"]).rstrip(".") + ".")
+    return paragraphs
+
+
+def _place(where: Mapping[str, Any]) -> str:
+    intervals = where["intervals"]
+    text = "It is too faint to show in any one stretch of the recording"
+    if intervals:
+        text = f"It shows in {len(intervals)} stretch{'es' if len(intervals) != 1 else ''} of the recording"
+        strongest = max(intervals, key=lambda one: one["significance"])
+        text += f", most between {_clock(strongest['start'])} and {_clock(strongest['end'])}"
+    if where["components"]:
+        first = where["components"][0]
+        text += f"; {100 * first['share']:.0f} % of it comes from {first['name']}"
+    one = where["coordinate"]
+    if one and one["name"] != "time":  # the stretches are of time
+        text += f"; it follows {one['name']} between {one['from']:.4g} and {one['to']:.4g}"
+    return text + "."
+
+
+def values_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Each parameter's value with its uncertainty; those that every curve or night has for itself in one, by their
+    root mean square and range."""
+    found = {}
+    for name, row in parameters.items():
+        short, bracket, _ = name.partition("[")
+        parts = [one["median"] for other, one in parameters.items() if other.startswith(f"{short}[")]
+        if not bracket or len(parts) <= MOST_PARTS:
+            found[name] = _pair(row["median"], row["sd"], row["unit"])
+        elif f"{short} of {len(parts)}" not in found:
+            spread = math.sqrt(sum(one**2 for one in parts) / len(parts))
+            unit = f" {row['unit']}" if row["unit"] else ""
+            low, high = min(parts), max(parts)
+            found[f"{short} of {len(parts)}"] = (
+                f"root mean square {spread:.3g}{unit}, from {low:.3g} to {high:.3g}{unit}"
+            )
+    return found
+
+
+def improvement(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(measure, before, after); chi-square only where errors are quoted, for fitted ones make it what it is."""
+    rows = [("chi-square", "chi2", 0), ("rms, mag", "rms", 4), ("rms of unseen rows, mag", "heldout_rms", 4)]
+    found = []
+    for name, key, digits in rows[content["error_source"] == "fitted" :]:
+        before, after = (content["improvement"][f"{key}_{when}"] for when in ("before", "after"))
+        if before is not None and after is not None:
+            found.append((name, f"{before:.{digits}f}", f"{after:.{digits}f}"))
+    return found
+
+
+def changes(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(parameter, before, after) of every material's parameter."""
+    before, after = content["before"], content["after"]
+    return [
+        (name, material_value(before[name]), material_value(after[name])) for name in before if name in after
+    ]
+
+
+def material_value(row: Mapping[str, Any]) -> str:
+    return stated({**row, "unit": ""})
+
+
+def _pair(median: float, sd: float | None, unit: str) -> str:
+    spread = sd or 0.0
+    return stated(
+        {
+            "median": median,
+            "sd": spread,
+            "q05": median - 1.64 * spread,
+            "q95": median + 1.64 * spread,
+            "unit": unit,
+        }
+    )
+
+
+def chance(p: float | None) -> str:
+    if p is None:
+        return "unknown"
+    return "below 1e-12" if p < 1e-12 else f"{p:.2g}"
+
+
+def _or(family: Sequence[str]) -> str:
+    return (
+        family[0]
+        if len(family) == 1
+        else f"{family[0]} (or {' or '.join(family[1:])}: these data cannot tell)"
+    )
+
+
+def _and(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}" if parts else "nothing"
+
+
+def _clock(iso: str) -> str:
+    return iso[:16].replace("T", " ")
+
+
+def _first_upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _lowered(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _signed(value: float | None) -> str:
+    return "" if value is None else f"{value:+.1f}" if abs(value) < 1000 else f"{value:+.0f}"
+
+
+def candidate(row: Mapping[str, Any]) -> dict[str, str]:
+    values = ", ".join(f"{name} {value}" for name, value in values_in_words(row["parameters"]).items())
+    return {
+        "effect": row["effect"]
+        + (f" [{row['target']}]" if row.get("target") else "")
+        + (f" of each {row['per']}" if row.get("per") else ""),
+        "evidence": _signed(row["delta_log_evidence"]),
+        "heldout": _signed(row["heldout_delta_log_likelihood"]),
+        "chi2": "" if row["chi2_after"] is None else f"{row['chi2_after']:.0f}",
+        "values": values,
+    }

@@ -1,0 +1,36 @@
+"""Numbers as people read them: with as many digits as their uncertainty bears."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+
+def stated(row: Mapping[str, Any]) -> str:
+    """``median +- sd unit`` with as many digits as the uncertainty bears; an interval where it is skewed."""
+    median, sd, low, high = row["median"], row["sd"], row["q05"], row["q95"]
+    unit = f" {row['unit']}" if row["unit"] else ""
+    skew = (high - median) / max(median - low, 1e-300)
+    if not math.isfinite(sd) or sd <= 0:
+        return f"{median:.5g}{unit}"
+    digits = decimals(sd)
+    if sd > 0.3 * abs(median) and not 0.5 < skew < 2:
+        return f"{rounded(median, 2)} ({rounded(low, 2)} to {rounded(high, 2)}){unit}"
+    if abs(median) >= 1e5 or digits > 8:
+        return f"{median:.4g} ± {sd:.2g}{unit}"
+    if sd >= 10:
+        place = 10 ** (math.floor(math.log10(sd)) - 1)
+        return f"{round(median / place) * place:.0f} ± {round(sd / place) * place:.0f}{unit}"
+    return f"{median:.{digits}f} ± {sd:.{digits}f}{unit}"
+
+
+def decimals(sd: float) -> int:
+    """Decimals that a number with this uncertainty bears: two digits of it."""
+    return max(0, min(12, 1 - math.floor(math.log10(sd)))) if math.isfinite(sd) and sd > 0 else 6
+
+
+def rounded(value: float, digits: int) -> str:
+    """``value`` to that many significant digits, without an exponent where it can be read without."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):g}" if abs(float(text)) < 1e6 else text

@@ -1,0 +1,136 @@
+"""The contract of a figure of a report: one class, which enters the pages by being defined."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from matplotlib.figure import Figure
+
+from torchlc.figures import style
+
+INKS = {
+    style.INK: "--ink",
+    style.GRID: "--grid",
+    style.DATA: "--data",
+    style.MODEL: "--model",
+    style.BEFORE: "--before",
+    style.SUN: "--sun",
+    style.OBSERVER: "--observer",
+}
+"""Colours of the figures that follow the page's light or dark dress."""
+PNG_DPI = 130
+_KNOWN: dict[str, type[ReportFigure]] = {}
+
+
+class ReportFigure(ABC):
+    """One figure of the page of a result. Subclasses set ``name``, the stem of its file, and ``page``, "fit" or
+    "diagnosis", whose result their methods get; ``heading`` stands over it, and ``section`` is the section of the
+    page that it closes ("" : a section of its own). ``order`` sorts figures of one section. Defining a name again
+    replaces the figure.
+    """
+
+    name: ClassVar[str]
+    page: ClassVar[str] = "fit"
+    heading: ClassVar[str] = ""
+    section: ClassVar[str] = ""
+    order: ClassVar[int] = 50
+    square: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        _KNOWN[f"{cls.page}/{cls.name}"] = cls
+
+    def applies(self, result: Any) -> bool:
+        """Whether there is anything to draw."""
+        return True
+
+    def on_page(self, result: Any) -> bool:
+        """Whether it stands on the page, and not only in a file beside it."""
+        return True
+
+    @abstractmethod
+    def size(self, result: Any) -> tuple[float, float]:
+        """Inches."""
+
+    @abstractmethod
+    def draw(self, result: Any, figure: Figure) -> None:
+        """Draw on a figure of that size."""
+
+    @abstractmethod
+    def alt(self, result: Any) -> str:
+        """What it shows, for those who do not see it."""
+
+    @abstractmethod
+    def caption(self, result: Any) -> str:
+        """What stands under it."""
+
+    def drawn(self, result: Any) -> Figure:
+        """The finished figure."""
+        figure = Figure(figsize=self.size(result))
+        self.draw(result, figure)
+        return figure
+
+
+def registry(page: str) -> list[ReportFigure]:
+    """The figures of a page in their order."""
+    found = [cls() for cls in _KNOWN.values() if cls.page == page]
+    return sorted(found, key=lambda one: (one.order, one.name))
+
+
+Drawn = tuple[ReportFigure, Figure]
+
+
+def draw_all(page: str, result: Any) -> list[Drawn]:
+    """Every figure of a page that has something to show, drawn."""
+    return [(kind, kind.drawn(result)) for kind in registry(page) if kind.applies(result)]
+
+
+def by_section(
+    result: Any, drawn: Sequence[Drawn], sections: Sequence[str]
+) -> dict[str, list[dict[str, Any]]]:
+    """What a template shows of the figures on the page, by section; under "own" those of none of ``sections``."""
+    shown: dict[str, list[dict[str, Any]]] = {name: [] for name in (*sections, "own")}
+    for kind, figure in drawn:
+        if kind.on_page(result):
+            alt = kind.alt(result)
+            row = {
+                "name": kind.name,
+                "heading": kind.heading,
+                "svg": svg(figure, alt, square=kind.square),
+                "alt": alt,
+                "caption": kind.caption(result),
+            }
+            shown[kind.section if kind.section in sections else "own"].append(row)
+    return shown
+
+
+def png(figure: Figure) -> bytes:
+    """A figure on white ground."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=PNG_DPI, bbox_inches="tight", facecolor="white")
+    return stream.getvalue()
+
+
+def svg(figure: Figure, alt: str, *, square: bool = False) -> Any:
+    """A figure as an SVG element in the page's colours, for a reader and for a screen reader; markup that a template
+    does not escape: it is ours, and matplotlib escapes the names in it."""
+    from markupsafe import Markup
+
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", bbox_inches="tight", transparent=True, dpi=PNG_DPI)
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r'<g id="[^"]*_\d+">', "<g>", text)
+    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
+    for colour, ink in INKS.items():
+        text = text.replace(colour, f"var({ink})")
+    label = f'<svg role="img" aria-label="{html.escape(alt, quote=True)}"' + (
+        ' class="square"' if square else ""
+    )
+    return Markup(text.replace("<svg", label, 1))

@@ -27,10 +27,11 @@ from torchlc.diagnosis.refit import (
     refit,
 )
 from torchlc.diagnosis.starts import objective, screened
-from torchlc.effects import effect_class, every, registry
+from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import polish
-from torchlc.stages.effect import Effect, Entry, Quantity
+from torchlc.parameters import Quantity
+from torchlc.stages.effect import Entry
 
 MOST_RESCANS = 3
 """Times that an effect that was tried at every row is tried there again from its refit."""
@@ -121,7 +122,7 @@ def judged(fitted: Refit, scorer: Scorer) -> Found:
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
     """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
     ``name[target]``; of those in ``only`` if given, where a name stands for all its targets and divisions."""
-    entries = _carried(bench, registry())
+    entries = _carried(bench)
     if only is None:
         return entries
     return [
@@ -131,10 +132,10 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
     ]
 
 
-def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]:
+def _carried(bench: Workbench) -> list[str]:
     present = {effect.name for effect in bench.base.effects}
     entries = []
-    for name, cls in effects.items():
+    for name, cls in registry().items():
         if cls.stage == "noise" or name in present:
             continue
         for target in cls.targets(bench.base.context):
@@ -144,11 +145,6 @@ def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]
                     str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())
                 ]
     return entries
-
-
-def unlisted_entries(bench: Workbench) -> list[str]:
-    """Every effect that these data could carry and that is never named, only held against what would be."""
-    return _carried(bench, {name: cls for name, cls in every().items() if not cls.listed})
 
 
 def affordable(bench: Workbench, entries: Sequence[str]) -> list[str]:

@@ -25,7 +25,6 @@ class AttitudeDrift(Effect):
 
     name = "attitude_drift"
     stage = "attitude"
-    listed = False
     order = 1
     quantities = (_rate("x"), _rate("y"), _rate("z"))
 

@@ -29,7 +29,6 @@ class AttitudeJump(Effect):
 
     name = "attitude_jump"
     stage = "attitude"
-    listed = False
     order = 1
     scanned = "time"
     turning = "jump"

@@ -19,7 +19,6 @@ class WingSplit(Effect):
 
     name = "wing_split"
     stage = "pointing"
-    listed = False
     order = 1
     quantities = (
         Quantity(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
-from torchlc.effects import GEOMETRY_STAGES, every, registry
+from torchlc.effects import GEOMETRY_STAGES, registry
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import Track, make_track
 from torchlc.geometry.rotation.attitude import Attitude
@@ -416,7 +416,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
     for entry in wanted:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
-        if name not in every():
+        if name not in known:
             raise InputError(
                 scene.source,
                 "model.effects",
@@ -424,7 +424,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
                 f"one of {', '.join(known)}",
                 did_you_mean(name, known),
             )
-        cls = every()[name]
+        cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
@@ -441,7 +441,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         reason = effect.beside([other.name for other in found])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
-    order = list(every())
+    order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
 

@@ -38,7 +38,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf
-from torchlc.naming import ENTRY, Origin
+from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 
 if TYPE_CHECKING:
@@ -453,11 +453,14 @@ def turned_poses(
     return tuple(pose if pose is None else found.get(id(pose), pose) for pose in poses)
 
 
+EFFECTS: Registry[type[Effect]] = Registry("effect")
+"""Every effect by the name that a scene uses."""
+
+
 class Effect:
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
     and override the method of their stage; ``per`` gives each material or component its own set of
-    parameters; ``known`` switches it on by default; ``listed`` is false for one that a diagnosis only holds against what
-    it would name; ``nodes`` is by how much it multiplies the instants or
+    parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
     after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
@@ -475,7 +478,6 @@ class Effect:
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
     known: ClassVar[bool] = False
-    listed: ClassVar[bool] = True
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
@@ -491,6 +493,13 @@ class Effect:
     at_middle: ClassVar[bool] = False
     taken: frozenset[str] = frozenset()
     unable: ClassVar[str] = "the scene has nothing of this name"
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "name" in cls.__dict__ and getattr(cls, "stage", None) not in STAGES:
+            stage = getattr(cls, "stage", None)
+            raise TypeError(f"effect {cls.name!r}: stage {stage!r}; expected one of {', '.join(STAGES)}")
+        EFFECTS.declared(cls, "name")
 
     def __init__(self, target: str | None = None) -> None:
         self.target = target

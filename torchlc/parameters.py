@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -25,6 +26,16 @@ NEAR_POLE = 1e-24
 none."""
 
 
+QuantityRole = Literal[
+    "", "reflectance", "lobe reflectance", "nonlinear reflectance", "exponent", "width", "index"
+]
+"""What a number does to the light: a reflectance, of which light is linear if all other numbers stay ("lobe
+reflectance": of a lobe), or not linear; of a lobe its exponent, its width (rms slope times sqrt 2) or a refractive
+index; nothing of these."""
+LOBE_ROLES = frozenset(("lobe reflectance", "exponent", "width", "index"))
+"""Roles of numbers that only a glint tells."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A physical parameter, declared once beside its physics.
@@ -32,7 +43,8 @@ class Quantity:
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
     ``typical`` the size worth suspecting; ``prior`` (one of PRIORS) is the default, with ``mean`` and ``sigma``.
     A latitude in degrees whose direction may point anywhere alike declares ``isotropic``. What has a value ``unless_set``
-    keeps it where the scene says nothing.
+    keeps it where the scene says nothing. ``role`` is what a law of reflection uses it for: fits, samplers and the sizes of
+    facets go by it.
     """
 
     name: str
@@ -46,6 +58,17 @@ class Quantity:
     mean: float | None = None
     sigma: float | None = None
     unless_set: float | None = None
+    role: QuantityRole = ""
+
+    @property
+    def is_reflectance(self) -> bool:
+        """Whether light is linear in it."""
+        return self.role in ("reflectance", "lobe reflectance")
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether it makes a surface brighter or fainter as a whole."""
+        return self.is_reflectance or self.role == "nonlinear reflectance"
 
 
 @dataclass(frozen=True)
@@ -241,7 +264,8 @@ class LatitudeTransform(transforms.Transform):
 
 @dataclass(frozen=True)
 class Free:
-    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is."""
+    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is, ``quantity``
+    which number."""
 
     name: str
     prior: Prior
@@ -249,6 +273,15 @@ class Free:
     unit: str = ""
     meaning: str = ""
     origin: Origin = NOBODY
+    quantity: Quantity | None = None
+
+    @property
+    def is_reflectance(self) -> bool:
+        return self.quantity is not None and self.quantity.is_reflectance
+
+    @property
+    def role(self) -> QuantityRole:
+        return "" if self.quantity is None else self.quantity.role
 
 
 def prior_of(quantity: Quantity) -> Prior:

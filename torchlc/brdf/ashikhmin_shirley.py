@@ -48,10 +48,16 @@ class AshikhminShirley(Brdf):
 
     model: ClassVar[str] = "ashikhmin-shirley"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform"),
-        Quantity("n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform"),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform", role="exponent"
+        ),
+        Quantity(
+            "n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform", role="exponent"
+        ),
+        Quantity(
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role="lobe reflectance"
+        ),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
@@ -147,12 +153,12 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     logs, slopes, steady = [], [], False
     for step, x in enumerate(grid):
         n = torch.expm1(x)
+        if step % finer and step < smooth:
+            continue  # as good from its neighbours
         if steady:
             logs.append(logs[-1])
             slopes.append(torch.zeros_like(logs[-1]))
             continue
-        if step % finer and step < smooth:
-            continue  # as good from its neighbours
         if step % (finer * STEPS_BETWEEN) == 0 and len(log_half) >= SORTED_FROM:
             depth = (
                 n * (log_half - brightest)

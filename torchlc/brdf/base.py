@@ -15,10 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from torchlc.errors import InputError
+from torchlc.naming import Registry
 from torchlc.parameters import Quantity
 from torchlc.tensors.vectors import dot
 
-MODELS: dict[str, type[Brdf]] = {}
+MODELS: Registry[type[Brdf]] = Registry("law of reflection")
 """Every reflection model by the name a scene uses; a class enters by being defined."""
 
 TINY_COS = 1e-15
@@ -176,14 +177,15 @@ class Brdf(nn.Module):
     defaults: ClassVar[Mapping[str, float]] = {}
     form_of: ClassVar[str] = ""
     """The law under whose name a scene may ask for this one too, by the keys that it gives."""
-    curved: ClassVar[tuple[str, ...]] = ()
-    """Reflectances in which light is not linear, for more than one factor of them is in it."""
+    alternative: ClassVar[Mapping[str, float]] = {}
+    """Where the numbers of its lobe start if a diagnosis tries this law in place of a scene's own; a law without them is
+    never tried."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        MODELS[cls.model] = cls
+        MODELS.declared(cls, "model")
 
     def __init__(
         self,

@@ -33,11 +33,14 @@ class CookTorrance(Brdf):
 
     model: ClassVar[str] = "cook-torrance"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform"),
-        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+        ),
+        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence", role="lobe reflectance"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
+    alternative: ClassVar[Mapping[str, float]] = {"m": 0.2, "f0": 0.2}
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
@@ -74,11 +77,14 @@ class CookTorranceDielectric(CookTorrance):
 
     model: ClassVar[str] = "cook-torrance-dielectric"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform"),
-        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+        ),
+        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric", role="index"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ()
+    alternative: ClassVar[Mapping[str, float]] = {}
     form_of: ClassVar[str] = "cook-torrance"
 
     @staticmethod
@@ -111,10 +117,12 @@ class CookTorranceConductor(CookTorranceDielectric):
 
     model: ClassVar[str] = "cook-torrance-conductor"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform"),
-        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index"),
-        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+        ),
+        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index", role="index"),
+        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index", role="index"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
 
     @staticmethod

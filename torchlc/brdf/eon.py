@@ -30,12 +30,16 @@ class Eon(Brdf):
     model: ClassVar[str] = "eon"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "albedo", "", 0.0, 1.0, "share of the light that is scattered each time it meets the surface"
+            "albedo",
+            "",
+            0.0,
+            1.0,
+            "share of the light that is scattered each time it meets the surface",
+            role="nonlinear reflectance",
         ),
         Quantity("roughness", "", 0.0, 1.0, "0: Lambert's law; 1: as rough as the law goes"),
     )
     additive: ClassVar[bool] = True
-    curved: ClassVar[tuple[str, ...]] = ("albedo",)
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

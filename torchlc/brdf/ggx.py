@@ -33,11 +33,20 @@ class Ggx(Brdf):
 
     model: ClassVar[str] = "ggx"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
-        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "alpha",
+            "",
+            1e-3,
+            1.0,
+            "roughness: width of the slope distribution",
+            prior="loguniform",
+            role="width",
+        ),
+        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence", role="lobe reflectance"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
+    alternative: ClassVar[Mapping[str, float]] = {"alpha": 0.2, "f0": 0.2}
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
@@ -75,11 +84,20 @@ class GgxDielectric(Ggx):
 
     model: ClassVar[str] = "ggx-dielectric"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
-        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "alpha",
+            "",
+            1e-3,
+            1.0,
+            "roughness: width of the slope distribution",
+            prior="loguniform",
+            role="width",
+        ),
+        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric", role="index"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ()
+    alternative: ClassVar[Mapping[str, float]] = {}
     form_of: ClassVar[str] = "ggx"
 
     @staticmethod
@@ -111,10 +129,18 @@ class GgxConductor(GgxDielectric):
 
     model: ClassVar[str] = "ggx-conductor"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("alpha", "", 1e-3, 1.0, "roughness: width of the slope distribution", prior="loguniform"),
-        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index"),
-        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "alpha",
+            "",
+            1e-3,
+            1.0,
+            "roughness: width of the slope distribution",
+            prior="loguniform",
+            role="width",
+        ),
+        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index", role="index"),
+        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index", role="index"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
 
     @staticmethod

@@ -17,7 +17,7 @@ class Lambert(Brdf):
 
     model: ClassVar[str] = "lambert"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("albedo", "", 0.0, 1.0, "share of the incident light that is scattered"),
+        Quantity("albedo", "", 0.0, 1.0, "share of the incident light that is scattered", role="reflectance"),
     )
     additive: ClassVar[bool] = True
 

@@ -29,7 +29,14 @@ class OrenNayar(Brdf):
 
     model: ClassVar[str] = "oren-nayar"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("albedo", "", 0.0, 1.0, "share of the light that the walls of cavities scatter"),
+        Quantity(
+            "albedo",
+            "",
+            0.0,
+            1.0,
+            "share of the light that the walls of cavities scatter",
+            role="reflectance",
+        ),
         Quantity("sigma", "deg", 0.0, 40.0, "standard deviation of the angles of the cavities' walls"),
     )
     additive: ClassVar[bool] = True

@@ -23,9 +23,13 @@ class PhongHalf(Brdf):
 
     model: ClassVar[str] = "phong-half"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("n", "", 0.0, 1e6, "lobe exponent about the half vector", prior="loguniform"),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "n", "", 0.0, 1e6, "lobe exponent about the half vector", prior="loguniform", role="exponent"
+        ),
+        Quantity(
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role="lobe reflectance"
+        ),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
 

@@ -24,9 +24,13 @@ class PhongMirror(Brdf):
 
     model: ClassVar[str] = "phong-mirror"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("n", "", 0.0, 1e6, "lobe exponent about the mirror direction", prior="loguniform"),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "n", "", 0.0, 1e6, "lobe exponent about the mirror direction", prior="loguniform", role="exponent"
+        ),
+        Quantity(
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role="lobe reflectance"
+        ),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
 

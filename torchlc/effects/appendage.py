@@ -21,6 +21,7 @@ class Appendage(Effect):
     stage = "surface"
     order = 1
     brdf = AshikhminShirley
+    simplex = ("r_spec", "r_diff")
     quantities = (
         Quantity(
             "area", "m2", 0.0, 10.0, "area of one side", off=0.0, typical=1.0, prior="halfnormal", sigma=2.0
@@ -42,9 +43,17 @@ class Appendage(Effect):
             typical=45.0,
             prior="isotropic",
         ),
-        Quantity("n", "", 1.0, 1e6, "lobe exponent", typical=100.0, prior="loguniform"),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", typical=0.3),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", typical=0.3),
+        Quantity("n", "", 1.0, 1e6, "lobe exponent", typical=100.0, prior="loguniform", role="exponent"),
+        Quantity(
+            "r_spec",
+            "",
+            0.0,
+            1.0,
+            "mirror-like reflectance at normal incidence",
+            typical=0.3,
+            role="lobe reflectance",
+        ),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", typical=0.3, role="reflectance"),
     )
 
     def surface(self, patches, view, p, context):

@@ -19,16 +19,40 @@ class SecondMaterial(Effect):
     stage = "material"
     order = 2
     per = "material"
+    simplex = ("r_spec", "r_diff")
     unable = "the material is not of Ashikhmin and Shirley's model"
     quantities = (
         Quantity(
             "weight", "", 0.0, 1.0, "share of the area that is the second material", off=0.0, typical=0.2
         ),
         Quantity(
-            "n", "", 1.0, 1e6, "lobe exponent of the second material", typical=2000.0, prior="loguniform"
+            "n",
+            "",
+            1.0,
+            1e6,
+            "lobe exponent of the second material",
+            typical=2000.0,
+            prior="loguniform",
+            role="exponent",
         ),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance of the second material", typical=0.3),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance of the second material", typical=0.2),
+        Quantity(
+            "r_spec",
+            "",
+            0.0,
+            1.0,
+            "mirror-like reflectance of the second material",
+            typical=0.3,
+            role="lobe reflectance",
+        ),
+        Quantity(
+            "r_diff",
+            "",
+            0.0,
+            1.0,
+            "diffuse reflectance of the second material",
+            typical=0.2,
+            role="reflectance",
+        ),
     )
 
     @classmethod

@@ -23,7 +23,7 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import DARKEST, LightCurve
 from torchlc.naming import Origin
-from torchlc.parameters import Prior
+from torchlc.parameters import LOBE_ROLES, Free, Prior
 from torchlc.shapes import Band, Dome
 from torchlc.stages.effect import View
 
@@ -49,7 +49,6 @@ LOOKED_AT = 400
 FAINTEST_LOOKED_AT = 0.01
 """Share of the median row's light below which an exposure is not looked at."""
 FACETS_AT_ONCE = 2_000_000
-SCALES = ("albedo", "r_spec", "r_diff")
 
 
 @dataclass(frozen=True)
@@ -260,12 +259,12 @@ def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
         return []
     names, free = likelihood.model.names, likelihood.model.parameter_set.free
     found = []
-    kinds: tuple[Callable[[Origin], bool], ...] = (
-        lambda origin: origin.quantity in SCALES and origin.target is None,
-        lambda origin: origin.role == "components",
+    kinds: tuple[Callable[[Free], bool], ...] = (
+        lambda free: free.quantity is not None and free.quantity.is_scale and free.origin.target is None,
+        lambda free: free.origin.role == "components",
     )
     for of_kind in kinds:
-        index = [i for i, one in enumerate(free) if of_kind(one.origin)]
+        index = [i for i, one in enumerate(free) if of_kind(one)]
         if not index:
             continue
         scaled = best.clone()
@@ -305,7 +304,7 @@ def _reason(
     kind = model.assembly.models[owner]
     values = model.assembly.material_values(owner, kind, model.values(best))
     width = math.degrees(math.sqrt(float(kind.lobe_variance(values))))
-    of_lobe = short in ("n", "n_u", "n_v", "r_spec", "f0", "ior", "eta", "k", "alpha", "m")
+    of_lobe = kind.quantity(short).role in LOBE_ROLES
     if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
         return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
     if share < 0.2:

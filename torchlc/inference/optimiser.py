@@ -103,7 +103,7 @@ def find_modes(
         return [_evaluated(likelihood)], [], None
     generator = torch.Generator().manual_seed(seed)
     draws = parameters.sample_prior(max(starts - 1, 0), generator)
-    draws = _crowded(parameters.quantities, draws, generator)
+    draws = _crowded([one.role for one in parameters.free], draws, generator)
     points = torch.cat(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
@@ -397,9 +397,9 @@ def _differences(
     return torch.nan_to_num((up - down) / (2 * size)), torch.nan_to_num(hessian / size[:, None] / size)
 
 
-def _crowded(quantities: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
+def _crowded(roles: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
     """Every other start has its lobe reflectances near 0, where the best minimum of a faint lobe lies."""
-    columns = [i for i, name in enumerate(quantities) if name in ("r_spec", "f0")]
+    columns = [i for i, role in enumerate(roles) if role == "lobe reflectance"]
     if columns and len(draws):
         shrink = torch.rand(len(draws), len(columns), generator=generator, dtype=draws.dtype) ** 3
         shrink[1::2] = 1.0

@@ -14,7 +14,6 @@ from torch import Tensor
 from torchlc.inference.likelihood import MAG_PER_LN, power_difference
 from torchlc.lightcurve.model import LightCurve
 
-NAMES = ("r_spec", "r_diff", "f0", "albedo")
 REWEIGHTED = 2
 """Times that a regression is done again about its own result, so that it is one of magnitudes, not of flux."""
 
@@ -22,14 +21,7 @@ REWEIGHTED = 2
 def linear_columns(model: LightCurve) -> list[int]:
     """Columns of theta that are reflectances, of which light is linear, and do not move the geometry."""
     moving = set(model.assembly.geometry_columns)
-    places = [(parameter.origin, i) for i, parameter in enumerate(model.parameter_set.free)]
-    laws = model.assembly.models
-    curved = {(owner, name) for owner, law in laws.items() for name in law.curved}
-    return [
-        i
-        for origin, i in places
-        if origin.quantity in NAMES and i not in moving and (origin.owner, origin.quantity) not in curved
-    ]
+    return [i for i, free in enumerate(model.parameter_set.free) if free.is_reflectance and i not in moving]
 
 
 def linear_light(model: LightCurve, x: Tensor, linear: list[int]) -> tuple[Tensor, Tensor]:

@@ -333,14 +333,16 @@ def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
     finest = {}
     for name, material in scene.materials.items():
         bounds = [1.0]
+        law = MODELS[material.model]
         for key, number in material.parameters.items():
-            if key in ("n", "n_u", "n_v"):
+            role = law.quantity(key).role
+            if role == "exponent":
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
                     bounds.append(min(top, max(sharpest, number.value)))
                 else:
                     bounds.append(number)
-            elif key in ("alpha", "m"):
+            elif role == "width":
                 width = number.value if isinstance(number, SceneFree) else number
                 bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
         finest[name] = max(bounds)
@@ -561,7 +563,7 @@ def _parameters(
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical
             begin = 0.0 if start is None else start
-            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin))
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin, quantity))
         elif isinstance(number, SceneFree):
             if number.prior == "isotropic" and quantity.prior != "isotropic":
                 raise InputError(
@@ -594,7 +596,7 @@ def _parameters(
             if full in pinned:
                 fixed[full] = pinned[full]
             else:
-                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose))
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose, quantity))
 
     numbers = scene.numbers()
     for name, origin in scene.origins().items():
@@ -634,9 +636,9 @@ def _parameters(
         for a, b in zip(models[material].simplex, models[material].simplex[1:], strict=False)
     ]
     simplex += [
-        (effect.full_name("r_spec"), effect.full_name("r_diff"))
+        (effect.full_name(a), effect.full_name(b))
         for effect in effects
-        if {"r_spec", "r_diff"} <= {quantity.name for quantity in effect.quantities}
+        for a, b in zip(effect.simplex, effect.simplex[1:], strict=False)
     ]
     return ParameterSet(free, fixed, simplex), divided, origins
 

@@ -26,13 +26,13 @@ from torchlc.diagnosis.refit import (
 )
 from torchlc.diagnosis.run import diagnose
 from torchlc.diagnosis.search import Found, candidate_entries, judged, released, stuck, unaided
+from torchlc.files.numbers import Free
 from torchlc.inference.likelihood import matern32
 from torchlc.inference.optimiser import find_modes, polish
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from torchlc.brdf import MODELS, Brdf
+from torchlc.files.numbers import Free
 from torchlc.parameters import LOBE_ROLES
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 from torchlc.scene.parts import Material
 
 

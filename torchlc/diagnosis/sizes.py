@@ -9,10 +9,10 @@ import torch
 from torchlc.diagnosis.evidence import Scorer
 from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, refit
 from torchlc.diagnosis.search import Found, judged
+from torchlc.files.numbers import Free
 from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Entry
 
 SIZES = ("size", "radius", "length")

@@ -23,7 +23,6 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
-from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
@@ -492,15 +491,15 @@ def _end(prior: Prior, side: float) -> float:
 
 
 def _check_axes(effect: Effect, scene: Scene, context: Context) -> None:
-    """InputError where an effect on a material gives it numbers along u and v, and a mesh of it has no such axes."""
+    """InputError where an effect on a material gives it numbers along u and v, and the facets of a part of it have no such axes."""
     numbers = {quantity.name for quantity in effect.quantities}
     for component in scene.components if effect.stage == "material" else ():
-        if not isinstance(component, Mesh) or component.has_axes:
+        if component.axes_wanted is None:
             continue
         apart = context.models[component.material].along_axes
         if effect.target in (None, component.material) and len(numbers.intersection(apart)) > 1:
-            found = f"{effect.name} has {' and '.join(apart)} apart, and the mesh says nothing of the direction of u"
-            raise InputError(scene.source, f"component {component.name!r}", found, AXES_OF_A_MESH)
+            found = f"{effect.name} has {' and '.join(apart)} apart, and the {component.shape} says nothing of the direction of u"
+            raise InputError(scene.source, f"component {component.name!r}", found, component.axes_wanted)
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchlc.brdf.base import Incidence, incidence
 from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
-from torchlc.shapes.flat import Plate
+from torchlc.shapes.plate import Plate
 from torchlc.shapes.part import like
 from torchlc.stages.effect import Context, View
 from torchlc.tensors.autodiff_state import traced

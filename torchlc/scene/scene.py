@@ -13,11 +13,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationError
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import Free, Name, Table, Title
 from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
 from torchlc.naming import Origin, full_names
 from torchlc.scene.checks import checked
-from torchlc.scene.numbers import Free, Name, Table, Title
-from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
+from torchlc.scene.parts import Attitude, ComponentOfAnyShape, Material, Model, Orbit, Station
 from torchlc.scene.problems import of_toml, of_validation
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
@@ -32,7 +32,7 @@ class Scene(Table):
     orbit: Orbit
     stations: list[Station] = Field(default_factory=list)
     attitude: Attitude
-    components: Annotated[list[Component], Field(min_length=1, max_length=1000)]
+    components: Annotated[list[ComponentOfAnyShape], Field(min_length=1, max_length=1000)]
     materials: dict[Name, Material]
     model: Model = Model()
 
@@ -150,8 +150,8 @@ class Scene(Table):
         """Names of the files that the scene needs, by their place in it."""
         named = {"attitude.file": self.attitude.file}
         named |= {f"orbit.{key}": getattr(self.orbit, key) for key in ("tle_file", "oem_file")}
-        meshes = enumerate(self.components)
-        named |= {f"components[{i}].file": one.file for i, one in meshes if isinstance(one, Mesh)}
+        for index, component in enumerate(self.components):
+            named |= {f"components[{index}].{key}": name for key, name in component.files().items()}
         return {place: name for place, name in named.items() if name is not None}
 
     def file_path(self, name: str) -> Path:

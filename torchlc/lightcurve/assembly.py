@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
@@ -180,8 +180,21 @@ class Assembly:
 
     @property
     def geometry_free(self) -> bool:
-        """True if a free parameter moves the geometry."""
-        return bool(self.geometry_columns)
+        """True if the tables of the geometry cannot be kept: a free parameter moves it, or an effect learns it."""
+        return bool(self.geometry_columns) or self.learns_geometry
+
+    @cached_property
+    def learns_geometry(self) -> bool:
+        """True if an effect that learns acts where tables would hold what it did: they are then made anew at every call."""
+        held = {*GEOMETRY_STAGES, "scatter"}
+        return any(effect.stage in held and effect.learns for effect in self.effects)
+
+    @property
+    def learners(self) -> dict[str, nn.Module]:
+        """What learns beside the free parameters, by whose it is: effects and laws of materials."""
+        effects = {f"effects.{effect.entry}": effect for effect in self.effects}
+        laws = {f"materials.{name}": law for name, law in self.models.items() if isinstance(law, nn.Module)}
+        return {name: module for name, module in (effects | laws).items() if _has_state(module)}
 
     def stage(self, name: str) -> list[Effect]:
         return [effect for effect in self.effects if effect.stage == name]
@@ -270,7 +283,7 @@ def assemble(
             shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
-    models = {name: MODELS[material.model] for name, material in scene.materials.items()}
+    models = {name: _law(MODELS[material.model], name, base) for name, material in scene.materials.items()}
     context = (
         base.context
         if base is not None
@@ -284,6 +297,9 @@ def assemble(
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
+    for effect, learned in ((one, other) for one in chosen for other in (base.effects if base else ())):
+        if type(effect) is type(learned) and effect.entry == learned.entry and learned.learns:
+            effect.share(learned)
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
@@ -311,9 +327,19 @@ def assemble(
     )
 
 
+def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:
+    """The law of a material; that of ``base`` if it is the same, with what it has learnt."""
+    own = None if base is None else base.models.get(material)
+    return own if isinstance(own, law) else law.of_material()
+
+
 def exposures(context: Context) -> Tensor:
     """The longest time that each exposure may take, (T,), s: as recorded, else the cadence."""
     return torch.full_like(context.seconds, context.cadence) if context.exptime is None else context.exptime
+
+
+def _has_state(module: nn.Module) -> bool:
+    return next(module.parameters(), None) is not None or next(module.buffers(), None) is not None
 
 
 def _is_material(model: type[Brdf], short: str) -> bool:

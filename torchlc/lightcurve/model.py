@@ -118,7 +118,7 @@ class LightCurve(nn.Module):
     ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The
     free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as
     ``free.<owner>.<name>`` with "." and "%" in names as %2E and %25; ``names`` lists them in the order of theta and ``theta()`` gives their natural
-    values. Neglects everything that is not among ``effects``.
+    values. What effects and laws learn beside these, such as networks, is in ``learners``. Neglects everything that is not among ``effects``.
     """
 
     def __init__(
@@ -143,6 +143,8 @@ class LightCurve(nn.Module):
                 self.free[owner] = nn.ParameterDict()
             self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
             self._keys.append((owner, short))
+        learners = {module_key(name): module for name, module in self.assembly.learners.items()}
+        self.learners = nn.ModuleDict(learners).to(self.assembly.dtype)
         shared = sibling is not None and sibling.tables_key == self.tables_key
         self._tables: dict[bool, Tables] = sibling._tables if shared and sibling is not None else {}
         self._nodes: dict[bool, tuple[list[Tables], float]] = (
@@ -265,6 +267,8 @@ class LightCurve(nn.Module):
 
     def _together(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) of a free geometry worked out together; None where each is worked out by itself."""
+        if self.assembly.learns_geometry:
+            return None
         if self._only_clock:
             return self._interpolated(flat, shares)
         if self._stepping is not None:
@@ -334,6 +338,7 @@ class LightCurve(nn.Module):
             and not a.stage("scatter")
             and not self._only_clock
             and self._stepping is None
+            and not a.learns_geometry
         )
 
     def _moved(self, flat: Tensor, shares: bool) -> Brightness:
@@ -615,7 +620,7 @@ class LightCurve(nn.Module):
         """Clock to attitude; kept where no free parameter has a part in it."""
         a = self.assembly
         several = any(effect.nodes > 1 for effect in a.stage("clock"))
-        late = LATE.issuperset(a.moving.values()) and not several
+        late = LATE.issuperset(a.moving.values()) and not several and not a.learns_geometry
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
         context, row = a.optics, a.instant_row

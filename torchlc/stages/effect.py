@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
@@ -457,7 +457,7 @@ EFFECTS: Registry[type[Effect]] = Registry("effect")
 """Every effect by the name that a scene uses."""
 
 
-class Effect:
+class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
     and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
@@ -471,7 +471,10 @@ class Effect:
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
-    scatter that is worked out for mid-exposure alone."""
+    scatter that is worked out for mid-exposure alone.
+
+    An effect may learn: what ``__init__`` sets as ``nn.Parameter`` or ``nn.Module`` (a small network) is a part of the
+    light curve that has the effect, for an optimiser of its own; fits and samplers leave it as it is."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -503,10 +506,20 @@ class Effect:
         EFFECTS.declared(cls, "name")
 
     def __init__(self, target: str | None = None) -> None:
+        super().__init__()
         self.target = target
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.target or ''})"
+
+    @property
+    def learns(self) -> bool:
+        """Whether it has parameters of its own beside its quantities."""
+        return next(self.parameters(), None) is not None
+
+    def share(self, other: Effect) -> None:
+        """Have the other's parameters, buffers and modules as its own."""
+        self._parameters, self._buffers, self._modules = other._parameters, other._buffers, other._modules
 
     @property
     def entry(self) -> str:

@@ -18,7 +18,7 @@ import torchlc
 from tests.effects.passes import rows
 from tests.paper_orbits import ORBIT_1
 from torchlc.brdf import MODELS, Brdf
-from torchlc.brdf.base import lambert, per_epoch, retro
+from torchlc.brdf.base import lambert, per_epoch
 from torchlc.cli import completion
 from torchlc.effects import Effect, registry
 from torchlc.files.numbers import Size
@@ -45,7 +45,15 @@ class ThinCloud(Effect):
     stage = "detector"
     quantities = (
         Quantity(
-            "mag", "mag", 0.0, 3.0, "dimming in the middle", off=0.0, typical=0.2, prior="halfnormal", sigma=0.3
+            "mag",
+            "mag",
+            0.0,
+            3.0,
+            "dimming in the middle",
+            off=0.0,
+            typical=0.2,
+            prior="halfnormal",
+            sigma=0.3,
         ),
         Quantity("hour", "h", 0.0, 6.0, "its middle", typical=3.0),
     )
@@ -165,7 +173,7 @@ material = "paint"
 [materials.paint]
 model = "constant-glow"
 glow = {{ value = 0.05, low = 0.0, high = 1.0 }}
-r_diff = {{ value = 0.4, low = 0.0, high = 1.0 }}
+r_diff = DIFFUSE
 [model]
 effects = EFFECTS
 [model.parameters]
@@ -175,9 +183,12 @@ PARAMETERS
 TRUE_CLOUD = '"thin_cloud.mag" = 0.5\n"thin_cloud.hour" = 3.1'
 
 
-def scene_with(effects="[]", parameters="", radius="1.0", more=""):
-    text = TEXT.replace("RADIUS", radius).replace("EFFECTS", effects).replace("PARAMETERS", parameters)
-    return Scene.from_toml(text + more, known_effects=registry())
+def scene_with(effects="[]", parameters="", radius="1.0", r_diff="{ value = 0.4, low = 0.0, high = 1.0 }"):
+    numbers = {"RADIUS": radius, "EFFECTS": effects, "PARAMETERS": parameters, "DIFFUSE": r_diff}
+    text = TEXT
+    for word, number in numbers.items():
+        text = text.replace(word, number)
+    return Scene.from_toml(text, known_effects=registry())
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +198,7 @@ def recording():
     curve = torchlc.simulate(
         cloudy, start="2020-10-17T14:00:00", hours=6.0, cadence=300.0, noise=0.01, seed=4
     )
-    return curve.recording
+    return replace(curve.recording, observed=curve.mag, error=np.full(len(curve.mag), 0.01))
 
 
 def test_a_hexagon_is_six_rectangles_and_two_hexagons():
@@ -201,8 +212,7 @@ def test_a_hexagon_is_six_rectangles_and_two_hexagons():
 
 def test_they_shine_as_elementary_geometry_says():
     """Of a body whose light goes with the area alone: the areas of the facets that are lit and seen."""
-    text = scene_with().to_toml().replace("r_diff = { value = 0.4, low = 0.0, high = 1.0 }", "r_diff = 0.0")
-    scene = Scene.from_toml(text)
+    scene = scene_with(r_diff="0.0")
     model = LightCurve(scene, rows(scene), effects=[])
     view = model.view(model.values())
     facets = view.facets[0]
@@ -213,11 +223,7 @@ def test_they_shine_as_elementary_geometry_says():
 
 def test_fit_and_report(recording, tmp_path):
     """Effect, law, a free size and the figure in one fit: the truth within five standard deviations."""
-    scene = scene_with(
-        '["thin_cloud"]',
-        radius="1.0",
-        parameters='"thin_cloud.hour" = 3.1',
-    )
+    scene = scene_with('["thin_cloud"]', '"thin_cloud.hour" = 3.1')
     result = torchlc.fit(scene, recording, steps=40, out=tmp_path / "fit")
     assert result.names == ["paint.glow", "paint.r_diff", "thin_cloud.mag"]
     truth = {"paint.glow": 0.05, "paint.r_diff": 0.4, "thin_cloud.mag": 0.5}
@@ -254,7 +260,9 @@ def test_diagnose_names_the_cloud(recording):
 def test_a_law_stands_in_for_another_if_it_says_so():
     from torchlc.diagnosis.brdf_alternatives import under_other_laws
 
-    glossy = scene_with().to_toml().replace('model = "constant-glow"', 'model = "ashikhmin-shirley"\nn = 50.0')
+    glossy = (
+        scene_with().to_toml().replace('model = "constant-glow"', 'model = "ashikhmin-shirley"\nn = 50.0')
+    )
     others = under_other_laws(Scene.from_toml(glossy.replace("glow =", "r_spec =")))
     assert set(others) == {"ggx", "cook-torrance", "constant-glow"}
     assert set(others["constant-glow"].materials["paint"].parameters) == {"glow", "r_diff"}
@@ -264,7 +272,9 @@ def test_every_list_knows_them():
     assert "thin_cloud" in {effect["name"] for effect in effects_listing()}
     assert completion.effects("thin_c") == ["thin_cloud"]
     assert completion.laws("constant") == ["constant-glow"]
-    with pytest.raises(torchlc.InputError, match=r"shape: 'hexagn'; expected one of .*hexagon.*Did you mean 'hexagon'"):
+    with pytest.raises(
+        torchlc.InputError, match=r"shape: 'hexagn'; expected one of .*hexagon.*Did you mean 'hexagon'"
+    ):
         Scene.from_toml(scene_with().to_toml().replace('"hexagon"', '"hexagn"'))
     with pytest.raises(torchlc.InputError, match="constant-glow"):
         Scene.from_toml(scene_with().to_toml().replace('"constant-glow"', '"constant-glw"'))
@@ -368,7 +378,7 @@ def test_a_network_is_a_submodule(kind, tmp_path):
     assert all(parameter.dtype == torch.float64 for parameter in model.parameters())
 
     before = model().detach()
-    target = before + 0.1 * torch.sin(torch.arange(len(before)))
+    target = before - 0.2
     optimiser = torch.optim.Adam(model.learners.parameters(), lr=0.05)
     losses = []
     for _ in range(40):
@@ -377,7 +387,7 @@ def test_a_network_is_a_submodule(kind, tmp_path):
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
-    assert losses[-1] < 0.9 * losses[0]
+    assert losses[-1] < 0.5 * losses[0]
 
     after = model().detach()
     copied, pickled = copy.deepcopy(model), pickle.loads(pickle.dumps(model))
@@ -394,7 +404,7 @@ def test_a_network_is_a_submodule(kind, tmp_path):
     likelihood = Likelihood(model)
     assert torch.isfinite(likelihood.log_prob(model.theta().detach()))
     assert likelihood.log_prob(model.theta().detach()[None].repeat(3, 1)).shape == (3,)
-    assert not model.to(torch.float32).state_dict()[learnt[0]].dtype == torch.float64
+    assert model.to(torch.float32).state_dict()[learnt[0]].dtype == torch.float32
 
 
 def test_models_of_one_assembly_and_hypotheses_beside_it_have_what_it_learnt():

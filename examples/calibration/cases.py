@@ -28,7 +28,15 @@ SIZES = {"small": 3.0, "medium": 6.0, "large": 20.0}
 THREE_SIZES = ("panel_offset", "attitude_offset", "self_shadowing", "exposure_smearing", "appendage",
                "second_material", "lobe_tail", "time_offset", "spin_rate_offset", "zero_point_drift",
                "background")  # fmt: skip
-ONE_SIZE = ("attitude_jump", "wing_split", "earth_shadow", "interreflection", "earthshine", "light_time", "sun_distance")
+ONE_SIZE = (
+    "attitude_jump",
+    "wing_split",
+    "earth_shadow",
+    "interreflection",
+    "earthshine",
+    "light_time",
+    "sun_distance",
+)
 ELSEWHERE = (  # the same effects on other objects, medium or large
     ("time_offset", "leo"), ("time_offset", "box"), ("panel_offset", "meo"), ("panel_offset", "leo"),
     ("exposure_smearing", "rocket"), ("spin_rate_offset", "rocket"), ("background", "rocket"),

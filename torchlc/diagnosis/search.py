@@ -358,8 +358,14 @@ def _divided(
 
 def nameable(found: Found) -> bool:
     """The parameters of every added effect are inside their bounds, which hold SPREADS of a divided offset's: one
-    that scatters more is no error of calibration, whatever it mends."""
+    that scatters more is no error of calibration, whatever it mends. An effect with an onset that comes to the first or
+    the last row is none: it is there all the time, or never."""
     for entry in found.hypothesis.added:
+        onset = scanned_column(entry)
+        if onset is not None:
+            columns = effect_columns(found.refit.model.parameter_set, entry)
+            if len(columns) > onset and bool(found.refit.held[columns[onset]]):
+                return False
         parsed = Entry.parse(entry)
         if parsed.width is not None:
             (one,) = effect_class(entry).quantities

@@ -18,8 +18,8 @@ from torch import Tensor
 from torchlc.brdf.base import Incidence, incidence
 from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
-from torchlc.shapes.plate import Plate
 from torchlc.shapes.part import like
+from torchlc.shapes.plate import Plate
 from torchlc.stages.effect import Context, View
 from torchlc.tensors.autodiff_state import traced
 from torchlc.visibility.batched_rows import picked, rowwise

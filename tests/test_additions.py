@@ -28,6 +28,7 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.naming import Replaced
 from torchlc.parameters import Quantity
 from torchlc.report.figures import ReportFigure
+from torchlc.report.figures.contract import FIGURES
 from torchlc.report.listing import effects_listing
 from torchlc.scene import Scene
 from torchlc.shapes import SHAPES, Component, Facets, Hull, Part
@@ -146,6 +147,16 @@ class Spread(ReportFigure):
 
     def caption(self, result):
         return "A straight middle says that most residuals are alike."
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known():
+    """The classes are known to this module's tests alone: others list what the package has."""
+    for registry_, name, cls in MINE:
+        registry_.enter(name, cls)
+    yield
+    for registry_, name, _ in MINE:
+        registry_.pop(name)
 
 
 first, second = ORBIT_1
@@ -281,20 +292,20 @@ def test_every_list_knows_them():
 
 
 def test_a_class_that_is_defined_again_replaces_the_first_with_a_word():
-    for known, base, attribute, name in (
+    for table, base, attribute, name in (
         (EFFECTS, ThinCloud, "name", "thin_cloud"),
         (MODELS, ConstantGlow, "model", "constant-glow"),
         (SHAPES, Hexagon, "kind", "hexagon"),
     ):
         with pytest.warns(Replaced, match=f"{name}' is now .*Again"):
             again = type("Again", (base,), {attribute: name, "__module__": __name__})
-        assert known[name] is again
+        assert table[name] is again
         with pytest.warns(Replaced):
-            known.enter(name, base)
+            table.enter(name, base)
     with pytest.warns(Replaced, match="'fit/spread'"):
         type("Again", (Spread,), {"name": "spread"})
     with pytest.warns(Replaced):
-        type("Back", (Spread,), {"name": "spread"})
+        FIGURES.enter("fit/spread", Spread)
 
 
 def test_an_effect_of_no_stage_is_refused_at_once():
@@ -446,3 +457,13 @@ def test_what_is_learnt_on_the_way_of_the_light_is_in_no_kept_table():
 
 def test_the_listings_are_json():
     json.dumps(effects_listing(), allow_nan=False)
+
+
+MINE = [
+    (registry_, name, cls)
+    for registry_ in (EFFECTS, MODELS, SHAPES, FIGURES)
+    for name, cls in registry_.outside().items()
+    if cls.__module__ == __name__
+]
+for registry_, name, _ in MINE:
+    registry_.pop(name)

@@ -272,7 +272,7 @@ def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
 def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
     """(T,) float64; a blank cell is not-a-number."""
     try:
-        return decimals(cells)
+        return np.array(decimals(cells), dtype=np.float64)
     except ValueError:
         pass
     numbers = np.empty(len(cells))

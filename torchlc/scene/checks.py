@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from torchlc.scene.scene import Scene
 
 MAX_FILE_BYTES = 100_000_000
-PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[(?P<target>[^\[\]]+)\])?")
+PARAMETER_KEY = re.compile(
+    r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
+)
 
 
 def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None) -> Scene:

@@ -23,7 +23,9 @@ from torchlc.suggest import did_you_mean
 
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
-PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[(?P<target>[^\[\]]+)\])?")
+PARAMETER_KEY = re.compile(
+    r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
+)
 
 
 def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None) -> Tables:

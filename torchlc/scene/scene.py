@@ -42,6 +42,12 @@ class Scene(Table):
     _sha256: str | None = PrivateAttr(None)
     _hashes: dict[str, str] = PrivateAttr(default_factory=dict)
 
+    def __eq__(self, other: object) -> bool:
+        """Of the same content, whose file names mean the same files; not of where and how it was written."""
+        if not isinstance(other, Scene):
+            return NotImplemented
+        return self.__dict__ == other.__dict__ and self._directory == other._directory
+
     def __repr__(self) -> str:
         orbit = next(key for key in type(self.orbit).model_fields if getattr(self.orbit, key))
         free = [name for name, number in self.numbers().items() if isinstance(number, Free)]

@@ -48,11 +48,10 @@ class SceneTables(Table):
         return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
 
     def __eq__(self, other: object) -> bool:
-        """The same content, with files in the same place; the text may be another."""
+        """Of the same content, whose file names mean the same files; not of where and how it was written."""
         if not isinstance(other, type(self)):
             return NotImplemented
-        places = (self.directory, self.source) == (other.directory, other.source)
-        return places and all(getattr(self, key) == getattr(other, key) for key in type(self).model_fields)
+        return self.__dict__ == other.__dict__ and self.directory == other.directory
 
     def __str__(self) -> str:
         return repr(self)

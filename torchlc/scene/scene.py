@@ -126,6 +126,12 @@ class Scene(Table):
         tables.append(toml_table("model.parameters", parameters))
         return "\n".join(tables)
 
+    def with_spin_epoch(self, epoch: str) -> Scene:
+        """This scene with ``epoch``, ISO text, for that of a spin which would count from a recording's first row."""
+        if not self.attitude.spins_from_first_row:
+            return self
+        return self.model_copy(update={"attitude": self.attitude.model_copy(update={"spin_epoch": epoch})})
+
     def numbers(self) -> dict[str, float | Free]:
         """Numbers of materials, attitude and components by full name, e.g. "panel.n", "body.size_x"."""
         values = self._values()

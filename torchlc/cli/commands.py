@@ -294,20 +294,27 @@ def predict(
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option(help="Take the objects for one of these.", autocompletion=completion.shapes, show_default=False),
+        typer.Option(
+            help="Take the objects for one of these.", autocompletion=completion.shapes, show_default=False
+        ),
     ] = None,
     like: Annotated[
         Path | None,
-        typer.Option(metavar="SCENE|FIT", help="Take the objects for that of a scene or fit.", show_default=False),
+        typer.Option(
+            metavar="SCENE|FIT", help="Take the objects for that of a scene or fit.", show_default=False
+        ),
     ] = None,
     station: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ID[,LAT,LON,HEIGHT]", help="Observer, deg and m, or one of the scene's; repeatable.", show_default=False
+            metavar="ID[,LAT,LON,HEIGHT]",
+            help="Observer, deg and m, or one of the scene's; repeatable.",
+            show_default=False,
         ),
     ] = None,
     date: Annotated[
-        str | None, typer.Option(metavar="NIGHT", help="Date of the evening at the station.", show_default=False)
+        str | None,
+        typer.Option(metavar="NIGHT", help="Date of the evening at the station.", show_default=False),
     ] = None,
     start: Annotated[str | None, typer.Option(help="First time, ISO UTC or JD.", show_default=False)] = None,
     hours: Annotated[float | None, number("Length, h.", show_default=False)] = None,
@@ -317,7 +324,10 @@ def predict(
     extinction: Annotated[float, number("Extinction, mag an airmass, for apparent magnitudes.")] = 0.0,
     scatter: Annotated[
         float | None,
-        number("Standard deviation between objects of one kind, mag; default: the preset's, else 0.", show_default=False),
+        number(
+            "Standard deviation between objects of one kind, mag; default: the preset's, else 0.",
+            show_default=False,
+        ),
     ] = None,
     faintest: Annotated[
         float | None, number("Leave out passes fainter than this, mag.", show_default=False)
@@ -350,7 +360,9 @@ def predict(
         print("\n".join(map(printable, result.lines())))
         warn(result.warnings)
         if out is not None:
-            print(f"written: {out / 'prediction.ecsv'}, passes.ecsv, passes.ics, passes.png and prediction.json")
+            print(
+                f"written: {out / 'prediction.ecsv'}, passes.ecsv, passes.ics, passes.png and prediction.json"
+            )
 
 
 @app.command()
@@ -471,7 +483,8 @@ def init(
     shape: Annotated[
         str,
         typer.Option(
-            help="box-wing, cubesat, rocket body, cylinder or mesh.", autocompletion=completion.shapes
+            help="box-wing, cubesat, rocket body, cylinder, mesh, starlink-v1.5 or starlink-v2-mini.",
+            autocompletion=completion.shapes,
         ),
     ] = "box-wing",
     station: Annotated[

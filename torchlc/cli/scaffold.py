@@ -32,12 +32,19 @@ PRESETS = {
 """Shape by the name people say, and its template."""
 STARLINKS = {"starlink-v1.5": "starlink_v15", "starlink-v2-mini": "starlink_v2_mini"}
 PRESETS |= STARLINKS
-SCATTER_MAG = {"starlink-v1.5": 0.5, "starlink-v2-mini": 0.9}
-"""Standard deviation between satellites of one kind, mag, about the preset's model: see docs/how_to/predict.md."""
+SCATTER_MAG = {"starlink-v1.5": 0.45, "starlink-v2-mini": 0.4}
+"""Standard deviation between satellites of one kind, mag, about the preset's model: 1.48 times the median deviation of the
+recorded magnitudes that it was fitted to, 0.39 and 0.35, rounded up; see docs/how_to/predict.md."""
+ON_STATION = """
+# As in the model that the materials were fitted with: nothing shadows anything else.
+effects = ["sun_distance", "light_time", "earth_shadow"]"""
 TUMBLING = """
 # While the attitude is free, shadows and the Sun's disc are worked out anew for every try, which costs some hundred times
 # more: add self_shadowing and finite_sun once it is known.
 effects = ["sun_distance", "light_time", "earth_shadow"]"""
+
+EFFECTS = {"rocket-body": TUMBLING} | dict.fromkeys(STARLINKS, ON_STATION)
+"""The list of effects, where a preset has one."""
 
 
 def elements_for(path: Path, date: str | float | None) -> Elements:
@@ -110,7 +117,7 @@ def new_scene(
         "EDIT": "" if station is not None else "   # EDIT: where it is observed from",
         "MESH": toml_value(mesh or ""),
         "SHAPE": shape.rstrip(),
-        "EFFECTS": TUMBLING if key == "rocket-body" else "",
+        "EFFECTS": EFFECTS.get(key, ""),
     }
     for key, value in values.items():
         if key != "MESH":
@@ -151,7 +158,9 @@ def prediction_of(
         key = _preset_key(preset)
         if key == "mesh":
             raise InputError(None, "--preset", "mesh", "a shape with sizes; --like takes a scene with a mesh")
-        text = new_scene(first, preset, name=f"{preset.strip().lower()} of {given.name}", station=_numbers(own[0]))
+        text = new_scene(
+            first, preset, name=f"{preset.strip().lower()} of {given.name}", station=_numbers(own[0])
+        )
         scatter = next((value for name, value in SCATTER_MAG.items() if _folded(name) == key), 0.0)
         return AskedPrediction(check_scene(text, given.parent, given), given, own, scatter)
     source = given if like is None else like

@@ -1,8 +1,8 @@
 """torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites
 and debris.
 
-The verbs are :func:`load`, :func:`simulate`, :func:`fit`, :func:`diagnose` and :func:`campaign`;
-:class:`LightCurve` is the model, a torch module. Everything is imported on first use.
+The verbs are :func:`load`, :func:`simulate`, :func:`predict`, :func:`visibility`, :func:`fit`, :func:`diagnose` and
+:func:`campaign`; :class:`LightCurve` is the model, a torch module. Everything is imported on first use.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
-    from torchlc.api import diagnose, fit, load, simulate
+    from torchlc.api import diagnose, fit, load, predict, simulate, visibility
     from torchlc.campaigns.run import CampaignResult, campaign
     from torchlc.errors import InputError, TorchlcError
     from torchlc.inference.likelihood import Likelihood
     from torchlc.lightcurve.model import LightCurve
+    from torchlc.prediction.result import Prediction
+    from torchlc.prediction.visibility import Visibility
     from torchlc.readers import Recording
     from torchlc.report.write import write_report
     from torchlc.results.fit_result import FitResult
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
+    "predict": "api", "visibility": "api", "Prediction": "prediction.result", "Visibility": "prediction.visibility",
     "write_report": "report.write", "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
     "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
     "Scene": "scene", "Recording": "readers",
@@ -40,16 +43,20 @@ __all__ = [
     "InputError",
     "LightCurve",
     "Likelihood",
+    "Prediction",
     "Recording",
     "Scene",
     "SimulatedCurve",
     "TorchlcError",
+    "Visibility",
     "__version__",
     "campaign",
     "diagnose",
     "fit",
     "load",
+    "predict",
     "simulate",
+    "visibility",
     "write_report",
 ]
 

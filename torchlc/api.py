@@ -1,4 +1,4 @@
-"""The verbs: load, simulate, fit, diagnose. Each takes paths or objects, checks everything before it works,
+"""The verbs: load, simulate, predict, visibility, fit, diagnose. Each takes paths or objects, checks everything before it works,
 and returns one object.
 """
 
@@ -7,16 +7,19 @@ from __future__ import annotations
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
+from torchlc.files.reading import sha256_of
 from torchlc.files.writing import (
     CHAIN_FILE,
     DIAGNOSIS_FILES,
@@ -37,11 +40,13 @@ from torchlc.readers import Recording, counted, load_recording
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
-from torchlc.scene import Scene, load_scene
+from torchlc.scene import Scene, Station, load_scene
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
     from torchlc.diagnosis.result import Diagnosis
+    from torchlc.prediction.result import Prediction
+    from torchlc.prediction.visibility import Visibility
 
 Progress = Callable[[str, float], None]
 DOUBTFUL_P = 1e-3
@@ -91,20 +96,103 @@ def simulate(
     and on top what noise effects of the scene say (jitter, red_noise, outliers), unquoted.
     """
     scene = _scene(scene, trust)
-    if recording is None:
-        if start is None or hours is None or cadence is None:
-            raise InputError(
-                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
-            )
-        rows = observation_grid(scene, start, hours, cadence)
-    elif start is not None or hours is not None or cadence is not None:
-        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
-    else:
-        rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
+    rows = _rows(scene, recording, start, hours, cadence)
     low, high = LIMITS["mag_err"]
     if noise is not None and not low <= noise <= high:
         raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
     return simulated_curve(scene, rows, noise, seed)
+
+
+def predict(
+    scene: str | Path | Scene | FitResult,
+    *,
+    elements: str | Path | None = None,
+    stations: Sequence[Station] | None = None,
+    date: str | None = None,
+    start: str | float | None = None,
+    hours: float | None = None,
+    cadence: float = 10.0,
+    elevation: float = 10.0,
+    sun: float = -6.0,
+    extinction: float = 0.0,
+    scatter: float = 0.0,
+    faintest: float | None = None,
+    draws: int = 256,
+    seed: int = 0,
+    out: str | Path | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> Prediction:
+    """How bright, and when: passes over stations in the dark, with magnitudes and their 68 and 95 % intervals.
+
+    ``scene`` is a scene, whose priors are drawn from, or a fit or its directory, whose posterior is. ``elements``, a file
+    of two-line elements of any number of objects, takes the place of the scene's orbit: every object is taken for one of
+    the scene's shape and materials. ``stations`` take the place of the scene's. ``date`` is a night by its evening's date;
+    or ``hours`` from ``start`` (ISO UTC or JD). Passes are above ``elevation`` deg while the Sun is below ``sun``, deg, on a
+    grid of ``cadence`` s.
+
+    ``extinction`` (mag an airmass) gives apparent magnitudes beside those outside the air. ``scatter`` (mag) is the
+    standard deviation between objects of one kind, which the intervals hold. Passes fainter than ``faintest`` are left
+    out. With ``out`` prediction.json, prediction.ecsv, passes.ecsv, passes.ics and passes.png are written there.
+    """
+    from torchlc.prediction import run as predicting
+    from torchlc.prediction.passes import no_station
+    from torchlc.prediction.posterior import read_fit
+    from torchlc.prediction.result import PREDICTION_FILES
+
+    wanted = predicting.Wanted(elevation, sun, extinction, scatter, faintest, draws, seed)
+    predicting.check(wanted)
+    read, posterior, inputs = read_fit(scene, lambda given: _scene(given, trust))
+    places = list(read.stations if stations is None else stations)
+    if not places:
+        raise no_station(read.source)
+    inputs += input_files(read) + ([] if elements is None else [Path(elements)])
+    with ExitStack() as stack:
+        directory = None
+        if out is not None:
+            directory = stack.enter_context(OutputDirectory(out, PREDICTION_FILES, inputs))
+        stack.enter_context(resources(None if out is None else Path(out)))
+        span = predicting.span_of(places, date, start, hours, cadence)
+        if elements is None:
+            orbiters, said = [predicting.orbiter_of(read, span)], []
+        else:
+            orbiters, said = predicting.orbiters_of(elements, span)
+        found = predicting.run(read, orbiters, span, wanted, posterior, progress)
+        found = replace(
+            found,
+            warnings=[*said, *found.warnings],
+            provenance=made_with(
+                {file.name: sha256_of(file) for file in inputs if file.is_file()}, seed, command
+            ),
+        )
+        if directory is not None:
+            found.write_into(directory)
+    return found
+
+
+def visibility(
+    scene: str | Path | Scene,
+    recording: str | Path | Recording | None = None,
+    *,
+    start: str | float | None = None,
+    hours: float | None = None,
+    cadence: float | None = None,
+    values: Mapping[str, Tensor] | None = None,
+    towards: Mapping[str, Tensor] | None = None,
+    trust: bool = False,
+) -> Visibility:
+    """Lit, seen, and lit-and-seen shares, and projected areas, of every component, at a recording's rows or for
+    ``hours`` from ``start`` (ISO UTC or JD) every ``cadence`` seconds.
+
+    Tensors in, tensors out: ``values`` puts tensors in place of numbers of the scene by full name ("panel.size_u"), and
+    gradients reach them. ``towards`` names further directions, vectors (3,) or (T, 3) in GCRS; the velocity is one
+    where it is known.
+    """
+    from torchlc.prediction.visibility import component_visibility
+
+    scene = _scene(scene, trust)
+    return component_visibility(scene, _rows(scene, recording, start, hours, cadence), values, towards)
 
 
 def fit(
@@ -271,20 +359,26 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
     """From what, with what and how a result was made: hashes of the bytes that were read of each input,
     versions, seed, command.
     """
-    import astropy
-    import emcee
-
     read = {
         "scene": (scene.source, scene.sha256),
         "recording": (recording.source, recording.sha256),
         **{place: (name, scene.hashes.get(name)) for place, name in scene.files().items()},
     }
+    inputs = {
+        name: {"file": Path(source).name, "sha256": digest}
+        for name, (source, digest) in read.items()
+        if source is not None and digest is not None
+    }
+    return made_with(inputs, seed, command)
+
+
+def made_with(inputs: Mapping[str, Any], seed: int, command: str | None) -> dict[str, Any]:
+    """Provenance of a result from these ``inputs``: with which versions, seed and command."""
+    import astropy
+    import emcee
+
     return {
-        "inputs": {
-            name: {"file": Path(source).name, "sha256": digest}
-            for name, (source, digest) in read.items()
-            if source is not None and digest is not None
-        },
+        "inputs": dict(inputs),
         "versions": {
             "torchlc": __version__,
             "python": platform.python_version(),
@@ -314,6 +408,25 @@ def input_files(scene: Scene, recording: Recording | None = None) -> list[Path]:
     sources = [scene.source, None if recording is None else recording.source]
     named = map(scene.file_path, scene.files().values())
     return [*(Path(source) for source in sources if source is not None), *named]
+
+
+def _rows(
+    scene: Scene,
+    recording: str | Path | Recording | None,
+    start: str | float | None,
+    hours: float | None,
+    cadence: float | None,
+) -> Recording:
+    """The rows of a recording, or of a grid of times."""
+    if recording is None:
+        if start is None or hours is None or cadence is None:
+            raise InputError(
+                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
+            )
+        return observation_grid(scene, start, hours, cadence)
+    if start is not None or hours is not None or cadence is not None:
+        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
+    return recording if isinstance(recording, Recording) else load_recording(recording, scene)
 
 
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:

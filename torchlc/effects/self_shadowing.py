@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.occlusion import visible_fractions
 from torchlc.stages.effect import Effect
 from torchlc.tensors.autodiff_state import traced
-from torchlc.visibility import visible_fractions
 
 
 class SelfShadowing(Effect):

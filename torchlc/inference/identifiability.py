@@ -66,6 +66,12 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
     """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at
     natural values theta (P,).
     """
+    with torch.no_grad():
+        return bare_model(model).view(model.values(theta))
+
+
+def bare_model(model: LightCurve) -> LightCurve:
+    """The model without shadows, discs and exposures: only what moves or turns the object is left of its effects."""
     moving = [
         effect.entry
         for effect in model.effects
@@ -73,13 +79,11 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         and not effect.spans_exposure
         and effect.stage not in ("light", "surface", "scatter")
     ]
-    bare = LightCurve(
+    return LightCurve(
         model.scene,
         model.recording,
         assembly=assemble(model.scene, model.recording, moving, base=model.assembly),
     )
-    with torch.no_grad():
-        return bare.view(model.values(theta))
 
 
 def limits(model: LightCurve, theta: Tensor) -> list[str]:

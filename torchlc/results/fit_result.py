@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ from torchlc.inference.sampler import Posterior
 from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
 from torchlc.readers import Recording, left_out
+from torchlc.scene import Scene
 from torchlc.stages.effect import View
 
 if TYPE_CHECKING:
@@ -71,6 +72,17 @@ class FitResult:
     @property
     def recording(self) -> Recording:
         return self.model.recording
+
+    @property
+    def fitted_scene(self) -> Scene:
+        """The scene with the effects that were in the model, and the epoch of its spin written out."""
+        scene = self.model.scene
+        entries = [effect.entry for effect in self.model.effects]
+        scene = scene.model_copy(
+            update={"model": scene.model.model_copy(update={"effects": list(dict.fromkeys(entries))})}
+        )
+        scene.model.model_fields_set.add("effects")
+        return scene.with_spin_epoch(str(cast(Any, self.recording.first_time).utc.isot))
 
     @property
     def names(self) -> list[str]:
@@ -368,6 +380,7 @@ class FitResult:
                 attrs={
                     "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
                     "seed": self.seed,
+                    "scene": self.fitted_scene.to_toml(),
                 },
             )
         for variable, name in names.items():

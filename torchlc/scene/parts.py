@@ -124,6 +124,11 @@ class Attitude(Table):
             numbers["pole_lon"], numbers["pole_lat"] = self.pole
         return numbers
 
+    @property
+    def spins_from_first_row(self) -> bool:
+        """Is there a spin whose phase is that at the first row of a recording?"""
+        return self.spin_axis is not None and self.spin_epoch is None
+
     @model_validator(mode="after")
     def _keys_suit_the_mode(self) -> Attitude:
         needed, allowed = self.MODE_KEYS[self.mode]

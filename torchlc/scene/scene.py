@@ -71,6 +71,12 @@ class Scene(SceneTables):
         tables.append(toml_table("model.parameters", parameters))
         return "\n".join(tables)
 
+    def with_spin_epoch(self, epoch: str) -> Scene:
+        """This scene with ``epoch``, ISO text, for that of a spin which would count from a recording's first row."""
+        if not self.attitude.spins_from_first_row:
+            return self
+        return self.model_copy(update={"attitude": self.attitude.model_copy(update={"spin_epoch": epoch})})
+
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
         """Read in the block what files the scene names; the hashes of their bytes are kept.

@@ -64,6 +64,11 @@ class Elements:
     lines: tuple[str, str]
 
     @property
+    def number(self) -> str:
+        """Catalogue number as written."""
+        return self.lines[0][2:7]
+
+    @property
     def epoch(self) -> float:
         year, day = int(self.lines[0][18:20]), float(self.lines[0][20:32])
         days = np.datetime64(f"{year + (1900 if year >= 57 else 2000)}-01-01") - np.datetime64("2000-01-01")
@@ -71,7 +76,19 @@ class Elements:
 
 
 def read_elements(path: str | Path) -> list[Elements]:
-    """Every two-line element set of a file, names above them kept; all checked, all of one object.
+    """Every two-line element set of a file, names above them kept; all checked, all of one object."""
+    found = read_catalogue(path)
+    numbers = sorted({one.number for one in found})
+    if len(numbers) > 1:
+        listed = ", ".join(numbers[:8])
+        raise InputError(
+            path, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
+        )
+    return found
+
+
+def read_catalogue(path: str | Path) -> list[Elements]:
+    """Every two-line element set of a file, of any number of objects, in the order of the file; all checked.
 
     A line of elements that lacks the other of its set is an error: no set is passed over.
     """
@@ -105,12 +122,6 @@ def read_elements(path: str | Path) -> list[Elements]:
         raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", hint)
     if lacking:
         raise InputError(path, *lacking, "both lines of each set, one below the other")
-    numbers = sorted({one.lines[0][2:7] for one in found})
-    if len(numbers) > 1:
-        listed = ", ".join(numbers[:8])
-        raise InputError(
-            path, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
-        )
     return found
 
 

@@ -2,7 +2,18 @@
 
 from importlib import import_module
 
-ORDER = ("simulate", "fit", "diagnose", "campaign", "effects", "period", "materials", "init", "demo")
+ORDER = (
+    "simulate",
+    "predict",
+    "fit",
+    "diagnose",
+    "campaign",
+    "effects",
+    "period",
+    "materials",
+    "init",
+    "demo",
+)
 
 for _name in ORDER:
     import_module(f"{__name__}.{_name}")

@@ -31,7 +31,8 @@ def init(
     shape: Annotated[
         str,
         typer.Option(
-            help="box-wing, cubesat, rocket body, cylinder or mesh.", autocompletion=completion.shapes
+            help="box-wing, cubesat, rocket body, cylinder, mesh, starlink-v1.5 or starlink-v2-mini.",
+            autocompletion=completion.shapes,
         ),
     ] = "box-wing",
     station: Annotated[

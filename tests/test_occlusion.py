@@ -12,8 +12,8 @@ import trimesh
 
 from tests.rays import blocked, fraction_lit_and_seen, triangles_of
 from tests.test_shape import EROS, component, shape_of, sizes
+from torchlc.occlusion import visible_fractions
 from torchlc.shapes import tracking_pose
-from torchlc.visibility import visible_fractions
 
 F64 = torch.float64
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")

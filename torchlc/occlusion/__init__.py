@@ -11,10 +11,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torchlc.occlusion.batched_rows import rowwise
+from torchlc.occlusion.polygons import polygon_fractions
+from torchlc.occlusion.rays import ray_fractions
 from torchlc.shapes import Facets, Shape
-from torchlc.visibility.batched_rows import rowwise
-from torchlc.visibility.polygons import polygon_fractions
-from torchlc.visibility.rays import ray_fractions
 
 __all__ = ["visible_fractions"]
 

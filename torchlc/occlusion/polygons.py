@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchlc.occlusion.batched_rows import picked
+from torchlc.occlusion.outline import Joints, facing, outline
+from torchlc.occlusion.polygon_union import covered_area, settled
 from torchlc.shapes import Part
 from torchlc.shapes.part import like
-from torchlc.visibility.batched_rows import picked
-from torchlc.visibility.outline import Joints, facing, outline
-from torchlc.visibility.polygon_union import covered_area, settled
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it

@@ -19,6 +19,7 @@ from torchlc.scene.checks import checked
 from torchlc.scene.numbers import Free, Name, Table, Title
 from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
 from torchlc.scene.problems import of_toml, of_validation
+from torchlc.scene.reading import Reading
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
 MAX_TOML_BYTES = 1 << 20
@@ -35,6 +36,7 @@ class Scene(Table):
     components: Annotated[list[Component], Field(min_length=1, max_length=1000)]
     materials: dict[Name, Material]
     model: Model = Model()
+    recording: Reading = Reading()
 
     _directory: Path | None = PrivateAttr(None)
     _source: str | Path | None = PrivateAttr(None)
@@ -124,6 +126,8 @@ class Scene(Table):
             parameters["band_sun_magnitude"] = self.model.band_sun_magnitude
         tables.append(toml_table("model", {"effects": self.model.effects}))
         tables.append(toml_table("model.parameters", parameters))
+        if self.recording.model_fields_set:
+            tables.append(toml_table("recording", _given(self.recording)))
         return "\n".join(tables)
 
     def numbers(self) -> dict[str, float | Free]:

@@ -199,11 +199,11 @@ def _light_path(header: Header, reading: Reading, stated: str, located: bool) ->
         raise InputError(
             header.source,
             "column time",
-            f"{said[:60]!r}: {path} times",
+            f"{said[:60]!r}",
             "times at the observer",
-            "Give UTC at the telescope: the way of light, up to 8.3 minutes, was taken off. For an asteroid or a planet "
-            "it can be put back: say direction = [right ascension, declination] in deg in [recording] of the scene, or "
-            "add columns sun_x ... obs_z",
+            f"Give UTC at the telescope: these are {path} times, and the way of light, up to 8.3 minutes, was taken off. "
+            "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
+            '--columns direction="120.5 -3.2"',
         )
     return path
 

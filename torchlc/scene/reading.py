@@ -81,7 +81,7 @@ class Reading(Table):
         return self.model_copy(update=update)
 
 
-SETTINGS = tuple(name for name in Reading.model_fields if name not in ("columns", "units", "direction"))
+SETTINGS = tuple(name for name in Reading.model_fields if name not in ("columns", "units"))
 """What --columns may say beside columns."""
 
 
@@ -98,6 +98,9 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
         columns["exptime"] = str(table.pop("exptime"))
     if "exptime" in table:
         table["exptime"] = float(table["exptime"])
+    if isinstance(table.get("direction"), str):
+        parts = table["direction"].replace(",", " ").split()
+        table["direction"] = [float(part) if _is_number(part) else part for part in parts]
     if columns:
         table["columns"] = {**table.get("columns", {}), **columns}
     try:

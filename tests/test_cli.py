@@ -23,7 +23,7 @@ from astropy.table import Table
 import torchlc
 from tests.bad_input_cases import CASES, Case
 from tests.small_case import write_case
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.files.writing import LOCK_NAME, MANIFEST_NAME
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
@@ -60,7 +60,8 @@ class Diagnosis:
     quick: bool
     seed: int
     seconds: float
-    untried: Sequence[str] = ()
+    untried: Mapping[str, str] = field(default_factory=dict)
+    """Why, by entry, an effect was no candidate although it was asked for, or could act."""
     others: Sequence[Found] = ()
     """Every refit of more effects than one that was made on the way."""
     doubt: str = ""
@@ -80,7 +81,8 @@ class Diagnosis:
     @property
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
-        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *self.limits]))
+        untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
+        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *untried, *self.limits]))
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
@@ -193,10 +195,7 @@ class Diagnosis:
                 "next_observation": self.next_observation,
                 "sets": told(self.others, self.final, self.baseline),
                 "nights": [vars(night) for night in self.nights[:8]],
-                "untried": [
-                    {"effect": entry, "reason": "each of its geometries costs a pass over the whole mesh"}
-                    for entry in self.untried
-                ],
+                "untried": [{"effect": entry, "reason": reason} for entry, reason in self.untried.items()],
                 "seconds": self.seconds,
             }
         )

@@ -31,6 +31,7 @@ from torchlc.diagnosis.search import (
     judged,
     minima,
     nameable,
+    not_carried,
     search,
 )
 from torchlc.diagnosis.sizes import resized
@@ -53,6 +54,7 @@ LAW_EVIDENCE = 10.0
 """Another law of reflection is tried where a gross mismatch is left, and taken where its best model gains this
 over that of the scene's own law."""
 SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain it as well as an appendage"
+DEAR = "each of its geometries costs a pass over the whole mesh"
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 MOST_MODES = 3
@@ -168,7 +170,7 @@ def _under_one_law(
         "coordinates": found_coordinates,
         "quick": quick,
         "seed": seed,
-        "untried": tuple(entry for entry in possible if entry not in entries),
+        "untried": not_carried(bench, effects) | {entry: DEAR for entry in possible if entry not in entries},
     }
     if adequate:
         return Diagnosis(

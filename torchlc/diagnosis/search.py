@@ -146,6 +146,26 @@ def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]
     return entries
 
 
+def not_carried(bench: Workbench, only: Sequence[str] | None) -> dict[str, str]:
+    """Why, by entry, what ``only`` asks for is no candidate: each that :func:`candidate_entries` drops, and noise
+    not."""
+    context, known = bench.base.context, registry()
+    present = {effect.name for effect in bench.base.effects}
+    reasons = {}
+    for text in only or ():
+        entry = Entry.parse(text)
+        cls = known[entry.name]
+        if cls.stage == "noise" or candidate_entries(bench, [text]):
+            continue
+        if entry.name in present:
+            reasons[text] = "it is in the scene's model already"
+            continue
+        targets = [entry.target] if entry.target is not None else cls.targets(context)
+        missing = [reason for one in targets or [None] if (reason := cls(one).missing(context)) is not None]
+        reasons[text] = missing[0] if missing else "the scene has nothing that it could be applied to"
+    return reasons
+
+
 def unlisted_entries(bench: Workbench) -> list[str]:
     """Every effect that these data could carry and that is never named, only held against what would be."""
     return _carried(bench, {name: cls for name, cls in every().items() if not cls.listed})

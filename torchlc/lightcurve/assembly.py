@@ -23,6 +23,7 @@ from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
+from torchlc.scene.checks import PARAMETER_KEY
 from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
@@ -284,10 +285,13 @@ def assemble(
     }
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
+    _check_given(scene, context)
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
+    if effects is None:
+        warnings += _unused(scene, chosen)
     several = [one for effect in chosen if (one := effect.instants(context)) is not None]
     instants = several[0] if several else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
@@ -449,7 +453,6 @@ def _prepared(
     effects: Sequence[Effect], scene: Scene, context: Context, pinned: Mapping[str, float]
 ) -> tuple[tuple[Effect, ...], Context]:
     """The effects made ready for these data, and the context that knows of them and of their numbers' bounds."""
-    given = scene.model.parameters
     bounds: dict[str, tuple[float, float]] = {}
 
     def bound(name: str, number: Number | None, quantity: Quantity) -> None:
@@ -472,9 +475,7 @@ def _prepared(
     for effect in effects:
         for quantity in effect.quantities:
             name = effect.full_name(quantity.name)
-            plain = effect.origin(quantity.name).full_name()
-            number = None if effect.by else given.get(plain, given.get(f"{effect.name}.{quantity.name}"))
-            bound(name, number, quantity)
+            bound(name, None if effect.by else _given_number(effect, quantity, scene), quantity)
     context = replace(context, bounds=bounds, effects=effects)
     # how finely exposures are divided depends on what the others do
     others = [effect if effect.spans_exposure else effect.prepared(context) for effect in effects]
@@ -510,6 +511,83 @@ def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
         key.partition("[")[2].rstrip("]") for key in scene.model.parameters if key.startswith(f"{cls.name}.")
     ]
     return [target for target in dict.fromkeys(marked) if target]
+
+
+def _check_given(scene: Scene, context: Context) -> None:
+    """InputError where [model.parameters] gives a number that its effect does not have, or not on that target."""
+    for key in scene.model.parameters:
+        match = PARAMETER_KEY.fullmatch(key)
+        if match is None:
+            continue
+        name, quantity, target = match["effect"], match["quantity"], match["target"]
+        place, known = f'model.parameters."{key}"', every()
+        if name not in known:
+            found, expected = f"unknown effect {shown(name)}", f"one of {', '.join(registry())}"
+            raise InputError(scene.source, place, found, expected, did_you_mean(name, registry()))
+        numbers = [one.name for one in known[name].quantities]
+        if quantity not in numbers:
+            expected = f"one of {', '.join(numbers)}" if numbers else "no such key: the effect has no numbers"
+            hint = did_you_mean(quantity, numbers)
+            raise InputError(scene.source, place, f"{name} has no number {shown(quantity)}", expected, hint)
+        if target is None:
+            continue
+        targets = [one for one in known[name].targets(context) if one is not None]
+        if target not in targets:
+            expected = f"one of {', '.join(targets)}" if targets else f'"{name}.{quantity}", without brackets'
+            found, hint = f"{name} cannot be applied to {shown(target)}", did_you_mean(target, targets)
+            raise InputError(scene.source, place, found, expected, hint)
+
+
+def _keys(effect: Effect, quantity: Quantity) -> tuple[str, str]:
+    """How [model.parameters] may name a number of an effect: with its target, or for all targets at once."""
+    return effect.origin(quantity.name).full_name(), f"{effect.name}.{quantity.name}"
+
+
+def _given_number(effect: Effect, quantity: Quantity, scene: Scene) -> Number | None:
+    """What [model.parameters] says of an effect's number; InputError where its value is beyond the number's range."""
+    given = scene.model.parameters
+    key = next((key for key in _keys(effect, quantity) if key in given), None)
+    if key is None:
+        return None
+    number = given[key]
+    value = number.value if isinstance(number, SceneFree) else float(number)
+    if not quantity.low <= value <= quantity.high:
+        place = f'model.parameters."{key}"' + (".value" if isinstance(number, SceneFree) else "")
+        raise InputError(scene.source, place, f"{value:g}", _range(quantity))
+    return number
+
+
+def _cut(name: str, number: SceneFree, quantity: Quantity) -> list[str]:
+    """A sentence where a prior reaches beyond the range of its number."""
+    beyond = (number.low is not None and number.low < quantity.low) or (
+        number.high is not None and number.high > quantity.high
+    )
+    return [f"the prior of {name} is cut to {_range(quantity)}, the range of this number"] if beyond else []
+
+
+def _range(quantity: Quantity) -> str:
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    if quantity.high == math.inf:
+        return f"{quantity.low:g}{unit} or more"
+    return f"{quantity.low:g} to {quantity.high:g}{unit}"
+
+
+def _unused(scene: Scene, effects: Sequence[Effect]) -> list[str]:
+    """A sentence for each number of [model.parameters] that none of the model's effects has."""
+    names = {effect.name for effect in effects}
+    used = {key for effect in effects for one in effect.quantities for key in _keys(effect, one)}
+    warnings = []
+    for key in scene.model.parameters:
+        match = PARAMETER_KEY.fullmatch(key)
+        if match is None or key in used:
+            continue
+        why = (
+            f"{match['effect']} takes what it needs from the recording"
+            if match["effect"] in names
+            else f"{match['effect']} is not among the model's effects; a diagnosis takes it as a prior"
+        )
+        warnings.append(f"[model.parameters] {key} is not used: {why}")
+    return warnings
 
 
 def _sun_magnitude(scene: Scene, recording: Recording) -> tuple[np.ndarray, list[str]]:
@@ -608,8 +686,8 @@ def _parameters(
         else:
             quantity = Quantity(short, "", -math.inf, math.inf, short)
         add(name, origin, numbers[name], quantity)
-    given = scene.model.parameters
-    add("zero_point", Origin("calibration", "", "zero_point"), given.get("zero_point", 0.0), ZERO_POINT)
+    zero_point = scene.model.parameters.get("zero_point", 0.0)
+    add("zero_point", Origin("calibration", "", "zero_point"), zero_point, ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:
             name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
@@ -620,7 +698,9 @@ def _parameters(
                 )
                 divide(name, origin, prior, centre, quantity, effect.by)
                 continue
-            number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
+            number = _given_number(effect, quantity, scene)
+            if isinstance(number, SceneFree):
+                warnings += _cut(name, number, quantity)
             whole = effect.brdf is not None or effect.stage == "material"
             if whole and isinstance(number, SceneFree) and number.per is not None:
                 of = "a part" if effect.brdf is not None else "of a material"

@@ -208,7 +208,7 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
     if header.decimal != ".":
         cells = [with_point(cell, header.decimal) for cell in cells]
     try:
-        return decimals(cells)
+        return np.array(decimals(cells), dtype=np.float64)
     except ValueError:
         pass
     numbers = np.empty(len(cells))

@@ -36,7 +36,7 @@ from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
-from torchlc.readers import Recording, counted, load_recording
+from torchlc.readers import Recording, counted, recording_of
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
@@ -49,6 +49,11 @@ if TYPE_CHECKING:
     from torchlc.prediction.visibility import Visibility
 
 Progress = Callable[[str, float], None]
+Rows = Any
+"""What holds a recording: a path, a Recording, astropy's Table or TimeSeries, a LightCurve of lightkurve, a DataFrame of
+pandas, or a mapping of columns (arrays, quantities, instants)."""
+Columns = str | Mapping[str, Any] | None
+"""Which column is what: "time=JD_UTC,mag=V", or a mapping; over the table [recording] of the scene."""
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
 MIN_ROWS = 2
@@ -56,37 +61,51 @@ MIN_ROWS = 2
 
 @overload
 def load(
-    scene: str | Path, recording: None = None, *, use: str | None = None, trust: bool = False
+    scene: str | Path | Scene,
+    recording: None = None,
+    *,
+    use: str | None = None,
+    columns: Columns = None,
+    trust: bool = False,
 ) -> Scene: ...
 @overload
 def load(
-    scene: str | Path | Scene, recording: str | Path, *, use: str | None = None, trust: bool = False
+    scene: str | Path | Scene,
+    recording: Rows,
+    *,
+    use: str | None = None,
+    columns: Columns = None,
+    trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
 def load(
     scene: str | Path | Scene,
-    recording: str | Path | None = None,
+    recording: Rows = None,
     *,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
 ) -> Scene | tuple[Scene, Recording]:
     """Read a scene, or a scene and a recording, and check them.
 
-    ``use`` picks "mag" or "flux" of a recording that has both. ``trust`` lets the scene name files outside
-    its own folder.
+    A recording is a path, or what holds its rows in memory: astropy's Table or TimeSeries, a LightCurve of lightkurve, a
+    DataFrame of pandas, or a mapping of arrays, quantities and instants. ``use`` picks "mag" or "flux" of one that has
+    both. ``columns`` says which column is what ("time=JD_UTC,mag=V", or a mapping). ``trust`` lets the scene name files
+    outside its own folder.
     """
     read = _scene(scene, trust)
-    return read if recording is None else (read, load_recording(recording, read, use=use))
+    return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
 def simulate(
     scene: str | Path | Scene,
-    recording: str | Path | Recording | None = None,
+    recording: Rows = None,
     *,
     start: str | float | None = None,
     hours: float | None = None,
     cadence: float | None = None,
     noise: float | None = None,
     seed: int = 0,
+    columns: Columns = None,
     trust: bool = False,
 ) -> SimulatedCurve:
     """The light curve of a scene at a recording's rows, or for ``hours`` from ``start`` (ISO UTC or JD)
@@ -96,7 +115,7 @@ def simulate(
     and on top what noise effects of the scene say (jitter, red_noise, outliers), unquoted.
     """
     scene = _scene(scene, trust)
-    rows = _rows(scene, recording, start, hours, cadence)
+    rows = _grid_or(scene, recording, start, hours, cadence, columns)
     low, high = LIMITS["mag_err"]
     if noise is not None and not low <= noise <= high:
         raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
@@ -173,7 +192,7 @@ def predict(
 
 def visibility(
     scene: str | Path | Scene,
-    recording: str | Path | Recording | None = None,
+    recording: Rows = None,
     *,
     start: str | float | None = None,
     hours: float | None = None,
@@ -192,12 +211,12 @@ def visibility(
     from torchlc.prediction.visibility import component_visibility
 
     scene = _scene(scene, trust)
-    return component_visibility(scene, _rows(scene, recording, start, hours, cadence), values, towards)
+    return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
 
 
 def fit(
     scene: str | Path | Scene,
-    recording: str | Path | Recording,
+    recording: Rows,
     *,
     steps: int | None = None,
     walkers: int | None = None,
@@ -205,6 +224,7 @@ def fit(
     out: str | Path | None = None,
     resume: bool = False,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -220,7 +240,7 @@ def fit(
     scene = _scene(scene, trust)
     if resume and out is None:
         raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
-    rows = usable(scene, recording, use=use)
+    rows = usable(scene, recording, use=use, columns=columns)
     with ExitStack() as stack:
         later = {CHAIN_FILE} if resume else frozenset()
         directory = _held(stack, out, FIT_FILES - later, scene, rows)
@@ -277,13 +297,14 @@ def fit(
 
 def diagnose(
     scene: str | Path | Scene,
-    recording: str | Path | Recording,
+    recording: Rows,
     *,
     quick: bool = False,
     effects: Sequence[str] | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -298,7 +319,7 @@ def diagnose(
     from torchlc.diagnosis.run import diagnose as run
 
     scene = _scene(scene, trust)
-    rows = usable(scene, recording, use=use)
+    rows = usable(scene, recording, use=use, columns=columns)
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
@@ -338,14 +359,13 @@ def demo(
     return found, result
 
 
-def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:
+def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None) -> Recording:
     """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and
     counted.
     """
     from torchlc.geometry.orbit import make_track
 
-    if not isinstance(recording, Recording):
-        recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)
+    recording = recording_of(recording, scene, use=use, columns=columns, min_rows=MIN_ROWS)
     with scene.reading():
         track = make_track(scene, recording)
     kept = recording.keep(above_horizon(track), "below the horizon")
@@ -410,12 +430,13 @@ def input_files(scene: Scene, recording: Recording | None = None) -> list[Path]:
     return [*(Path(source) for source in sources if source is not None), *named]
 
 
-def _rows(
+def _grid_or(
     scene: Scene,
-    recording: str | Path | Recording | None,
+    recording: Rows,
     start: str | float | None,
     hours: float | None,
     cadence: float | None,
+    columns: Columns = None,
 ) -> Recording:
     """The rows of a recording, or of a grid of times."""
     if recording is None:
@@ -426,7 +447,7 @@ def _rows(
         return observation_grid(scene, start, hours, cadence)
     if start is not None or hours is not None or cadence is not None:
         raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
-    return recording if isinstance(recording, Recording) else load_recording(recording, scene)
+    return recording_of(recording, scene, columns=columns)
 
 
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:

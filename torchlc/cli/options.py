@@ -59,7 +59,8 @@ def moment(text: str) -> str | float:
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)]
 RecordingFile = Annotated[
-    Path, typer.Argument(metavar="OBS", help="Recording (ECSV or CSV).", show_default=False)
+    Path,
+    typer.Argument(metavar="OBS", help="Recording, in any of the formats that are read.", show_default=False),
 ]
 Out = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)
@@ -72,6 +73,15 @@ Use = Annotated[
     str | None,
     typer.Option(
         help="mag or flux, of a recording that has both.", show_default=False, autocompletion=completion.kinds
+    ),
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=COLUMN,...",
+        help="Which column is what, as in time=JD_UTC,mag=V,mag_err=e_V; also time_format, time_scale, time_zone, "
+        "time_mark, exptime, object, delimiter, decimal.",
+        show_default=False,
     ),
 ]
 Trust = Annotated[bool, typer.Option("--trust", help="Let the scene name files outside its own folder.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from torchlc.prediction.posterior import POSTERIOR_FILE, read_posterior
 from torchlc.scene import Scene, Station, load_scene
 from torchlc.scene.problems import of_validation
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.scene.tle import Elements, nearest, read_catalogue, read_elements
+from torchlc.scene.tle import Elements, nearest, read_catalogue, sets_of_object
 from torchlc.scene.writer import toml_value
 from torchlc.suggest import did_you_mean
 
@@ -47,9 +48,15 @@ EFFECTS = {"rocket-body": TUMBLING} | dict.fromkeys(STARLINKS, ON_STATION)
 """The list of effects, where a preset has one."""
 
 
-def elements_for(path: Path, date: str | float | None) -> Elements:
-    """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
-    sets = read_elements(path)
+def elements_for(path: Path, date: str | float | None, wanted: str | None = None) -> Elements:
+    """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; of a file of many objects
+    that of the one ``wanted``, by its number, its name or a part of its name.
+    """
+    return nearest_set(sets_of_object(path, read_catalogue(path), wanted), date)
+
+
+def nearest_set(sets: Sequence[Elements], date: str | float | None) -> Elements:
+    """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
     if date is None:
         return max(sets, key=lambda one: one.epoch)
     try:

@@ -69,6 +69,8 @@ class Scene(SceneTables):
             parameters["band_sun_magnitude"] = self.model.band_sun_magnitude
         tables.append(toml_table("model", {"effects": self.model.effects}))
         tables.append(toml_table("model.parameters", parameters))
+        if self.recording.model_fields_set:
+            tables.append(toml_table("recording", _given(self.recording)))
         return "\n".join(tables)
 
     def with_spin_epoch(self, epoch: str) -> Scene:

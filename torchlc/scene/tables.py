@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr
 from torchlc.naming import Origin, full_names
 from torchlc.scene.numbers import Free, Name, Table, Title
 from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
+from torchlc.scene.reading import Reading
 
 
 class SceneTables(Table):
@@ -24,6 +25,7 @@ class SceneTables(Table):
     components: Annotated[list[Component], Field(min_length=1, max_length=1000)]
     materials: dict[Name, Material]
     model: Model = Model()
+    recording: Reading = Reading()
     _directory: Path | None = PrivateAttr(None)
     _source: str | Path | None = PrivateAttr(None)
     _warnings: list[str] = PrivateAttr(default_factory=list)

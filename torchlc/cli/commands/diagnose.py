@@ -9,6 +9,7 @@ import typer
 from torchlc.cli import completion
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Columns,
     Json,
     Out,
     Quiet,
@@ -41,6 +42,7 @@ def diagnose(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="No sampler, few refits.")] = False,
     use: Use = None,
+    columns: Columns = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -56,7 +58,7 @@ def diagnose(
     candidates = None if effects is None else Entry.split(effects)
     with progress_bar(not (quiet or json)) as progress:
         result = api.diagnose(
-            scene, recording, out=out, quick=quick, effects=candidates, seed=seed, use=use, trust=trust,
+            scene, recording, out=out, quick=quick, effects=candidates, seed=seed, use=use, columns=columns, trust=trust,
             progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:

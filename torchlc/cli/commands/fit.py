@@ -8,6 +8,7 @@ import typer
 
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Columns,
     Json,
     Out,
     Quiet,
@@ -39,6 +40,7 @@ def fit(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the chain found in DIR.")] = False,
     use: Use = None,
+    columns: Columns = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -51,7 +53,7 @@ def fit(
 
     with progress_bar(not (quiet or json)) as progress:
         result = api.fit(
-            scene, recording, out=out, steps=steps, walkers=walkers, resume=resume, use=use, seed=seed,
+            scene, recording, out=out, steps=steps, walkers=walkers, resume=resume, use=use, columns=columns, seed=seed,
             trust=trust, progress=progress, command=command_line(context),
         )  # fmt: skip
     show_fit(result, out, quiet=quiet, json=json)

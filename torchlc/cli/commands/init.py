@@ -26,7 +26,8 @@ from torchlc.terminal import say, show_json
 def init(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file to write.", show_default=False)],
     tle: Annotated[
-        Path, typer.Option(metavar="FILE", help="Two-line elements of one object.", show_default=False)
+        Path,
+        typer.Option(metavar="FILE", help="Two-line elements, with names or without.", show_default=False),
     ],
     shape: Annotated[
         str,
@@ -35,6 +36,15 @@ def init(
             autocompletion=completion.shapes,
         ),
     ] = "box-wing",
+    object_: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            metavar="NAME|NUMBER",
+            help="Which object of the file: its number, its name or a part of its name.",
+            show_default=False,
+        ),
+    ] = None,
     station: Annotated[
         str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
     ] = None,
@@ -63,7 +73,7 @@ def init(
     if not scene.parent.is_dir():
         raise InputError(scene, None, f"no directory {scene.parent}", "a directory that is there")
     wanted = None if date is None else moment(date)
-    chosen = scaffold.elements_for(tle, wanted)
+    chosen = scaffold.elements_for(tle, wanted, object_)
     place = None if station is None else scaffold.read_station(station)
     text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh)
     read = scaffold.check_scene(text, scene.parent, scene)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Columns,
     Json,
     Quiet,
     RecordingFile,
@@ -14,7 +15,7 @@ from torchlc.cli.options import (
     Use,
     number,
 )
-from torchlc.cli.printing import use_threads
+from torchlc.cli.printing import use_threads, warn
 from torchlc.terminal import show_json
 
 
@@ -29,6 +30,7 @@ def period(
         number("Longest period, s; default: half the longest run.", show_default=False),
     ] = None,
     use: Use = None,
+    columns: Columns = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -37,10 +39,12 @@ def period(
     """Find an unknown spin: a periodogram's candidates with their aliases."""
     use_threads(threads)
     from torchlc.inference.period import find_period
-    from torchlc.readers import load_recording
+    from torchlc.readers import left_out, load_recording
 
-    found = find_period(load_recording(recording, use=use), shortest_s=shortest, longest_s=longest)
+    rows = load_recording(recording, use=use, columns=columns)
+    found = find_period(rows, shortest_s=shortest, longest_s=longest)
     if json:
         show_json(found.to_json())
     elif not quiet:
         print(found)
+        warn([*left_out(rows), *rows.warnings])

@@ -9,6 +9,7 @@ import typer
 
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Columns,
     Json,
     Out,
     Quiet,
@@ -39,6 +40,7 @@ def simulate(
     noise: Annotated[
         float | None, number("Standard error, mag: makes a recording of it.", show_default=False)
     ] = None,
+    columns: Columns = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -61,6 +63,7 @@ def simulate(
             cadence=cadence,
             noise=noise,
             seed=seed,
+            columns=columns,
         )
         directory.write("curve.ecsv", curve.write)
     if json:

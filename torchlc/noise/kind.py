@@ -62,6 +62,8 @@ class NoiseKind(Effect):
 
     def trials(self, facts: Facts) -> Sequence[Values]:
         """Values of its quantities that a diagnosis tries; none where the recording cannot show it."""
+        if not self.quantities:
+            return [{}]
         u = torch.quasirandom.SobolEngine(len(self.quantities), scramble=True, seed=0)
         share = u.draw(FIRST, dtype=torch.float64).clamp(0.01, 0.99)
         columns = [prior_of(one).quantile(part) for one, part in zip(self.quantities, share.T, strict=True)]
@@ -69,6 +71,8 @@ class NoiseKind(Effect):
 
     def closer(self, best: Values, facts: Facts) -> Sequence[Values]:
         """Values to try once the best of :meth:`trials` is known, itself among them; none where it will do."""
+        if not self.quantities:
+            return []
         u = torch.quasirandom.SobolEngine(len(self.quantities), scramble=True, seed=1)
         steps = NEAR * (2 * u.draw(CLOSER, dtype=torch.float64) - 1)
         columns = [

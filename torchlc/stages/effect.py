@@ -486,6 +486,12 @@ class Effect:
     taken: frozenset[str] = frozenset()
     unable: ClassVar[str] = "the scene has nothing of this name"
 
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """A class that gives itself a name and no title is called by its name."""
+        super().__init_subclass__(**keywords)
+        if "name" in vars(cls) and "title" not in vars(cls):
+            cls.title = cls.name.replace("_", " ")
+
     def __init__(self, target: str | None = None) -> None:
         self.target = target
 

@@ -152,7 +152,7 @@ def test_a_kind_from_outside_goes_through_every_verb(outside, tmp_path: Path, na
     listed = plain.replace(effects, f'effects = [{own}, "{name}"]')
     numbers = "\n".join(f'"{name}.{key}" = {value}' for key, value in VALUES[name].items())
     noisy = tmp_path / "noisy.toml"
-    noisy.write_text(listed + f"\n[model.parameters]\n{numbers}\n")
+    noisy.write_text(listed.rstrip() + f"\n{numbers}\n")
     curve = torchlc.simulate(
         noisy, start="2020-10-17T15:00:00", hours=4.0, cadence=4 * 3600 / 96, noise=0.02, seed=2
     )

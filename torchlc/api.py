@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.effects import mending_kind
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.files.reading import sha256_of
@@ -36,6 +37,7 @@ from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.kind import NoiseKind
 from torchlc.readers import Recording, counted, recording_of
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
@@ -112,7 +114,7 @@ def simulate(
     every ``cadence`` seconds.
 
     Free numbers have their scene's values. ``noise`` (mag) makes a recording of it: normal errors, quoted,
-    and on top what noise effects of the scene say (jitter, red_noise, outliers), unquoted.
+    and on top what noise effects of the scene say (jitter, say), unquoted.
     """
     scene = _scene(scene, trust)
     rows = _grid_or(scene, recording, start, hours, cadence, columns)
@@ -466,20 +468,22 @@ def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> 
 def _search(
     likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None
 ) -> tuple[Fit, list[str]]:
-    """The maximum a posteriori; with a jitter added to the model where chi-square says that the quoted
+    """The maximum a posteriori; with the noise that mends it added to the model where chi-square says that the quoted
     errors are too small.
     """
     found = fit_map(likelihood, seed=seed, progress=progress)
     effects = [effect.entry for effect in likelihood.model.effects]
-    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
+    widened = any(isinstance(one, NoiseKind) and one.widens for one in likelihood.model.effects)
+    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened
     if not doubtful:
         return found, []
     said = f"chi2 is {found.chi2:.1f} for {found.dof} degrees of freedom (p = {found.p_value:.1g})"
     if not likelihood.model.names:
         return found, [f"{said}: the model as it stands does not fit within the errors"]
     assembly = likelihood.model.assembly
-    with_jitter = assemble(assembly.scene, recording, [*effects, "jitter"], base=assembly)
-    model = LightCurve(assembly.scene, recording, assembly=with_jitter)
+    remedy = mending_kind().name
+    mended = assemble(assembly.scene, recording, [*effects, remedy], base=assembly)
+    model = LightCurve(assembly.scene, recording, assembly=mended)
     found = fit_map(Likelihood(model), seed=seed, progress=progress)
-    warning = f"{said}: a jitter was added to the errors; torchlc diagnose looks for what the model lacks"
+    warning = f"{said}: a {remedy} was added to the errors; torchlc diagnose looks for what the model lacks"
     return found, [warning]

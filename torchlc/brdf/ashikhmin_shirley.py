@@ -20,7 +20,7 @@ from torchlc.brdf.base import (
     schlick_weight,
     weighed,
 )
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.tensors.autodiff_state import transformed
 
 GRID_STEP = 0.08
@@ -48,14 +48,24 @@ class AshikhminShirley(Brdf):
 
     model: ClassVar[str] = "ashikhmin-shirley"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform"),
-        Quantity("n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform"),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance"),
+        Quantity(
+            "n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform", role=EXPONENT
+        ),
+        Quantity(
+            "n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform", role=EXPONENT
+        ),
+        Quantity(
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role=LOBE_REFLECTANCE
+        ),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
     along_axes: ClassVar[tuple[str, ...]] = ("n_u", "n_v")
+    rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "ggx": {"alpha": 0.2, "f0": 0.2},
+        "cook-torrance": {"m": 0.2, "f0": 0.2},
+    }
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

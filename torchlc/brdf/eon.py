@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch, retro
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 
 LOST = 0.5 - 2 / (3 * math.pi)
 LOST_ON_AVERAGE = 2 / 3 - 28 / (15 * math.pi)
@@ -30,7 +30,12 @@ class Eon(Brdf):
     model: ClassVar[str] = "eon"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "albedo", "", 0.0, 1.0, "share of the light that is scattered each time it meets the surface"
+            "albedo",
+            "",
+            0.0,
+            1.0,
+            "share of the light that is scattered each time it meets the surface",
+            role=REFLECTANCE,
         ),
         Quantity("roughness", "", 0.0, 1.0, "0: Lambert's law; 1: as rough as the law goes"),
     )

@@ -3,40 +3,51 @@ scene's own, for a lobe of another shape bends every refit."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from torchlc.brdf.base import MODELS
+from torchlc.parameters import REFLECTANCE
 from torchlc.scene import Scene
 from torchlc.scene.numbers import Free
 from torchlc.scene.parts import Material
 
-OTHER_LAWS = {
-    "ggx": {
-        "alpha": Free(value=0.2, low=1e-3, high=1.0, prior="loguniform"),
-        "f0": Free(value=0.2, low=0.0, high=1.0),
-    },
-    "cook-torrance": {
-        "m": Free(value=0.2, low=1e-3, high=1.0, prior="loguniform"),
-        "f0": Free(value=0.2, low=0.0, high=1.0),
-    },
-}
-"""Microfacets with a long and with a short tail, and the numbers of their lobes."""
-
 
 def under_other_laws(scene: Scene) -> dict[str, Scene]:
-    """The scene with every lobe that has free numbers following another law, by the law's name.
+    """The scene with every lobe that has free numbers following another law, by the law's name: one that its own law
+    counts among its ``rivals``.
 
-    Lobes start anew, without what the scene says of them; the diffuse reflectance is kept.
+    Lobes start anew, without what the scene says of them; diffuse reflectances are kept.
     """
     scenes = {}
-    for law, lobe in OTHER_LAWS.items():
-        materials = {
-            name: Material.model_construct(
-                model=law, preset=None, parameters={**lobe, "r_diff": material.parameters["r_diff"]}
-            )
-            if material.model == "ashikhmin-shirley"
-            and any(isinstance(number, Free) for number in material.parameters.values())
-            and "r_diff" in material.parameters
-            else material
-            for name, material in scene.materials.items()
-        }
-        if any(material.model == law for material in materials.values()):
+    laws = dict.fromkeys(
+        law for material in scene.materials.values() for law in MODELS[material.model].rivals
+    )
+    for law in laws:
+        materials = {name: _under(law, material) for name, material in scene.materials.items()}
+        if any(material is not scene.materials[name] for name, material in materials.items()):
             scenes[law] = scene.model_copy(update={"materials": materials})
     return scenes
+
+
+def _under(law: str, material: Material) -> Material:
+    """The material under a law, if that is a rival of its own and anything of it is free; else itself."""
+    own = MODELS[material.model]
+    kept = {
+        name: number for name, number in material.parameters.items() if own.quantity(name).role == REFLECTANCE
+    }
+    lobe = own.rivals.get(law)
+    if lobe is None or not kept or not any(isinstance(one, Free) for one in material.parameters.values()):
+        return material
+    return Material.model_construct(model=law, preset=None, parameters={**_free(law, lobe), **kept})
+
+
+def _free(law: str, starts: Mapping[str, float]) -> dict[str, Free]:
+    """Numbers of a law, free between their bounds."""
+    quantities: dict[str, Any] = {name: MODELS[law].quantity(name) for name in starts}
+    return {
+        name: Free(
+            value=value, low=quantities[name].low, high=quantities[name].high, prior=quantities[name].prior
+        )
+        for name, value in starts.items()
+    }

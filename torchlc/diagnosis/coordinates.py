@@ -9,6 +9,8 @@ from torchlc.geometry.orbit.track import angle_between
 from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.effect import View
 
+TIME = "time"
+"""The coordinate along which stretches of a recording are told anyway."""
 MOST_FACES = 8
 """Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
 name."""
@@ -28,7 +30,7 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
     to_sun = view.to_sun[middle]
     to_observer = view.to_observer.expand(view.to_sun.shape)[middle]
     found = {
-        "time": context.seconds,
+        TIME: context.seconds,
         "phase_angle_deg": torch.rad2deg(angle_between(to_sun, to_observer)),
         "flux": flux,
         "inverse_flux": 1 / torch.where(flux > 0, flux, flux.max().clamp(min=1e-300)),

@@ -208,7 +208,7 @@ class Diagnosis:
         """
         rows = []
         base = self.baseline
-        white, heldout_white = base.score.by_kind["white"]
+        white, heldout_white = base.score.white
         for found in self.first:
             (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
             rows.append(
@@ -216,25 +216,24 @@ class Diagnosis:
                     **_names(entry),
                     "score": self.probes[plain].score,
                     "p": self.gate.marginal.get(f"signature {plain}"),
-                    "delta_log_evidence": found.score.by_kind["white"][0] - white,
-                    "heldout_delta_log_likelihood": found.score.by_kind["white"][1] - heldout_white,
+                    "delta_log_evidence": found.score.white[0] - white,
+                    "heldout_delta_log_likelihood": found.score.white[1] - heldout_white,
                     "parameters": effect_parameters(found.refit, entry),
                     "chi2_after": found.refit.chi2,
                 }
             )
-        for kind, (value, heldout) in base.score.by_kind.items():
-            if kind != "white":
-                rows.append(
-                    {
-                        **_names(kind),
-                        "score": None,
-                        "p": None,
-                        "delta_log_evidence": value - white,
-                        "heldout_delta_log_likelihood": heldout - heldout_white,
-                        "parameters": {},
-                        "chi2_after": base.refit.chi2,
-                    }
-                )
+        rows += [
+            {
+                **_names(kind),
+                "score": None,
+                "p": None,
+                "delta_log_evidence": value - white,
+                "heldout_delta_log_likelihood": heldout - heldout_white,
+                "parameters": {},
+                "chi2_after": base.refit.chi2,
+            }
+            for kind, (value, heldout) in base.score.by_kind.items()
+        ]
         rows.sort(key=lambda row: -row["delta_log_evidence"])
         tried = {found.hypothesis.plain[0] for found in self.first}
         untried = [entry for entry in self.probes if entry not in tried]
@@ -278,8 +277,8 @@ class Diagnosis:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
             note = f"structure is left: {left}, strongest in the statistic '{worst}'"
             kind = self.final.score.noise.kind
-            if kind != "white":
-                note += f"; described by {kind}"
+            if kind is not None:
+                note += f"; described by {kind.name} ({kind.title})"
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}

@@ -24,6 +24,7 @@ class AttitudeDrift(Effect):
     """
 
     name = "attitude_drift"
+    title = "an attitude that drifts steadily"
     stage = "attitude"
     listed = False
     order = 1

@@ -28,6 +28,7 @@ class AttitudeJump(Effect):
     """
 
     name = "attitude_jump"
+    title = "an attitude that jumps at one moment"
     stage = "attitude"
     listed = False
     order = 1

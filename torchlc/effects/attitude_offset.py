@@ -47,6 +47,7 @@ class AttitudeOffset(Effect):
     """
 
     name = "attitude_offset"
+    title = "an attitude that is turned by a constant angle"
     stage = "attitude"
     quantities = (_angle("x", "X"), _angle("y", "Y"), _angle("z", "Z"))
 

@@ -233,7 +233,9 @@ class EarthShadow(Effect):
     """
 
     name = "earth_shadow"
+    title = "the shadow of the Earth"
     stage = "shade"
+    opaque_air = "h0"
     known = True
     quantities = (
         Quantity(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.sun_distance import AU_KM
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Light
 
 EARTH_RADIUS_KM = 6371.0
@@ -102,6 +102,7 @@ class Earthshine(Effect):
     """
 
     name = "earthshine"
+    title = "light of the sunlit Earth"
     stage = "light"
     order = 3
     linear = True
@@ -109,6 +110,7 @@ class Earthshine(Effect):
         Quantity(
             "albedo", "", 0.0, 1.0, "the Earth's diffuse reflectance", off=0.0, typical=0.3,
             prior="normal", mean=0.3, sigma=0.1,
+            role=REFLECTANCE,
         ),
     )  # fmt: skip
 

@@ -58,6 +58,7 @@ class FiniteSun(Effect):
     """
 
     name = "finite_sun"
+    title = "the disc of the Sun, which is no point"
     stage = "light"
     known = True
     order = 1

@@ -18,6 +18,7 @@ class LightTime(Effect):
     """
 
     name = "light_time"
+    title = "the time that light takes to the observer"
     stage = "orbit"
     known = True
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, SHARE, Quantity
 from torchlc.stages.effect import Effect
 
 
@@ -16,19 +16,50 @@ class SecondMaterial(Effect):
     """
 
     name = "second_material"
+    title = "a second material on part of a surface"
     stage = "material"
     order = 2
     per = "material"
     unable = "the material is not of Ashikhmin and Shirley's model"
     quantities = (
         Quantity(
-            "weight", "", 0.0, 1.0, "share of the area that is the second material", off=0.0, typical=0.2
+            "weight",
+            "",
+            0.0,
+            1.0,
+            "share of the area that is the second material",
+            off=0.0,
+            typical=0.2,
+            role=SHARE,
         ),
         Quantity(
-            "n", "", 1.0, 1e6, "lobe exponent of the second material", typical=2000.0, prior="loguniform"
+            "n",
+            "",
+            1.0,
+            1e6,
+            "lobe exponent of the second material",
+            typical=2000.0,
+            prior="loguniform",
+            role=EXPONENT,
         ),
-        Quantity("r_spec", "", 0.0, 1.0, "mirror-like reflectance of the second material", typical=0.3),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance of the second material", typical=0.2),
+        Quantity(
+            "r_spec",
+            "",
+            0.0,
+            1.0,
+            "mirror-like reflectance of the second material",
+            typical=0.3,
+            role=LOBE_REFLECTANCE,
+        ),
+        Quantity(
+            "r_diff",
+            "",
+            0.0,
+            1.0,
+            "diffuse reflectance of the second material",
+            typical=0.2,
+            role=REFLECTANCE,
+        ),
     )
 
     @classmethod

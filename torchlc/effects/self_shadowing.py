@@ -20,6 +20,7 @@ class SelfShadowing(Effect):
     """
 
     name = "self_shadowing"
+    title = "parts that shade and hide each other"
     stage = "surface"
     known = True
 

@@ -19,6 +19,7 @@ class SpinRateOffset(Effect):
     """
 
     name = "spin_rate_offset"
+    title = "a rate of spin that differs from the scene's"
     stage = "spin"
     quantities = (
         Quantity(

@@ -15,6 +15,7 @@ class TimeOffset(Effect):
     """
 
     name = "time_offset"
+    title = "time stamps that are off by a constant"
     stage = "clock"
     divisible = True
     quantities = (

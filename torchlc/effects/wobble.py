@@ -20,6 +20,7 @@ class Wobble(Effect):
     """
 
     name = "wobble"
+    title = "an attitude that swings periodically"
     stage = "attitude"
     turning = "swing"
     quantities = (

@@ -20,6 +20,7 @@ class ZeroPointStep(Effect):
     """
 
     name = "zero_point_step"
+    title = "a zero point that jumps at one moment"
     stage = "detector"
     order = 2
     scanned = "time"

@@ -11,10 +11,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchlc.inference.likelihood import MAG_PER_LN, power_difference
+from torchlc.inference.likelihood import power_difference
 from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.error_law import MAG_PER_LN
+from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE, REFLECTANCE
 
-NAMES = ("r_spec", "r_diff", "f0", "albedo")
+LINEAR = frozenset({REFLECTANCE, LOBE_REFLECTANCE, FRESNEL})
+"""Roles of the numbers of which light is linear, unless the law says otherwise."""
 REWEIGHTED = 2
 """Times that a regression is done again about its own result, so that it is one of magnitudes, not of flux."""
 
@@ -22,13 +25,12 @@ REWEIGHTED = 2
 def linear_columns(model: LightCurve) -> list[int]:
     """Columns of theta that are reflectances, of which light is linear, and do not move the geometry."""
     moving = set(model.assembly.geometry_columns)
-    places = [(parameter.origin, i) for i, parameter in enumerate(model.parameter_set.free)]
     laws = model.assembly.models
     curved = {(owner, name) for owner, law in laws.items() for name in law.curved}
     return [
         i
-        for origin, i in places
-        if origin.quantity in NAMES and i not in moving and (origin.owner, origin.quantity) not in curved
+        for i, free in enumerate(model.parameter_set.free)
+        if free.role in LINEAR and i not in moving and (free.origin.owner, free.origin.quantity) not in curved
     ]
 
 

@@ -442,7 +442,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             _check_axes(effect, scene, context)
             found.append(made(effect, parsed.per, parsed.width))
     for effect in found:
-        reason = effect.beside([other.name for other in found])
+        reason = effect.beside([other for other in found if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
     order = list(every())
@@ -672,7 +672,7 @@ def _parameters(
             if full in pinned:
                 fixed[full] = pinned[full]
             else:
-                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose))
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose, quantity.role))
 
     numbers = scene.numbers()
     for name, origin in scene.origins().items():

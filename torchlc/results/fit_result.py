@@ -20,11 +20,12 @@ from torch import Tensor
 from torchlc.digits import stated
 from torchlc.files.writing import without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
-from torchlc.inference.likelihood import MAG_PER_LN, Likelihood, widened
+from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
 from torchlc.inference.sampler import Posterior
 from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
+from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
 from torchlc.stages.effect import View
@@ -145,7 +146,7 @@ class FitResult:
             found = self.likelihood.residuals(self.fit.theta)
             if self.likelihood.fitted_errors:
                 return self.likelihood.fitted_levels(found.delta)[self.likelihood.curve].numpy()
-            sigma = widened(found, self.model.noise(self.fit.theta))
+            sigma = self.model.noise(self.fit.theta).sigma(found.sigma, found.scale)
             return sigma.expand(found.delta.shape).numpy()
 
     @property

@@ -17,7 +17,7 @@ stage          what passes through
 ``scatter``    further sunlight that needs the whole geometry, added per component
 ``material``   lobe and diffuse light of a patch as functions of its material
 ``detector``   :class:`Brightness`: total flux and component shares
-``noise``      :class:`Noise`: variance, correlation and tails of the residuals
+``noise``      :class:`Noise`: variance, law and correlation of the residuals
 =============  ===========================================================================================
 
 Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of
@@ -31,7 +31,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -40,6 +40,7 @@ from torch import Tensor
 from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin
 from torchlc.parameters import Quantity
+from torchlc.stages.noise import Noise
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -272,19 +273,6 @@ class Brightness:
     components: Sequence[str]
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag
-    and time scale ``tau`` min; a share ``outliers`` of rows with errors ``width`` times as large. Each (...,
-    1) or None."""
-
-    jitter: Tensor | None = None
-    red: Tensor | None = None
-    tau: Tensor | None = None
-    outliers: Tensor | None = None
-    width: Tensor | None = None
-
-
 class Memory:
     """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY
     bytes."""
@@ -454,8 +442,8 @@ def turned_poses(
 
 
 class Effect:
-    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
-    and override the method of their stage; ``per`` gives each material or component its own set of
+    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
+    words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``listed`` is false for one that a diagnosis only holds against what
     it would name; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
@@ -468,9 +456,12 @@ class Effect:
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
-    scatter that is worked out for mid-exposure alone."""
+    scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` an effect that gives the lobe of a surface another
+    shape; ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
+    the quantity that is the height, km, of the air that takes sunlight away."""
 
     name: ClassVar[str]
+    title: ClassVar[str]
     stage: ClassVar[str]
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
@@ -489,8 +480,17 @@ class Effect:
     width: float | None = None
     spans_exposure: ClassVar[bool] = False
     at_middle: ClassVar[bool] = False
+    reshapes_lobe: ClassVar[bool] = False
+    adds_area: ClassVar[bool] = False
+    opaque_air: ClassVar[str] = ""
     taken: frozenset[str] = frozenset()
     unable: ClassVar[str] = "the scene has nothing of this name"
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """A class that gives itself a name and no title is called by its name."""
+        super().__init_subclass__(**keywords)
+        if "name" in vars(cls) and "title" not in vars(cls):
+            cls.title = cls.name.replace("_", " ")
 
     def __init__(self, target: str | None = None) -> None:
         self.target = target
@@ -526,8 +526,8 @@ class Effect:
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
 
-    def beside(self, others: Sequence[str]) -> str | None:
-        """Why the effect cannot be applied together with these others, names, in words; None if it can."""
+    def beside(self, others: Sequence[Effect]) -> str | None:
+        """Why the effect cannot be applied together with these others, in words; None if it can."""
         return None
 
     def standard(self, context: Context) -> bool:
@@ -539,7 +539,7 @@ class Effect:
         the true one; None if nothing does."""
         return None
 
-    def prepared(self, context: Context) -> Effect:
+    def prepared(self, context: Context) -> Self:
         """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
         ``nodes`` they need."""
         return self

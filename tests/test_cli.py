@@ -261,7 +261,7 @@ def test_bash_completes_commands_options_and_names():
         "torchlc diagnose a b --effects panel_offset,earth": {
             "panel_offset,earth_shadow", "panel_offset,earthshine"
         },
-        "torchlc materials fit a --model gg": {"ggx"},
+        "torchlc materials fit a --model gg": {"ggx", "ggx-conductor", "ggx-dielectric"},
         "torchlc init my.toml --shape cu": {"cubesat"},
         "torchlc fit a b --use f": {"flux"},
     }  # fmt: skip

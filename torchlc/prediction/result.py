@@ -99,8 +99,7 @@ class Prediction:
     def _leaps(self) -> bool:
         """Is there a leap second in the span, which dates alone do not count?"""
         ends: Any = self.span.time[[0, -1]]
-        apart = ((ends.jd1[1] - ends.jd1[0]) + (ends.jd2[1] - ends.jd2[0])) * 86400
-        return abs(apart - self.span.seconds[-1]) > 0.1
+        return abs(ends.unix[1] - ends.unix[0] - self.span.seconds[-1]) > 0.1
 
     def time_sd_s(self, orbiter: Orbiter) -> float:
         """How far ahead or behind on its way an object may be, s: see :func:`along_track_sd_s`."""

@@ -98,8 +98,11 @@ class Prediction:
     @cached_property
     def _leaps(self) -> bool:
         """Is there a leap second in the span, which dates alone do not count?"""
-        ends: Any = self.span.time[[0, -1]]
-        return abs(ends.unix[1] - ends.unix[0] - self.span.seconds[-1]) > 0.1
+        last: Any = self.span.time[-1]
+        if ":60" in last.isot:
+            return True
+        elapsed = (np.datetime64(last.isot[:23], "ms") - self._start[0]) / np.timedelta64(1, "s")
+        return abs(elapsed - self.span.seconds[-1]) > 0.5
 
     def time_sd_s(self, orbiter: Orbiter) -> float:
         """How far ahead or behind on its way an object may be, s: see :func:`along_track_sd_s`."""

@@ -60,6 +60,7 @@ def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
     for command in (
         "",
         "simulate",
+        "predict",
         "fit",
         "diagnose",
         "campaign",

@@ -95,7 +95,8 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
     if listed is None:
         return plain, []
     kept = [entry for entry in listed if not _of_the_recording(every()[Entry.parse(entry).name])]
-    lost = [e for e in listed if e not in kept and every()[Entry.parse(e).name].quantities]
+    # rows of a prediction are instants: exposures have nothing to smear, and nothing is lost
+    lost = [e for e in listed if e not in kept and not every()[Entry.parse(e).name].spans_exposure]
     said = f"left out of the prediction, for it belongs to a recording: {', '.join(lost)}"
     model = scene.model.model_copy(update={"effects": kept})
     return plain.model_copy(update={"model": model}), [said] if lost else []

@@ -6,7 +6,9 @@ Letters: D draws, F flat facets, T rows.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -115,43 +117,52 @@ def find_glints(
 ) -> list[Glint]:
     """Glints of one pass: ``angles`` (D or 1, F, T) at its lit rows, ``seconds`` (T,); ``widths`` (D,) by material;
     ``orbit_sd_s``, how far off in time the elements may be."""
-    found: dict[tuple[str, str], Glint] = {}
+    found = []
     for f, (component, face, material) in enumerate(names):
         width = widths[material]
         if width is None or float(np.median(width)) > SHARP_DEG:
             continue
         own = angles[:, f]
-        finite = np.isfinite(own)
-        if not finite.any():
-            continue
-        if own.min() > NEAR_WIDTHS * width.max():
-            continue
-        closest = [_closest(seconds, one) for one in own]
-        near = np.array([degrees for _, degrees in closest])
-        when = np.array([moment for moment, _ in closest])
-        count = len(own)
-        within = (
-            near[:, None] < NEAR_WIDTHS * width[None] if count == 1 else near < NEAR_WIDTHS * width[:count]
-        )
-        probability = float(np.mean(within))
-        if probability < LEAST_PROBABILITY:
-            continue
-        spread = float(np.std(when[np.isfinite(when)]))
-        limit = NEAR_WIDTHS * float(np.median(width))
-        glint = Glint(
-            component=component,
-            face=face,
-            seconds=float(np.median(when[np.isfinite(when)])),
-            time_sd_s=math.hypot(spread, orbit_sd_s),
-            degrees=float(np.median(near)),
-            width_deg=float(np.median(width)),
-            duration_s=_duration(seconds, own[0], max(limit, 1.0000001 * float(near.min()))),
-            probability=probability,
-        )
-        before = found.get((component, face))
-        if before is None or glint.degrees < before.degrees:
-            found[component, face] = glint
-    return sorted(found.values(), key=lambda one: one.seconds)
+        for piece in _pieces(own, NEAR_WIDTHS * float(width.max())):
+            closest = [_closest(seconds[piece], one[piece]) for one in own]
+            when, near = (np.array(values) for values in zip(*closest, strict=True))
+            # one geometry for all draws, or one each
+            limit = NEAR_WIDTHS * (width if len(own) == 1 else width[: len(own)])
+            probability = float(np.mean(near < limit))
+            if probability < LEAST_PROBABILITY:
+                continue
+            turned = np.isfinite(when)
+            found.append(
+                Glint(
+                    component=component,
+                    face=face,
+                    seconds=float(np.median(when[turned])),
+                    time_sd_s=math.hypot(float(np.std(when[turned])), orbit_sd_s),
+                    degrees=float(np.median(near[turned])),
+                    width_deg=float(np.median(width)),
+                    duration_s=_duration(
+                        seconds[piece], own[int(np.argmin(near)), piece], float(np.max(limit))
+                    ),
+                    probability=probability,
+                )
+            )
+    return sorted(found, key=lambda one: one.seconds)
+
+
+def _pieces(angles: np.ndarray, limit: float) -> Iterator[slice]:
+    """Rows about each smallest angle (1, T) below ``limit``, from one largest angle to the next; all rows together where
+    draws have geometries of their own (D, T)."""
+    if len(angles) > 1:
+        if angles.min() < limit:
+            yield slice(None)
+        return
+    (angle,) = angles
+    above = np.minimum(angle, 360.0)
+    ends = np.flatnonzero((above[1:-1] >= above[:-2]) & (above[1:-1] > above[2:])) + 1
+    for start, stop in pairwise([0, *ends.tolist(), len(angle)]):
+        piece = slice(start, min(stop + 1, len(angle)))
+        if angle[piece].min() < limit:
+            yield piece
 
 
 def _closest(seconds: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
@@ -170,13 +181,26 @@ def _closest(seconds: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
 
 
 def _duration(seconds: np.ndarray, angle: np.ndarray, limit: float) -> float:
-    """Time, s, that an angle (T,) stays below a limit about its smallest row, by the parabola of its square."""
+    """Time, s, that an angle (T,) stays below a limit about its smallest row: by straight lines between rows, or by the
+    parabola of :func:`_closest` where that is below and no row is."""
     k = int(np.argmin(angle))
-    if not 0 < k < len(angle) - 1 or not np.isfinite(angle[[k - 1, k + 1]]).all():
+    if angle[k] < limit:
+        times = []
+        for step in (-1, 1):
+            place = k
+            while 0 <= place + step < len(angle) and angle[place + step] < limit:
+                place += step
+            beyond = place + step
+            moved = seconds[place]
+            if 0 <= beyond < len(angle) and np.isfinite(angle[beyond]):
+                share = (limit - angle[place]) / (angle[beyond] - angle[place])
+                moved = moved + share * (seconds[beyond] - seconds[place])
+            times.append(float(moved))
+        return times[1] - times[0]
+    _, least = _closest(seconds, angle)
+    if not (least < limit and 0 < k < len(angle) - 1):
         return 0.0
-    y = angle[k - 1 : k + 2] ** 2
-    _, slope, bend = np.polynomial.polynomial.polyfit(seconds[k - 1 : k + 2] - seconds[k], y, 2)
-    if bend <= 0:
-        return 0.0
-    least = y[1] - slope**2 / (4 * bend)
-    return 2 * math.sqrt(max(limit**2 - least, 0.0) / bend)
+    bend = np.polynomial.polynomial.polyfit(
+        seconds[k - 1 : k + 2] - seconds[k], angle[k - 1 : k + 2] ** 2, 2
+    )[2]
+    return 2 * math.sqrt((limit**2 - least**2) / bend) if bend > 0 else 0.0

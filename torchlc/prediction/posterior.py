@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -47,9 +48,8 @@ def read_posterior(path: Path) -> tuple[Scene, Posterior]:
         raise InputError(path, None, "more than 2 GB", EXPECTED)
     try:
         with h5py.File(path, "r") as file:
-            attributes = file["posterior"].attrs
-            text = file.attrs.get("scene", attributes.get("scene"))
-            group = file["posterior"]
+            group: Any = file["posterior"]
+            text = file.attrs.get("scene", group.attrs.get("scene"))
             columns = {
                 _text(variable.attrs["parameter"]): np.asarray(variable, dtype=float).reshape(-1)
                 for variable in group.values()

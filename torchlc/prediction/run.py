@@ -23,13 +23,15 @@ from torchlc.prediction.glints import Glint, facet_angles, find_glints, lobe_wid
 from torchlc.prediction.passes import Orbiter, Pass, Span, find_passes, make_span
 from torchlc.prediction.result import PredictedPass, Prediction, along_track_sd_s
 from torchlc.readers.table import MAX_ROWS
-from torchlc.scene import Scene, Station
+from torchlc.scene import Scene, Station, value_of
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.scene.tle import Elements, nearest, read_catalogue
 
 Progress = Callable[[str, float], None]
 LONGEST_HOURS = 24.0 * 31
 MOST_ELEMENTS_TOLD = 5
+FAST_DEG = 5.0
+"""Turn between rows beyond which lobes of the usual widths fall between them."""
 UNSEARCHED = "glints of a mesh of many facets are not looked for; they are in the magnitudes"
 
 
@@ -190,6 +192,7 @@ def run(
     if plain.attitude.spins_from_first_row:
         plain = plain.with_spin_epoch(str(cast(Any, span.time[0]).isot))
         said.append("the spin has no epoch: its phase is taken to be that of the start of the prediction")
+    said += _fast_turns(scene, span)
     lit = [np.flatnonzero(path.lit) for path in passes]
     groups = brightness.batches(passes, lit)
     finished: dict[int, PredictedPass] = {}
@@ -234,6 +237,21 @@ def run(
         warnings=list(dict.fromkeys([*said, *scene.warnings, *span.frame.warnings])),
         seed=wanted.seed,
     )
+
+
+def _fast_turns(scene: Scene, span: Span) -> list[str]:
+    """A sentence where the body turns so far between rows that they are no curve."""
+    attitude = scene.attitude
+    turns_an_hour = 0.0 if attitude.spin_axis is None else abs(value_of(attitude.spin_rate))
+    if attitude.period is not None:
+        turns_an_hour = 1.0 / value_of(attitude.period)
+    degrees = 360.0 * turns_an_hour * span.cadence_s / 3600.0
+    if degrees <= FAST_DEG:
+        return []
+    return [
+        f"the body turns {degrees:.3g} deg between rows: magnitudes are samples of its rotation, and glints between rows "
+        "are not seen; a smaller --cadence follows it"
+    ]
 
 
 def _is_dark(span: Span, wanted: Wanted) -> bool:

@@ -78,7 +78,7 @@ def orientation(time: Time) -> Orientation:
 
 def _distinct(time: Time) -> tuple[Time, np.ndarray]:
     """The different instants among ``time`` (T,), and which of them each row is, (T,)."""
-    days = np.stack([time.jd1, time.jd2], axis=-1)
+    days = np.stack([np.asarray(time.jd1), np.asarray(time.jd2)], axis=-1)
     _, first, row = np.unique(days, axis=0, return_index=True, return_inverse=True)
     return cast(Time, time[first]), row.reshape(-1)
 

@@ -79,7 +79,9 @@ def check(model: LightCurve, theta: torch.Tensor, function=None) -> None:
     found = [torch.autograd.grad(one.sum(), leaf, retain_graph=True)[0] for one in batch.unbind(1)]
     agree(torch.stack(found, 1), expected, names)
 
-    weight = torch.linspace(1.0, 2.0, batch.shape[1], dtype=theta.dtype)  # of both signs, and no row without one
+    weight = torch.linspace(
+        1.0, 2.0, batch.shape[1], dtype=theta.dtype
+    )  # of both signs, and no row without one
     weight[1::2] *= -1
     pulled = torch.vmap(torch.func.grad(lambda x: (curve(x) * weight).sum()))(theta)
     agree(pulled[:, None], torch.einsum("t,btp->bp", weight, expected)[:, None], names)

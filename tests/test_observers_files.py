@@ -4,8 +4,8 @@ work when they are followed.
 
 from __future__ import annotations
 
+import json
 import re
-import shlex
 import zoneinfo
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,12 +18,16 @@ from astropy.coordinates import get_body_barycentric
 from astropy.table import Table
 from astropy.time import Time
 
+import torchlc
 from tests.bad_input_cases import SCENE, VECTOR_SCENE
+from tests.small_case import write_case
 from tests.test_layouts import same
+from torchlc.campaigns.manifest import read_manifest
+from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.readers import Format, Head, Header, Recording, load_recording
 from torchlc.readers.format import FORMATS
-from torchlc.scene import Scene
+from torchlc.scene import Scene, load_scene
 
 JD = [2459140.125, 2459140.135, 2459140.145]
 MAG, ERROR = [14.908, 14.793, 14.732], [0.03, 0.02, 0.04]
@@ -42,7 +46,10 @@ def read(tmp_path: Path):
 
 def table(names: str, *, zero: float = 0.0, mark: str = ",", more: str = "", comma: bool = False) -> str:
     """A table of the three measurements with these names, Julian dates from ``zero``; ``more`` ends each row."""
-    rows = [f"{jd - zero:.6f}{mark}{mag}{mark}{error}{more}" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)]
+    rows = [
+        f"{jd - zero:.6f}{mark}{mag}{mark}{error}{more}"
+        for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    ]
     text = "\n".join(rows)
     return names + "\n" + (text.replace(".", ",") if comma else text) + "\n"
 
@@ -102,7 +109,9 @@ def test_exports_are_read(read, name: str):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_encodings(read, encoding: str, newline: str):
-    text = "# f\u00fcr den Katalog\n" + table("Zeit;Helligkeit;Fehler;Notiz", mark=";", comma=True, more=";sch\u00f6n")
+    text = "# f\u00fcr den Katalog\n" + table(
+        "Zeit;Helligkeit;Fehler;Notiz", mark=";", comma=True, more=";sch\u00f6n"
+    )
     holds(read(text.replace("\n", newline).encode(encoding)))
 
 
@@ -122,7 +131,12 @@ def test_a_target_without_magnitudes_is_relative_flux(read):
 
 def test_reduced_and_modified_dates_are_never_confused(read):
     """They differ by 12 h; against astropy."""
-    for text, form in (("JD-2400000", 2400000.0), ("JD-2400000.5", 2400000.5), ("MJD", 2400000.5), ("RJD", 2400000.0)):
+    for text, form in (
+        ("JD-2400000", 2400000.0),
+        ("JD-2400000.5", 2400000.5),
+        ("MJD", 2400000.5),
+        ("RJD", 2400000.0),
+    ):
         found = read(f"{text},mag\n61115.25,14.0\n").time[0]
         assert found.jd == pytest.approx(61115.25 + form, abs=1e-9)
     modified = Time(61115.25, format="mjd", scale="utc")
@@ -150,7 +164,9 @@ class TestUserSays:
 
     def test_units_and_exposures(self, read):
         scene = SCENE + '[recording]\nunits = { mag_err = "mmag" }\nexptime = 20.0\n'
-        recording = read(table("time,mag,mag_err").replace("0.03", "30").replace("0.02", "20").replace("0.04", "40"), scene)
+        recording = read(
+            table("time,mag,mag_err").replace("0.03", "30").replace("0.02", "20").replace("0.04", "40"), scene
+        )
         np.testing.assert_allclose(recording.error, ERROR)
         assert recording.exptime is not None and recording.exptime.tolist() == [20.0] * 3
 
@@ -166,7 +182,9 @@ class TestUserSays:
         with pytest.raises(InputError, match="the start of the exposures"):
             read("DATE-OBS,mag\n2020-10-17T15:00:00,12.0\n")
 
-    @pytest.mark.parametrize("zone", ["+02:00", "-0930", "UTC+5", "Europe/Vienna", "America/St_Johns", "Asia/Kolkata"])
+    @pytest.mark.parametrize(
+        "zone", ["+02:00", "-0930", "UTC+5", "Europe/Vienna", "America/St_Johns", "Asia/Kolkata"]
+    )
     @pytest.mark.parametrize("julian", [False, True])
     def test_civil_times_of_a_zone(self, read, zone: str, julian: bool):
         """Against the standard library."""
@@ -260,14 +278,21 @@ class TestLimitsAndMarkers:
         assert flux.upper_limit.tolist() == [False, True]
 
     def test_fainter_than_in_the_format_of_the_aavso(self, read):
-        recording = read(EXPORTS["AAVSO"] + "SAT 1,2459140.3,<15.0,na,V,NO,STD,ENSEMBLE,na,na,na,na,na,na,na\n")
+        recording = read(
+            EXPORTS["AAVSO"] + "SAT 1,2459140.3,<15.0,na,V,NO,STD,ENSEMBLE,na,na,na,na,na,na,na\n"
+        )
         assert recording.upper_limit.tolist() == [False] * 3 + [True] and recording.observed[3] == 15.0
 
     def test_a_limit_of_score(self, read):
-        recording = read(EXPORTS["SCORE"] + "SAT 1,12345,2020-10-17T18:00:00Z,0.1,,,37.54,122.05,110,16.5,cam,V\n")
+        recording = read(
+            EXPORTS["SCORE"] + "SAT 1,12345,2020-10-17T18:00:00Z,0.1,,,37.54,122.05,110,16.5,cam,V\n"
+        )
         assert recording.upper_limit.tolist() == [False] * 3 + [True] and recording.observed[3] == 16.5
 
-    @pytest.mark.parametrize("marker", ["99", "99.0", "99.999", "-99", "-99.9", "-99.99", "999", "-999.0", "9999", "nan", "INDEF", ""])
+    @pytest.mark.parametrize(
+        "marker",
+        ["99", "99.0", "99.999", "-99", "-99.9", "-99.99", "999", "-999.0", "9999", "nan", "INDEF", ""],
+    )
     @pytest.mark.parametrize("column", [1, 2])
     def test_a_marker_loses_its_row_only(self, read, marker: str, column: int):
         row = ["2459140.2", "15.0", "0.05"]
@@ -333,8 +358,7 @@ def test_hints_work_when_they_are_followed(read, text: str):
     assert options, str(caught.value)
     answers = {"exptime=SECONDS": "exptime=10", "time=1,mag=2,mag_err=3": "time=1,flux=2,flux_err=3"}
     option = options[-1].rstrip(",")
-    typed = shlex.split(f"--columns={answers.get(option, option)}".replace('"', '\\"'))[0].removeprefix("--columns=")
-    assert len(read(text, columns=typed)) >= 2
+    assert len(read(text, columns=answers.get(option, option))) >= 2
 
 
 class TestFormatsOfOthers:
@@ -356,7 +380,9 @@ class TestFormatsOfOthers:
                 return Header(head.path, ("time", "mag"), ",", ecsv=False, rows=rows, format=cls.name)
 
         try:
-            recording = read("Dear diary\n" + "".join(f"I saw {m} at {jd}\n" for jd, m in zip(JD, MAG, strict=True)))
+            recording = read(
+                "Dear diary\n" + "".join(f"I saw {m} at {jd}\n" for jd, m in zip(JD, MAG, strict=True))
+            )
             holds(recording, error=False)
             assert recording.warnings[0].startswith("read as diary of a test")
         finally:
@@ -418,16 +444,25 @@ def test_pictures_of_a_notebook(read):
     assert shown.count("<circle") == 3 and "</svg>" in shown
     heights = [float(one) for one in re.findall(r'cy="([\d.]+)"', shown)]
     assert heights == sorted(heights, reverse=True)  # it brightens: the dots rise, y counts downwards
-    assert Scene.from_toml(SCENE)._repr_html_().count("<polygon") >= 4  # three faces of the box, one of the plate
+    assert (
+        Scene.from_toml(SCENE)._repr_html_().count("<polygon") >= 4
+    )  # three faces of the box, one of the plate
 
 
 @pytest.mark.skipif(not OBSERVER.is_dir(), reason="needs ../shared/cases/observer")
-@pytest.mark.parametrize("name", ["aij.csv", "aij.tbl", "europe.csv", "home.csv", "night_jdred.csv", "night_badrow.csv"])
+@pytest.mark.parametrize(
+    "name", ["aij.csv", "aij.tbl", "europe.csv", "home.csv", "night_jdred.csv", "night_badrow.csv"]
+)
 def test_one_night_in_six_forms(name: str):
     """Read by pandas, without torchlc, or told by name as in the message."""
     options = {"columns": "time_format=jd-2400000"} if name == "night_jdred.csv" else {}
     recording = load_recording(OBSERVER / name, **options)
-    reading = {"comment": "#", "encoding": "latin-1", "sep": {"aij.tbl": "\t", "europe.csv": ";"}.get(name, ","), "decimal": "," if name == "europe.csv" else "."}
+    reading = {
+        "comment": "#",
+        "encoding": "latin-1",
+        "sep": {"aij.tbl": "\t", "europe.csv": ";"}.get(name, ","),
+        "decimal": "," if name == "europe.csv" else ".",
+    }
     frame = pandas.read_csv(OBSERVER / name, **reading)
     first = next(one for one in ("JD_UTC", "Zeit", "time") if one in frame)
     second = next(one for one in ("Source_AMag_T1", "Helligkeit", "mag") if one in frame)
@@ -436,3 +471,91 @@ def test_one_night_in_six_forms(name: str):
     if name != "home.csv":
         expected = frame[first] + (2400000 if name == "night_jdred.csv" else 0)
         np.testing.assert_allclose(np.asarray(recording.time.jd), expected, rtol=0, atol=1e-9)
+
+
+class TestCommands:
+    TWO = (
+        "0 BIRD 7\n1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999\n"
+        "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325\n"
+        "TEST SATELLITE\n1 00001U 16037A   20284.07341138 -.00000354  00000-0  00000+0 0  9993\n"
+        "2 00001   1.7237  67.2351 0007471   0.1818  88.7233  1.00273124 15966\n"
+    )
+
+    @pytest.fixture(autouse=True)
+    def folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.chdir(tmp_path)
+        Path("two.txt").write_text(self.TWO)
+
+    def test_an_object_of_many(self, capsys: pytest.CaptureFixture[str]):
+        assert run(["init", "s.toml", "--tle", "two.txt"]) == 2
+        told = capsys.readouterr().err
+        assert "1 TEST SATELLITE, 37834 BIRD 7" in told and not Path("s.toml").exists()
+        followed = re.search(r"--object (\w+)", told)
+        assert followed is not None
+        for wanted, number in (
+            (followed[1], "00001"),
+            ("bird", "37834"),
+            ("BIRD 7", "37834"),
+            ("00001", "00001"),
+        ):
+            assert run(["init", "s.toml", "--tle", "two.txt", "--object", wanted, "--force"]) == 0
+            assert f'"1 {number}U' in Path("s.toml").read_text()
+        assert run(["init", "t.toml", "--tle", "two.txt", "--object", "plane"]) == 2
+        assert run(["init", "t.toml", "--tle", "two.txt", "--object", "I"]) == 2  # both names have an i
+        assert "2 objects for 'I'" in capsys.readouterr().err
+
+    def test_a_campaign_from_a_folder(self, capsys: pytest.CaptureFixture[str]):
+        nights = Path("nights")
+        nights.mkdir()
+        (nights / "37834_2026-03-15.csv").write_text(table("JD,Mag,Err"))
+        (nights / "test-satellite 2.txt").write_text(EXPORTS["ZTF"])
+        (nights / "inside.csv").write_text("# object: BIRD 7\n" + table("JD,Mag,Err"))
+        (nights / "nobody.csv").write_text(table("JD,Mag,Err"))
+        (nights / "bird-7-but.csv").write_text("# object: TEST SATELLITE\n" + table("JD,Mag,Err"))
+        assert run(["campaign", "init", "two.txt", "nights", "--station", "weihai,37.5,122.1,110"]) == 0
+        told = capsys.readouterr()
+        assert "nobody.csv: left out" in told.err and "bird-7-but.csv: left out" in told.err
+        jobs = list(read_manifest(nights / "manifest.csv"))
+        numbers = {job.recording.name: load_scene(job.scene).orbit.tle[0][2:7] for job in jobs}
+        assert numbers == {
+            "37834_2026-03-15.csv": "37834",
+            "inside.csv": "37834",
+            "test-satellite 2.txt": "00001",
+        }
+        assert run(["campaign", "init", "two.txt", "nights"]) == 2
+        assert "--force" in capsys.readouterr().err
+        assert run(["campaign"]) == 2 and run(["campaign", "nights/manifest.csv"]) == 2  # no -o
+
+    def test_columns_of_every_command(self, capsys: pytest.CaptureFixture[str]):
+        rows = "".join(f"{2459140.125 + k / 288:.6f} {12 + 0.1 * np.sin(k):.4f} 0.02\n" for k in range(40))
+        Path("r.txt").write_text("when light spread\n" + rows)
+        Path("s.toml").write_text(SCENE)
+        columns = ["--columns", "time=when,mag=light,mag_err=spread"]
+        assert run(["simulate", "s.toml", "r.txt", "-o", "out", *columns]) == 0
+        assert "when as time (Julian date, UTC, mid-exposure)" in capsys.readouterr().err
+        assert run(["period", "r.txt", *columns]) == 0
+        assert run(["period", "r.txt"]) == 2
+        assert "--columns" in capsys.readouterr().err
+
+    def test_a_fit_is_read_back(self):
+        scene, recording = write_case(Path("."))
+        result = torchlc.fit(scene, recording, steps=20, out="fit")
+        stored = torchlc.load_fit("fit")
+        assert stored.parameters() == json.loads(Path("fit/fit.json").read_text())["parameters"]
+        assert result.posterior is not None and stored.names == result.names
+        for k, name in enumerate(result.names):
+            np.testing.assert_array_equal(stored.draws[name], result.posterior.theta[..., k].numpy())
+        assert stored.to_pandas()["median"].tolist() == result.to_pandas()["median"].tolist()
+        (Path("fit") / "posterior.nc").write_bytes(b"nothing")
+        with pytest.raises(InputError, match="posterior.nc: cannot be read"):
+            torchlc.load_fit("fit")
+        with pytest.raises(InputError, match="no such file"):
+            torchlc.load_fit("nowhere")
+
+
+def test_all_missing_keys_of_a_scene_are_told_at_once():
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml('format = "torchlc-scene/1"\n[attitude]\n')
+    assert all(
+        key in str(caught.value) for key in ("name", "orbit", "attitude.mode", "components", "materials")
+    )

@@ -518,7 +518,9 @@ class TestWhatTimesAre:
     def test_the_hint_of_a_reduced_date_works(self, read):
         """61115.368056 is a night in March as JD - 2400000, and the morning after it as a modified Julian date."""
         text = "time,mag\n61115.368056,14.9\n"
-        with pytest.raises(InputError, match=r"2400000\.5 .*time_format: mjd .*time_format: jd-2400000 .*in a line"):
+        with pytest.raises(
+            InputError, match=r"2400000\.5 .*time_format: mjd .*time_format: jd-2400000 .*in a line"
+        ):
             read(text)
         for form, expected in (("mjd", "2026-03-16T08:50:00"), ("jd-2400000", "2026-03-15T20:50:00")):
             found = read(f"# time_format: {form}\n" + text).time

@@ -271,9 +271,7 @@ def demo(
     return found, result
 
 
-def usable(
-    scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None
-) -> Recording:
+def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None) -> Recording:
     """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and
     counted.
     """

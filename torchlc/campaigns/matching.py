@@ -16,7 +16,10 @@ SAID = re.compile(r"\b(object|satellite|target|norad|catalog\w*|designation)\b",
 """Keys of metadata and words of comments beside which an object is named."""
 WHOLE_NUMBER = 5
 """Digits from which on a number is taken for one of the catalogue; shorter ones need the word for it beside them."""
-AFTER_ITS_WORD = re.compile(r"(?:norad|catalog(?:ue)?|cat|satno|sat|ssn)[\s_#:=.-]*(?:id|no|number)?[\s_#:=.-]*0*(\d{1,9})(?!\d)", re.I)
+AFTER_ITS_WORD = re.compile(
+    r"(?:norad|catalog(?:ue)?|cat|satno|sat|ssn)[\s_#:=.-]*(?:id|no|number)?[\s_#:=.-]*0*(\d{1,9})(?!\d)",
+    re.I,
+)
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,9 @@ def _match(path: Path, sets: Sequence[Elements]) -> Match:
     inside = [number for line in said for number in _objects_in(line, sets)]
     chosen = set(by_name) or set(inside)
     if by_name and inside and not set(by_name) & set(inside):
-        return Match(path, (), f"its name says {_labels(by_name, sets)}, the file says {_labels(inside, sets)}")
+        return Match(
+            path, (), f"its name says {_labels(by_name, sets)}, the file says {_labels(inside, sets)}"
+        )
     if by_name and inside:
         chosen = set(by_name) & set(inside)
     if len(chosen) != 1:
@@ -72,7 +77,9 @@ def _objects_in(text: str, sets: Sequence[Elements]) -> list[str]:
     objects = {one.lines[0][2:7]: one for one in sets}
     numbers = {found.lstrip("0") for found in AFTER_ITS_WORD.findall(text)}
     numbers |= {
-        found.lstrip("0") for found in re.findall(r"(?<![\w.])\d+(?![\w.])", text.replace("_", " ")) if len(found) >= WHOLE_NUMBER
+        found.lstrip("0")
+        for found in re.findall(r"(?<![\w.])\d+(?![\w.])", text.replace("_", " "))
+        if len(found) >= WHOLE_NUMBER
     }
     if text.strip().isdigit():
         numbers.add(text.strip().lstrip("0"))

@@ -55,7 +55,9 @@ def write_campaign(
             continue
         scene = path.with_name(f"{path.stem}.toml")
         if scene in texts:
-            left_out[path] = f"its scene would be {scene.name}, as that of another recording: give it another name"
+            left_out[path] = (
+                f"its scene would be {scene.name}, as that of another recording: give it another name"
+            )
             continue
         try:
             first = float(load_recording(path).first_time.utc.jd)

@@ -59,7 +59,8 @@ def moment(text: str) -> str | float:
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)]
 RecordingFile = Annotated[
-    Path, typer.Argument(metavar="OBS", help="Recording, in any of the formats that are read.", show_default=False)
+    Path,
+    typer.Argument(metavar="OBS", help="Recording, in any of the formats that are read.", show_default=False),
 ]
 Out = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)

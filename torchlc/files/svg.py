@@ -13,9 +13,7 @@ MOST_DOTS = 600
 INKS = ("#2a6fbb", "#d1732c", "#3a8f5c", "#8a5bb0", "#b03a48", "#5c6670")
 
 
-def scatter(
-    x: np.ndarray, y: np.ndarray, group: np.ndarray, label: str, *, upwards: bool = True
-) -> str:
+def scatter(x: np.ndarray, y: np.ndarray, group: np.ndarray, label: str, *, upwards: bool = True) -> str:
     """Dots at x, y (N,), coloured by ``group`` (N,) of small integers; ``upwards``: larger values are higher."""
     known = np.isfinite(x) & np.isfinite(y)
     places = np.flatnonzero(known)
@@ -37,7 +35,10 @@ def polygons(shapes: Sequence[np.ndarray], group: Sequence[int], shade: Sequence
         return ""
     corners = np.concatenate(list(shapes))
     low, high = corners.min(0), corners.max(0)
-    scale = min((WIDTH - 2 * MARGIN) / max(high[0] - low[0], 1e-9), (HEIGHT - 2 * MARGIN) / max(high[1] - low[1], 1e-9))
+    scale = min(
+        (WIDTH - 2 * MARGIN) / max(high[0] - low[0], 1e-9),
+        (HEIGHT - 2 * MARGIN) / max(high[1] - low[1], 1e-9),
+    )
     middle = (low + high) / 2
     drawn = []
     for shape, k, light in zip(shapes, group, shade, strict=True):

@@ -67,6 +67,8 @@ FALSE_FRIENDS = (
     "flux_err",
 )
 """Columns of ours, never offered for another one that is missing."""
+
+
 @dataclass(frozen=True)
 class Timing:
     """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (a key of
@@ -99,11 +101,17 @@ def missing(header: Header, name: str, expected: str) -> InputError:
 def _offered(name: str, header: Header) -> dict[str, str]:
     """Our columns beside those of the file that come nearest to them, or come first, for an example."""
     roles = [role for role in ("time", "flux" if name == "flux" else "mag") if role not in header.names]
-    left = [other for other in header.names if other and other not in FALSE_FRIENDS and other not in ("time", "mag")]
+    left = [
+        other
+        for other in header.names
+        if other and other not in FALSE_FRIENDS and other not in ("time", "mag")
+    ]
     offered: dict[str, str] = {}
     for role in roles:
         near = difflib.get_close_matches(role, [plain(other) for other in left], n=1, cutoff=0.6)
-        chosen = next((other for other in left if near and plain(other) == near[0]), left[0] if left else "NAME")
+        chosen = next(
+            (other for other in left if near and plain(other) == near[0]), left[0] if left else "NAME"
+        )
         offered[role] = chosen
         left = [other for other in left if other != chosen]
     return offered
@@ -143,14 +151,20 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     given = reading.time_scale or header.meta.get("time_scale")
     scale = str(given or stamp.scale or "utc").strip().lower()
     if scale not in SCALES:
-        hint = "A local time needs its zone: time_zone in [recording] of the scene." if "local" in scale else None
+        hint = (
+            "A local time needs its zone: time_zone in [recording] of the scene."
+            if "local" in scale
+            else None
+        )
         raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai or tt", hint)
     scale, mark, notes = SCALES[scale], reading.time_mark or stamp.mark or "mid", list(header.notes)
     known_scale = scale if given or stamp.scale else None
     light_path = stamp.light_path
     for place, text in _statements(header, reading):
         if AT_THE_SUN.search(text):
-            light_path = light_path or ("barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric")
+            light_path = light_path or (
+                "barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric"
+            )
         stated = scale if reading.time_scale else _stated_scale(header, reading, place, text, known_scale)
         if stated not in (None, scale):
             scale = stated
@@ -181,9 +195,13 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
             "--columns time_mark=middle if they are times of mid-exposure",
         )
     if mark != "mid" and not any("half of exptime" in note for note in notes):
-        notes.append(f"times are those of the {mark} of exposures: half of exptime is {_moved(mark)} every time")
+        notes.append(
+            f"times are those of the {mark} of exposures: half of exptime is {_moved(mark)} every time"
+        )
     if reading.time_zone and scale != "utc":
-        raise InputError(header.source, "time_zone", f"beside the time scale {scale}", "UTC with a zone, or a scale")
+        raise InputError(
+            header.source, "time_zone", f"beside the time scale {scale}", "UTC with a zone, or a scale"
+        )
     if reading.time_zone:
         notes.append(f"the times are civil time of the zone {reading.time_zone}, and converted to UTC")
     form = reading.time_format or _time_format(header) or stamp.format
@@ -223,7 +241,9 @@ def _statements(header: Header, reading: Reading) -> list[tuple[str, str]]:
         if key.lower() in ("tz", "timezone", "time_zone"):
             plainly_utc = r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?"
             if reading.time_zone is None and not re.fullmatch(plainly_utc, value.strip(), re.IGNORECASE):
-                hint = f"Convert it first, or say --columns time_zone={value.strip()[:40]} if that is what it is"
+                hint = (
+                    f"Convert it first, or say --columns time_zone={value.strip()[:40]} if that is what it is"
+                )
                 raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", hint)
         elif ABOUT_TIME.search(key):
             statements.append((f"metadata {key}", value))
@@ -244,7 +264,9 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
     if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
         if reading.time_zone is not None:
             return None
-        hint = "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+        hint = (
+            "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+        )
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
     if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
@@ -257,7 +279,9 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
     if not named:
         return None
     said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
-    hint = f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai or tt)"
+    hint = (
+        f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai or tt)"
+    )
     raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI or TT", hint)
 
 
@@ -407,7 +431,9 @@ def taken(
 ) -> list[str]:
     """One line on what was taken for what; none where a file has our own names and nothing else is to be said."""
     roles = dict.fromkeys(
-        "time" if name == "time" else name for name in columns if name in header.theirs and name in header.columns
+        "time" if name == "time" else name
+        for name in columns
+        if name in header.theirs and name in header.columns
     )
     renamed = any(header.theirs[name] != name for name in roles)
     if not renamed and not header.format and header.decimal == "." and not reading.model_fields_set:

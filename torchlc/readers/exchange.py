@@ -93,7 +93,9 @@ def to_pandas(measurements: Measurements) -> pandas.DataFrame:
     time: Any = measurements.time.copy(format="isot")
     time.precision = 9
     instants = pandas.to_datetime(np.asarray(time.value, dtype=str), utc=measurements.time.scale == "utc")
-    return pandas.DataFrame({"time": instants, **{name: np.asarray(one) for name, one in _data(measurements).items()}})
+    return pandas.DataFrame(
+        {"time": instants, **{name: np.asarray(one) for name, one in _data(measurements).items()}}
+    )
 
 
 def header_of(rows: Any, reading: Reading) -> Header:
@@ -172,7 +174,9 @@ def _series(column: Any) -> Any:
     if hasattr(dtype, "numpy_dtype") and dtype.kind in "fiu":
         return np.asarray(column.to_numpy(dtype=float, na_value=np.nan))
     missing = np.asarray(column.isna())
-    return np.array(["" if lost else str(value) for value, lost in zip(column, missing, strict=True)], dtype=object)
+    return np.array(
+        ["" if lost else str(value) for value, lost in zip(column, missing, strict=True)], dtype=object
+    )
 
 
 def _array(column: Any) -> Any:
@@ -191,7 +195,9 @@ def _array(column: Any) -> Any:
 def plain(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Columns of one number, flag or text a row, as astropy's columns."""
     table = {
-        name: column if hasattr(column, "info") else (MaskedColumn if hasattr(column, "mask") else Column)(column)
+        name: column
+        if hasattr(column, "info")
+        else (MaskedColumn if hasattr(column, "mask") else Column)(column)
         for name, column in columns.items()
     }
     return {

@@ -34,7 +34,13 @@ def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> 
     near = exact or [one for one in every if any(folded in name.casefold() for name in one)]
     if len(near) != 1:
         known = sorted(name for one in every for name in one)
-        found = "no object" if not near else f"{len(near)} objects ({', '.join(sorted(min(one) for one in near))[:200]})"
+        found = (
+            "no object"
+            if not near
+            else f"{len(near)} objects ({', '.join(sorted(min(one) for one in near))[:200]})"
+        )
         expected = f"one of {', '.join(known[:MOST_LISTED])}"[:300]
-        raise InputError(path, "object", f"{found} called {wanted[:60]!r}", expected, did_you_mean(wanted, known))
+        raise InputError(
+            path, "object", f"{found} called {wanted[:60]!r}", expected, did_you_mean(wanted, known)
+        )
     return min(near[0])

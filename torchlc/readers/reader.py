@@ -50,7 +50,13 @@ LEAST_ERROR, LARGEST_ERROR = 1e-12, 1e12
 """Of an error, of the size of what it belongs to (1 for magnitudes): beyond it, it is no measured error, and
 weights of its inverse square lose the other rows.
 """
-MARKERS = np.array([float(f"-{whole}.{share}") for whole in ("99", "999", "9999") for share in ("0", "9", "99", "999", "9999")])
+MARKERS = np.array(
+    [
+        float(f"-{whole}.{share}")
+        for whole in ("99", "999", "9999")
+        for share in ("0", "9", "99", "999", "9999")
+    ]
+)
 """-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
 JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
@@ -101,7 +107,12 @@ class _Reader:
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
         taken = declared.taken(header, reading, self.columns, self.timing, self.time_format)
-        self.warnings = [*taken, *self.timing.notes, *declared.units_told(header, self.kind), *self.units_told]
+        self.warnings = [
+            *taken,
+            *self.timing.notes,
+            *declared.units_told(header, self.kind),
+            *self.units_told,
+        ]
 
     def _is_located(self) -> bool:
         """Is the direction to the object known without its orbit about the Earth?"""
@@ -269,7 +280,9 @@ class _Reader:
         if not path:
             return
         if self.reading.direction is not None:
-            site = self.scene.stations[0] if self.scene is not None and len(self.scene.stations) == 1 else None
+            site = (
+                self.scene.stations[0] if self.scene is not None and len(self.scene.stations) == 1 else None
+            )
             station = None if site is None else (site.latitude, site.longitude, site.height)
             added = days_by_direction(time, path, self.reading.direction, station)
         else:

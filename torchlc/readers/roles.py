@@ -120,7 +120,9 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role, text in reading.columns.items():
         if role not in ROLES:
             known = [*ROLES[:10], *SETTINGS]
-            raise InputError(OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known))
+            raise InputError(
+                OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
+            )
         taken[role] = _told(header, role, text)
     for role in ROLES:
         if role not in taken and role in header.names:
@@ -158,7 +160,9 @@ def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
         else:
             listed = ", ".join(filter(None, header.names))[:200]
             hint = did_you_mean(name, [other for other in header.names if other])
-            raise InputError(header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint)
+            raise InputError(
+                header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint
+            )
     return tuple(places)
 
 

@@ -196,7 +196,9 @@ def lines_as_cells(header: Header) -> Iterator[list[str]]:
 
 
 def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
-    width = len(header.names) - sum(len(places) > 1 for places in header.columns.values())  # joined ones come last
+    width = len(header.names) - sum(
+        len(places) > 1 for places in header.columns.values()
+    )  # joined ones come last
     if set(map(len, rows)) != {width}:
         index = next(i for i, row in enumerate(rows) if len(row) != width)
         found = f"{len(rows[index])} values"
@@ -248,9 +250,7 @@ class BrightnessReader:
             self._pieces.append(np.zeros(len(cells), dtype=bool))
             return read_numbers(header, name, cells, start)
         marked = [cell.lstrip().startswith(self._mark) for cell in cells]
-        plain = [
-            cell.lstrip()[1:] if limit else cell for cell, limit in zip(cells, marked, strict=True)
-        ]
+        plain = [cell.lstrip()[1:] if limit else cell for cell, limit in zip(cells, marked, strict=True)]
         self._pieces.append(np.array(marked))
         return read_numbers(header, name, plain, start)
 

@@ -82,7 +82,8 @@ class StoredFit:
         content = self.content
         state = "converged" if self.converged else "not converged"
         rows = [
-            (name, stated(row) + ("" if row["informed"] else "  (prior)")) for name, row in self.parameters().items()
+            (name, stated(row) + ("" if row["informed"] else "  (prior)"))
+            for name, row in self.parameters().items()
         ]
         width = max((len(name) for name, _ in rows), default=0)
         head = f"StoredFit: {self.directory}: {content['rows']} rows, chi2 {content['chi2']:.1f} for {content['dof']} degrees of freedom, {state}"
@@ -113,7 +114,9 @@ def load_fit(folder: str | Path) -> StoredFit:
     draws = _draws(folder / "posterior.nc") if content["samples"] else {}
     stray = [name for name in draws if name not in content["parameters"]]
     if stray:
-        raise InputError(folder / "posterior.nc", stray[0], "a parameter that fit.json lacks", "files of one fit")
+        raise InputError(
+            folder / "posterior.nc", stray[0], "a parameter that fit.json lacks", "files of one fit"
+        )
     return StoredFit(folder, content, draws)
 
 
@@ -128,7 +131,9 @@ def _draws(path: Path) -> dict[str, np.ndarray]:
             for name, variable in data["posterior"].data_vars.items()
         }
     except Exception as error:  # h5netcdf and xarray raise anything where a file is damaged
-        raise InputError(path, None, f"cannot be read: {error}"[:200], "a posterior.nc that torchlc wrote") from None
+        raise InputError(
+            path, None, f"cannot be read: {error}"[:200], "a posterior.nc that torchlc wrote"
+        ) from None
     if any(not math.prod(values.shape) for values in found.values()):
         raise InputError(path, None, "no draws", "a posterior.nc that torchlc wrote")
     return found

@@ -51,9 +51,11 @@ def of_validation(source: str | Path | None, error: ValidationError) -> InputErr
     absent = [where for where, what, _, _ in sentences if what == "missing" and where is not None]
     if found == "missing" and len(absent) > 1:
         rest = [where for where in absent if where != place]
-        listed = ", ".join(rest[:MOST_MISSING]) + (f" and {len(rest) - MOST_MISSING} more" if len(rest) > MOST_MISSING else "")
+        listed = ", ".join(rest[:MOST_MISSING]) + (
+            f" and {len(rest) - MOST_MISSING} more" if len(rest) > MOST_MISSING else ""
+        )
         hint = f"{hint or ''} Missing too: {listed}".strip()
-    elif absent:
+    elif absent and found != "missing":
         hint = f"{hint or ''} Missing: {', '.join(absent[:MOST_MISSING])}".strip()
     others = len(details) - 1 - len(absent) + (found == "missing")
     if others:

@@ -65,9 +65,7 @@ class Reading(Table):
     time_zone: Annotated[str, AfterValidator(_zone)] | None = None
     time_mark: Literal["start", "middle", "end"] | None = None
     light_path: Literal["observer", "heliocentric", "barycentric"] | None = None
-    direction: (
-        tuple[Annotated[Real, between(-180, 360)], Annotated[Real, between(-90, 90)]] | None
-    ) = None
+    direction: tuple[Annotated[Real, between(-180, 360)], Annotated[Real, between(-90, 90)]] | None = None
     exptime: Annotated[Real, between(0.0, 86400.0)] | None = None
     object: str | None = None
     delimiter: Annotated[str, AfterValidator(_delimiter)] | None = None

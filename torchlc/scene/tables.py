@@ -80,7 +80,10 @@ class SceneTables(Table):
             parts = Shape(self, {}).parts
         except InputError:
             return ""
-        values = {name: torch.tensor(value_of(number), dtype=torch.float64) for name, number in self.numbers().items()}
+        values = {
+            name: torch.tensor(value_of(number), dtype=torch.float64)
+            for name, number in self.numbers().items()
+        }
         if sum(len(part.faces) for part in parts) > MOST_DRAWN:
             return ""
         drawn: list[tuple[float, np.ndarray, int, float]] = []

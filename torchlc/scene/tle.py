@@ -106,7 +106,11 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
         some = min(objects.values(), key=lambda one: one.lines[0][2:7])
         hint = f"Say which: --object {some.number}, by its number, its name or a part of its name"
         raise InputError(
-            path, None, f"elements of {len(objects)} objects ({_listed(objects.values())})", "elements of one object", hint
+            path,
+            None,
+            f"elements of {len(objects)} objects ({_listed(objects.values())})",
+            "elements of one object",
+            hint,
         )
     sought = wanted.strip().casefold()
     digits = sought.lstrip("0") or "0"
@@ -120,17 +124,29 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
     if not chosen:
         names = [one.name for one in objects.values() if one.name]
         known = [*names, *(one.number for one in objects.values())]
-        raise InputError(path, "--object", f"no object {wanted[:60]!r}", f"one of {_listed(objects.values())}", did_you_mean(wanted, known))
+        raise InputError(
+            path,
+            "--object",
+            f"no object {wanted[:60]!r}",
+            f"one of {_listed(objects.values())}",
+            did_you_mean(wanted, known),
+        )
     if len(chosen) > 1:
         found = f"{len(chosen)} objects for {wanted[:60]!r} ({_listed(objects[number] for number in chosen)})"
-        raise InputError(path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}")
+        raise InputError(
+            path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}"
+        )
     return [one for one in sets if one.lines[0][2:7] == chosen[0]]
 
 
 def _listed(objects: Iterable[Elements]) -> str:
     """Number and name of objects, in order of their numbers."""
     ordered = sorted(objects, key=lambda one: one.lines[0][2:7])
-    more = f" and {len(ordered) - MOST_LISTED} more: a part of a name finds them" if len(ordered) > MOST_LISTED else ""
+    more = (
+        f" and {len(ordered) - MOST_LISTED} more: a part of a name finds them"
+        if len(ordered) > MOST_LISTED
+        else ""
+    )
     return ", ".join(one.label for one in ordered[:MOST_LISTED]) + more
 
 

@@ -21,7 +21,6 @@ from torchlc.cli.options import (
     whole_number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
-from torchlc.cli.scaffold import read_station
 from torchlc.terminal import printable, progress_bar, say, show_json
 
 
@@ -44,7 +43,8 @@ app.add_typer(campaigns, name="campaign", rich_help_panel=None)
 
 
 @campaigns.command(
-    "run", epilog="Example: torchlc campaign catalogue.csv -o results --workers 8, then open results/index.html"
+    "run",
+    epilog="Example: torchlc campaign catalogue.csv -o results --workers 8, then open results/index.html",
 )
 def campaign(
     context: typer.Context,
@@ -92,7 +92,9 @@ def campaign(
         print(f"written: {out / 'index.html'}, summary.parquet and summary.csv")
 
 
-@campaigns.command("init", epilog="Example: torchlc campaign init elements.txt nights/ --station weihai,37.5,122.1,110")
+@campaigns.command(
+    "init", epilog="Example: torchlc campaign init elements.txt nights/ --station weihai,37.5,122.1,110"
+)
 def init_campaign(
     elements: Annotated[
         Path, typer.Argument(metavar="ELEMENTS", help="Two-line elements of the objects.", show_default=False)
@@ -107,7 +109,9 @@ def init_campaign(
         str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
     ] = None,
     task: Annotated[str, typer.Option(help="fit or diagnose.")] = "diagnose",
-    force: Annotated[bool, typer.Option("--force", help="Replace scenes and a manifest that are there.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace scenes and a manifest that are there.")
+    ] = False,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
@@ -115,6 +119,7 @@ def init_campaign(
 ) -> None:
     """Write FOLDER/manifest.csv and a scene beside each recording, matched to its object by number or name."""
     from torchlc.cli.campaign_files import write_campaign
+    from torchlc.cli.scaffold import read_station
 
     place = None if station is None else read_station(station)
     done = write_campaign(elements, folder, shape=shape, station=place, task=task, force=force)

@@ -26,7 +26,8 @@ from torchlc.terminal import say, show_json
 def init(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file to write.", show_default=False)],
     tle: Annotated[
-        Path, typer.Option(metavar="FILE", help="Two-line elements, with names or without.", show_default=False)
+        Path,
+        typer.Option(metavar="FILE", help="Two-line elements, with names or without.", show_default=False),
     ],
     shape: Annotated[
         str,

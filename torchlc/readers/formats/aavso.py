@@ -57,11 +57,15 @@ class Aavso(Format):
                 kind = cells[6].upper()
                 if kind not in (*STANDARD, "NA", ""):
                     hint = "Add the comparison star's magnitude (CMAG), and write STD"
-                    raise InputError(path, f"{place}, MTYPE", repr(kind[:40]), "STD: magnitudes on a standard scale", hint)
+                    raise InputError(
+                        path, f"{place}, MTYPE", repr(kind[:40]), "STD: magnitudes on a standard scale", hint
+                    )
                 name, date, mag, error, band = cells[:5]
                 if mag.startswith("<"):
                     mag, error = f">{mag[1:].strip()}", ""
-                checked = checked_decimal(mag.lstrip("> "), path, f"{place}, MAG") if mag.lower() != "na" else 0.0
+                checked = (
+                    checked_decimal(mag.lstrip("> "), path, f"{place}, MAG") if mag.lower() != "na" else 0.0
+                )
                 if error and error.lower() != "na" and abs(checked) <= BEYOND_MAG:
                     checked_decimal(error, path, f"{place}, MERR")
                 yield name, [date, mag, error, band]

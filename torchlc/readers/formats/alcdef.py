@@ -45,7 +45,9 @@ class Alcdef(Format):
                 path, None, "no session with data", "STARTMETADATA, ENDMETADATA, DATA=... and ENDDATA"
             )
         for key in ("OBJECTNAME", "OBJECTNUMBER"):
-            names = sorted({block.said[key] for block in blocks if key in block.said and block.said[key] != "0"})
+            names = sorted(
+                {block.said[key] for block in blocks if key in block.said and block.said[key] != "0"}
+            )
             if len(names) > 1:
                 raise InputError(
                     path, None, f"{len(names)} objects ({', '.join(names)[:100]})", "one object a file"
@@ -69,7 +71,9 @@ class Alcdef(Format):
                 if later:
                     date = repr(checked_decimal(date, path, place) + later)
                 mag = checked_decimal(cells[1], path, place)
-                error = checked_decimal(cells[2], path, place) if len(cells) > 2 and cells[2].strip() else None
+                error = (
+                    checked_decimal(cells[2], path, place) if len(cells) > 2 and cells[2].strip() else None
+                )
                 beyond = not abs(mag) <= BEYOND_MAG or (error is not None and abs(error) > BEYOND_MAG)
                 if block.line not in curves:
                     curves[block.line] = f"{len(curves) + 1} {block.said.get('SESSIONDATE', '')}".strip()

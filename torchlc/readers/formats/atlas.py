@@ -43,7 +43,9 @@ class Atlas(Format):
                     mag, error = "" if faintest is None else f">{cells[faintest]}", ""
                 yield [date, mag, error, band]
 
-        header = Header(path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows)
+        header = Header(
+            path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows
+        )
         return replace(header, format=cls.name)
 
 

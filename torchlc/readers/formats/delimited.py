@@ -18,7 +18,10 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 MARKS = "#%"
 """Signs that begin a comment whatever the delimiter; a semicolon does where it is no delimiter."""
 NUMBER = re.compile(r"\s*[<>]?[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
-WITH_COMMA, WITH_POINT = re.compile(r"\s*[<>]?[+-]?\d*,\d+\s*", re.ASCII), re.compile(r"\s*[<>]?[+-]?\d*\.\d+\s*", re.ASCII)
+WITH_COMMA, WITH_POINT = (
+    re.compile(r"\s*[<>]?[+-]?\d*,\d+\s*", re.ASCII),
+    re.compile(r"\s*[<>]?[+-]?\d*\.\d+\s*", re.ASCII),
+)
 JULIAN = (2_400_000.0, 2_500_000.0)
 PLAIN_MAGNITUDES = (3.0, 30.0)
 """Of a table without names: numbers beyond may be fluxes. A relative flux is near 1."""
@@ -71,7 +74,9 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 def table_header(head: Head) -> Header:
     """Delimiter, names, decimal sign and comments of a table."""
     wanted = {role: list(names) for one in FORMATS.values() for role, names in one.columns.items()}
-    header = _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
+    header = (
+        _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
+    )
     check_names(head.path, [name for name in header.names if name])
     rows = _sample(head, header)
     above = [text for number, text in head.lines if number <= header.skip]
@@ -106,9 +111,7 @@ def _marks(delimiter: str) -> str:
 
 
 def _header(head: Head, names: Sequence[str], delimiter: str, skip: int) -> Header:
-    return Header(
-        head.path, tuple(names), delimiter, ecsv=False, skip=skip, marks=_marks(delimiter)
-    )
+    return Header(head.path, tuple(names), delimiter, ecsv=False, skip=skip, marks=_marks(delimiter))
 
 
 def _by_names(head: Head, wanted: dict[str, list[str]]) -> Header | None:
@@ -176,7 +179,9 @@ def _without_names(head: Head) -> Header | None:
 def _guessed(head: Head, header: Header) -> Header:
     """Time, magnitude and error of a table without names, where its numbers leave no doubt."""
     rows = [cells for _, cells in _sample(head, header) if len(cells) == len(header.names)]
-    comma = header.delimiter != "," and not any(WITH_POINT.fullmatch(cell) for cells in rows for cell in cells)
+    comma = header.delimiter != "," and not any(
+        WITH_POINT.fullmatch(cell) for cells in rows for cell in cells
+    )
 
     def numbers(place: int) -> list[float]:
         found = []
@@ -206,7 +211,11 @@ def _guessed(head: Head, header: Header) -> Header:
     if len(names) > 2:
         errors = numbers(2)
         marked = [error for error in errors if 0 < error < 90]
-        if marked and len(marked) + sum(abs(error) > 90 for error in errors) == len(errors) and max(marked) < LARGEST_PLAIN_ERROR:
+        if (
+            marked
+            and len(marked) + sum(abs(error) > 90 for error in errors) == len(errors)
+            and max(marked) < LARGEST_PLAIN_ERROR
+        ):
             names[2] = "mag_err"
     told = f"the file has no names of columns: taken as {', '.join(f'{k + 1} {name}' for k, name in enumerate(names) if not name.isdigit())}"
     left = [name for name in names if name.isdigit()]
@@ -234,7 +243,9 @@ def _sample(head: Head, header: Header) -> list[tuple[int, list[str]]]:
 
 def _is_line_of_units(cells: Sequence[str]) -> bool:
     """A line below the names that holds units, or rules them off: no digit in any cell, and no missing value."""
-    return any(cells) and not any(re.search(r"\d", cell) or cell.lower() in BLANK - {"", "-", "--"} for cell in cells)
+    return any(cells) and not any(
+        re.search(r"\d", cell) or cell.lower() in BLANK - {"", "-", "--"} for cell in cells
+    )
 
 
 def _decimal(head: Head, header: Header, rows: Sequence[tuple[int, list[str]]]) -> str:

@@ -40,7 +40,10 @@ class Ecsv(Format):
         check_names(path, names)
         if list(names) != list(declared):
             raise InputError(
-                path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200]
+                path,
+                "header",
+                f"columns {', '.join(names)}"[:200],
+                f"as declared: {', '.join(declared)}"[:200],
             )
         if meta.get("__serialized_columns__"):
             return Header(**described_table(path, read_table(path, list(lines_of(path)))))

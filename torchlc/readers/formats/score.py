@@ -43,7 +43,9 @@ class Score(Format):
             next(reader)
             for row, cells in enumerate(reader, 1):
                 if len(cells) != len(names):
-                    raise InputError(path, f"row {row}", f"{len(cells)} values", f"{len(names)}, as in the header")
+                    raise InputError(
+                        path, f"row {row}", f"{len(cells)} values", f"{len(names)}, as in the header"
+                    )
                 yield row, dict(zip(names, map(str.strip, cells), strict=True))
 
         def called(cells: dict[str, str]) -> set[str]:
@@ -63,7 +65,13 @@ class Score(Format):
                 place = tuple(cells.get(name, "") for name in PLACE)
                 if place not in stations:
                     stations[place] = _station(head, row, place)
-                yield [cells["observation_time_utc"], mag, error, cells.get("observing_filter", ""), stations[place]]
+                yield [
+                    cells["observation_time_utc"],
+                    mag,
+                    error,
+                    cells.get("observing_filter", ""),
+                    stations[place],
+                ]
 
         columns = ("time", "mag", "mag_err", "band", "station")
         return Header(path, columns, ",", ecsv=False, meta={"time_format": "iso"}, rows=rows, format=cls.name)
@@ -85,4 +93,10 @@ def _station(head: Head, row: int, place: tuple[str, ...]) -> str:
         f"Add to the scene: [[stations]] with id, latitude = {latitude:g}, longitude = {longitude:g}, "
         f"height = {place[2] or '0'}"
     )
-    raise InputError(head.path, f"row {row}", f"an observer at {latitude:g}, {longitude:g}", f"a station of the scene: {known}", hint)
+    raise InputError(
+        head.path,
+        f"row {row}",
+        f"an observer at {latitude:g}, {longitude:g}",
+        f"a station of the scene: {known}",
+        hint,
+    )

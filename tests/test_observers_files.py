@@ -538,7 +538,7 @@ class TestCommands:
         assert "--columns" in capsys.readouterr().err
 
     def test_a_fit_is_read_back(self):
-        scene, recording = write_case(Path("."))
+        scene, recording = write_case(Path())
         result = torchlc.fit(scene, recording, steps=20, out="fit")
         stored = torchlc.load_fit("fit")
         assert stored.parameters() == json.loads(Path("fit/fit.json").read_text())["parameters"]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from click import Context
 from typer.core import TyperGroup
 
 from torchlc.cli import completion
@@ -27,7 +26,7 @@ from torchlc.terminal import printable, progress_bar, say, show_json
 class ManifestFirst(TyperGroup):
     """A group whose first argument may be a manifest: what is none of its commands is handed to ``run``."""
 
-    def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         named = bool(args) and (args[0] in self.commands or args[0] in ("-h", "--help"))
         return super().parse_args(ctx, args if named else ["run", *args])
 

@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from torchlc.errors import InputError
 from torchlc.readers.format import FORMATS, Format, Head
@@ -47,7 +48,7 @@ class Delimited(Format):
 class NamedTable(Format):
     """A table whose format is known by the names of its columns: ``marks_of_it`` are among them."""
 
-    marks_of_it: frozenset[str] = frozenset()
+    marks_of_it: ClassVar[frozenset[str]] = frozenset()
 
     @classmethod
     def recognises(cls, head: Head) -> bool:
@@ -142,7 +143,7 @@ def _by_comment(head: Head, wanted: dict[str, list[str]]) -> Header | None:
             return None
         for delimiter in _delimiters(head):
             cells = cells_of(text, delimiter)
-            if len(cells) < 2 or not NUMBER.fullmatch(cells[-1]) and not any(map(NUMBER.fullmatch, cells)):
+            if len(cells) < 2 or (not NUMBER.fullmatch(cells[-1]) and not any(map(NUMBER.fullmatch, cells))):
                 continue
             for between in dict.fromkeys((delimiter, *DELIMITERS)):
                 names = cells_of(comment, between)

@@ -29,7 +29,7 @@ class Score(Format):
 
     @classmethod
     def recognises(cls, head: Head) -> bool:
-        return OF_SCORE <= {name.strip() for name in head.first.split(",")}
+        return {name.strip() for name in head.first.split(",")} >= OF_SCORE
 
     @classmethod
     def read(cls, head: Head) -> Header:

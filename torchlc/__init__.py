@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from torchlc.report.write import write_report
     from torchlc.results.fit_result import FitResult
     from torchlc.results.simulated_curve import SimulatedCurve
+    from torchlc.results.stored_fit import StoredFit, load_fit
     from torchlc.scene import Scene
 
 _HOME = {
@@ -33,6 +34,7 @@ _HOME = {
     "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
     "Scene": "scene", "Recording": "readers",
     "FitResult": "results.fit_result", "SimulatedCurve": "results.simulated_curve",
+    "StoredFit": "results.stored_fit", "load_fit": "results.stored_fit",
     "InputError": "errors", "TorchlcError": "errors",
 }  # fmt: skip
 """Public name: the module it comes from."""
@@ -47,6 +49,7 @@ __all__ = [
     "Recording",
     "Scene",
     "SimulatedCurve",
+    "StoredFit",
     "TorchlcError",
     "Visibility",
     "__version__",
@@ -54,6 +57,7 @@ __all__ = [
     "diagnose",
     "fit",
     "load",
+    "load_fit",
     "predict",
     "simulate",
     "visibility",

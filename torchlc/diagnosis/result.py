@@ -30,6 +30,7 @@ from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Effect, Entry, View
 
 if TYPE_CHECKING:
+    import pandas
     from astropy.table import Table
     from matplotlib.axes import Axes
 
@@ -99,6 +100,10 @@ class Diagnosis:
         return Table(
             text | {key: [math.nan if row[key] is None else row[key] for row in rows] for key in numbers}
         )
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas."""
+        return self.to_table().to_pandas()
 
     def plot_curve(self) -> Sequence[Axes]:
         """Recording, baseline and final model, residuals below: axes in pairs, a night each."""

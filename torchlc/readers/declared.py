@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -92,7 +93,7 @@ def missing(header: Header, name: str, expected: str) -> InputError:
         hint = "The header holds one name only: is the delimiter a comma?"
     elif name in ("time", "mag", "flux"):
         offered = ",".join(f"{role}={_quoted(other)}" for role, other in _offered(name, header).items())
-        hint = f"{hint or ''} Say which column is what, as in --columns {offered}".strip()
+        hint = f"{hint or ''} Say which column is what, as in --columns {shlex.quote(offered)}".strip()
     listed = ", ".join(other for other in header.names if other)
     return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
 
@@ -107,7 +108,7 @@ def _offered(name: str, header: Header) -> dict[str, str]:
     ]
     offered: dict[str, str] = {}
     for role in roles:
-        near = difflib.get_close_matches(role, [plain(other) for other in left], n=1, cutoff=0.4)
+        near = difflib.get_close_matches(role, [plain(other) for other in left], n=1, cutoff=0.6)
         chosen = next(
             (other for other in left if near and plain(other) == near[0]), left[0] if left else "NAME"
         )
@@ -117,7 +118,7 @@ def _offered(name: str, header: Header) -> dict[str, str]:
 
 
 def _quoted(name: str) -> str:
-    return f'"{name}"' if re.search(r"[,\s\"']", name) else name
+    return f'"{name}"' if "," in name else name
 
 
 def ways_to_say(header: Header, key: str, value: str) -> str:

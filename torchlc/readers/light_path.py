@@ -33,7 +33,7 @@ def days_by_direction(
     else:
         place = EarthLocation.from_geodetic(station[1], station[0], station[2] * u.m)
     added: Any = np.zeros(len(time)) * u.day
-    with _from_bundled_tables():
+    with BundledTables():
         for _ in range(3):  # each pass is some 1e-4 of the one before: 500 s, 0.05 s, 5 us
             moment: Any = time - added
             added = moment.light_travel_time(target, kind=path, location=place)
@@ -47,9 +47,9 @@ def days_by_vectors(
     towards = -observer / np.linalg.norm(observer, axis=-1, keepdims=True)
     place = observer - sun
     if path == "barycentric":
-        with _from_bundled_tables():
-            centre: Any = get_body_barycentric("sun", cast(Time, time.tdb)).xyz
-        solar = np.asarray(centre.to_value(u.km)).T
+        with BundledTables():
+            centre: Any = get_body_barycentric("sun", cast(Time, time.tdb))
+        solar = np.asarray(centre.xyz.to_value(u.km)).T
         if frame == "ecliptic":
             cosine, sine = np.cos(OBLIQUITY), np.sin(OBLIQUITY)
             solar = solar @ np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
@@ -57,7 +57,7 @@ def days_by_vectors(
     return np.sum(place * towards, axis=-1) / KM_PER_DAY
 
 
-class _from_bundled_tables:
+class BundledTables:
     """Astropy without the network and without warnings of years that its tables do not reach."""
 
     def __enter__(self) -> None:

@@ -196,7 +196,9 @@ def lines_as_cells(header: Header) -> Iterator[list[str]]:
 
 
 def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
-    width = len(header.names)
+    width = len(header.names) - sum(
+        len(places) > 1 for places in header.columns.values()
+    )  # joined ones come last
     if set(map(len, rows)) != {width}:
         index = next(i for i, row in enumerate(rows) if len(row) != width)
         found = f"{len(rows[index])} values"

@@ -27,11 +27,13 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
 from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, left_out
+from torchlc.results.tables import parameter_table
 from torchlc.scene import Scene
 from torchlc.stages.effect import View
 
 if TYPE_CHECKING:
     import arviz
+    import pandas
     from astropy.table import Table
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -353,11 +355,11 @@ class FitResult:
 
     def to_table(self) -> Table:
         """One row a parameter: name, map, median, sd, q05, q95, rhat, ess, unit, informed."""
-        from astropy.table import Table
+        return parameter_table(self.parameters())
 
-        rows = [{"name": name, **row} for name, row in self.parameters().items()]
-        names = ["name", "map", "median", "sd", "q05", "q95", "rhat", "ess", "unit", "informed"]
-        return Table({key: [math.nan if row[key] is None else row[key] for row in rows] for key in names})
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas."""
+        return self.to_table().to_pandas()
 
     def to_arviz(self) -> arviz.InferenceData:
         """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",

@@ -27,6 +27,7 @@ from torchlc.readers.exchange import carried, told
 from torchlc.scene import Scene
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 DEFAULT_AIR_KM = 20.0
@@ -77,6 +78,10 @@ class SimulatedCurve:
         columns |= {name: masked(values, rows, name) for name, values in self.columns.items()}
         columns |= {f"share {name}": masked(values, rows, "") for name, values in self.shares.items()}
         return Table(columns | carried(recording), meta={"object": self.name, **told(recording)})
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas; what is unknown is missing."""
+        return self.to_table().to_pandas()
 
     def write(self, path: str | Path) -> Path:
         """Write as ECSV, whole or not at all."""

@@ -55,7 +55,7 @@ def of_validation(source: str | Path | None, error: ValidationError) -> InputErr
             f" and {len(rest) - MOST_MISSING} more" if len(rest) > MOST_MISSING else ""
         )
         hint = f"{hint or ''} Missing too: {listed}".strip()
-    elif absent:
+    elif absent and found != "missing":
         hint = f"{hint or ''} Missing: {', '.join(absent[:MOST_MISSING])}".strip()
     others = len(details) - 1 - len(absent) + (found == "missing")
     if others:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import zoneinfo
 from collections.abc import Mapping
@@ -18,6 +17,8 @@ DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " ", "bar": "|"}
 OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?([0-5]\d))?", re.ASCII | re.IGNORECASE)
 OPTION = "--columns"
+ITEM = re.compile(r'(?:[^,"]|"[^"]*"?)+')
+"""What stands between commas; a comma between double quotes belongs to a name."""
 
 
 def _delimiter(text: str) -> str:
@@ -109,8 +110,8 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
 
 def _pairs(text: str) -> dict[str, str]:
     pairs: dict[str, str] = {}
-    for item in next(csv.reader([text], skipinitialspace=True), []):
-        name, equals, value = (part.strip() for part in item.partition("="))
+    for item in ITEM.findall(text):
+        name, equals, value = (part.strip().strip('"').strip() for part in item.partition("="))
         if not (name and equals and value):
             raise InputError(None, OPTION, repr(item[:60]), "name=column, as in time=JD_UTC,mag=V")
         if name in pairs:

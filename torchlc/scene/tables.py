@@ -6,12 +6,20 @@ import html
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, PrivateAttr
 
+from torchlc.errors import InputError
+from torchlc.files.svg import polygons
 from torchlc.naming import Origin, full_names
-from torchlc.scene.numbers import Free, Name, Table, Title
+from torchlc.scene.numbers import Free, Name, Table, Title, value_of
 from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
 from torchlc.scene.reading import Reading
+
+ASIDE = np.array([[-0.55, 0.84, 0.0], [-0.32, -0.21, 0.92], [0.77, 0.50, 0.38]])
+"""Rows: right, up and towards the reader in the body frame, for a picture that shows +X, +Y and +Z."""
+MOST_DRAWN = 5000
+"""Facets of a picture: each is some 150 bytes of a notebook."""
 
 
 class SceneTables(Table):
@@ -59,7 +67,35 @@ class SceneTables(Table):
         return repr(self)
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
+        return f"<div>{self._picture()}<pre>{html.escape(repr(self))}</pre></div>"
+
+    def _picture(self) -> str:
+        """The object at rest from aside as SVG, a colour a component; empty where its shape cannot be made."""
+        import torch  # a command that only reads a scene does without it
+
+        from torchlc.shapes import Shape
+
+        try:
+            parts = Shape(self, {}).parts
+        except InputError:
+            return ""
+        values = {
+            name: torch.tensor(value_of(number), dtype=torch.float64)
+            for name, number in self.numbers().items()
+        }
+        if sum(len(part.faces) for part in parts) > MOST_DRAWN:
+            return ""
+        drawn: list[tuple[float, np.ndarray, int, float]] = []
+        for index, part in enumerate(parts):
+            facets = part.facets(values)
+            towards = facets.normal.numpy() @ ASIDE[2]
+            for corners, facing in zip(facets.vertices.numpy(), towards, strict=True):
+                if facing > 0:
+                    placed = corners @ ASIDE.T
+                    drawn.append((float(placed[:, 2].mean()), placed[:, :2], index, float(facing)))
+        drawn.sort(key=lambda one: one[0])
+        _, shapes, colours, shades = zip(*drawn, strict=True) if drawn else ((), (), (), ())
+        return polygons(shapes, colours, shades, f"{self.name}: {', '.join(part.name for part in parts)}")
 
     @property
     def directory(self) -> Path | None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from click import Context
 from typer.core import TyperGroup
 
 from torchlc.cli import completion
@@ -21,14 +20,13 @@ from torchlc.cli.options import (
     whole_number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
-from torchlc.cli.scaffold import read_station
 from torchlc.terminal import printable, progress_bar, say, show_json
 
 
 class ManifestFirst(TyperGroup):
     """A group whose first argument may be a manifest: what is none of its commands is handed to ``run``."""
 
-    def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         named = bool(args) and (args[0] in self.commands or args[0] in ("-h", "--help"))
         return super().parse_args(ctx, args if named else ["run", *args])
 
@@ -120,6 +118,7 @@ def init_campaign(
 ) -> None:
     """Write FOLDER/manifest.csv and a scene beside each recording, matched to its object by number or name."""
     from torchlc.cli.campaign_files import write_campaign
+    from torchlc.cli.scaffold import read_station
 
     place = None if station is None else read_station(station)
     done = write_campaign(elements, folder, shape=shape, station=place, task=task, force=force)

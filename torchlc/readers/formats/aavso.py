@@ -33,9 +33,8 @@ class Aavso(Format):
     @classmethod
     def read(cls, head: Head) -> Header:
         path = head.path
-        said = dict(
-            (part.strip().lower() for part in line.split("=", 1)) for line in head.comments if "=" in line
-        )
+        pairs = (line.partition("=") for line in head.comments)
+        said: dict[str, str] = {key.strip().lower(): value.strip().lower() for key, _, value in pairs}
         mark = said.get("delim", ",")
         delimiter = DELIMITERS.get(mark, mark)
         if len(delimiter) != 1:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torchlc.readers.format import Head
 from torchlc.readers.formats.delimited import NamedTable, table_header
 
@@ -12,7 +14,7 @@ class AstroImageJ(NamedTable):
     """
 
     name = "AstroImageJ"
-    columns = {
+    columns: ClassVar = {
         "time": ("JD_UTC", "JD-2400000", "J.D.-2400000", "BJD_TDB", "HJD_UTC"),
         "mag": ("Source_AMag_T1",),
         "mag_err": ("Source_AMag_Err_T1",),

@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from torchlc.errors import InputError
 from torchlc.readers.format import FORMATS, Format, Head
@@ -47,7 +48,7 @@ class Delimited(Format):
 class NamedTable(Format):
     """A table whose format is known by the names of its columns: ``marks_of_it`` are among them."""
 
-    marks_of_it: frozenset[str] = frozenset()
+    marks_of_it: ClassVar[frozenset[str]] = frozenset()
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

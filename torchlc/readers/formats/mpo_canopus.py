@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torchlc.readers.formats.delimited import NamedTable
 
 
@@ -9,7 +11,7 @@ class MpoCanopus(NamedTable):
     """Julian dates with the magnitude of the object; ``O-C`` and the comparison stars are left."""
 
     name = "MPO Canopus"
-    columns = {
+    columns: ClassVar = {
         "time": ("JD", "J.D.", "JD (UTC)"),
         "mag": ("ObjMag", "Obj Mag", "O Mag", "TMag"),
         "mag_err": ("ObjErr", "Obj Err", "O Err", "TErr", "Mag Err"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torchlc.errors import InputError
 from torchlc.readers.format import Head
 from torchlc.readers.formats.delimited import NamedTable, cells_of
@@ -12,7 +14,7 @@ class Photutils(NamedTable):
     """The sum of an aperture as relative flux, a row an image. A table with several sources is refused."""
 
     name = "photutils"
-    columns = {
+    columns: ClassVar = {
         "flux": ("residual_aperture_sum", "aperture_sum_bkgsub", "aperture_sum"),
         "flux_err": ("residual_aperture_sum_err", "aperture_sum_bkgsub_err", "aperture_sum_err"),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torchlc.readers.formats.delimited import NamedTable
 
 
@@ -9,7 +11,7 @@ class TychoTracker(NamedTable):
     """Julian dates of mid-exposure with the magnitude of the target and its uncertainty."""
 
     name = "Tycho Tracker"
-    columns = {
+    columns: ClassVar = {
         "time": ("JD", "Julian Date", "JD (mid)", "Mid JD"),
         "mag": ("Target Mag", "Mag"),
         "mag_err": ("Target Mag Err", "Mag Unc", "Mag Uncertainty", "Mag Err"),

@@ -29,6 +29,7 @@ class LobeTail(Effect):
 
     name = "lobe_tail"
     stage = "material"
+    reshapes_lobe = True
     order = 0
     per = "material"
     unable = "the material is not of Ashikhmin and Shirley's model"

@@ -21,6 +21,7 @@ class SelfShadowing(Effect):
 
     name = "self_shadowing"
     stage = "surface"
+    joins_parts = True
     known = True
 
     def jumps(self, context):

@@ -16,6 +16,7 @@ class TimeOffset(Effect):
 
     name = "time_offset"
     stage = "clock"
+    shifts_clock = True
     divisible = True
     quantities = (
         Quantity(

@@ -468,7 +468,9 @@ class Effect:
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
-    scatter that is worked out for mid-exposure alone."""
+    scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` a material that gives lobes another form, so that no
+    table of theirs serves it; ``joins_parts`` a surface that every other part has a hand in, and so costs much for a new
+    geometry; ``shifts_clock`` a clock whose first quantity is an offset, s, the same for all instants of a row."""
 
     name: ClassVar[str]
     stage: ClassVar[str]
@@ -490,6 +492,9 @@ class Effect:
     spans_exposure: ClassVar[bool] = False
     at_middle: ClassVar[bool] = False
     taken: frozenset[str] = frozenset()
+    reshapes_lobe: ClassVar[bool] = False
+    joins_parts: ClassVar[bool] = False
+    shifts_clock: ClassVar[bool] = False
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init__(self, target: str | None = None) -> None:

@@ -33,13 +33,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin
 from torchlc.parameters import Quantity
+from torchlc.tensors.autodiff_state import apart
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -85,11 +85,14 @@ class Instants:
     @property
     def middle(self) -> Tensor:
         """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
-        order = np.lexsort((self.place.abs().numpy(), self.row.numpy()))
-        rows, first = np.unique(self.row.numpy()[order], return_index=True)
-        found = torch.zeros(int(rows[-1]) + 1 if self.rows is None else self.rows, dtype=torch.long)
-        found[torch.as_tensor(rows)] = torch.as_tensor(order[first])
-        return found
+        with apart():
+            order = torch.argsort(self.place.abs(), stable=True)
+            order = order[torch.argsort(self.row[order], stable=True)]
+            row = self.row[order]
+            first = torch.ones_like(row, dtype=torch.bool)
+            first[1:] = row[1:] != row[:-1]
+            rows = int(row[-1]) + 1 if self.rows is None else self.rows
+            return row.new_zeros(rows).index_copy(0, row[first], order[first])
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""

@@ -80,8 +80,12 @@ class Evaluator(ABC):
         """Surfaces whose tables are made once for all theta."""
         return []
 
+    def served(self, theta: Tensor) -> Tensor:
+        """For which theta (..., P) there are tables (:meth:`tables_at`), (...)."""
+        return torch.zeros(theta.shape[:-1], dtype=torch.bool, device=theta.device)
+
     def tables_at(self, theta: Tensor, detail: bool) -> Tables | None:
-        """Tables that serve theta (..., P) and any other numbers of the materials; None where each theta needs its own."""
+        """Tables that serve theta (..., P) with any other numbers of the materials; None if there are none."""
         return None
 
     @property

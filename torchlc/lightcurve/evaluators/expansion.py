@@ -13,6 +13,7 @@ Letters: d numbers of the geometry, S stencil, M monomials, C columns, G exponen
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from itertools import combinations
 
@@ -117,7 +118,7 @@ class Expansion(Evaluator):
         theta = self.theta if theta is None else theta
         return theta.expand(*u.shape[:-1], -1).clone().index_copy(-1, self.columns, numbers)
 
-    def inside(self, theta: Tensor) -> Tensor:
+    def served(self, theta: Tensor) -> Tensor:
         """Which theta (..., P) are within the reach, (...)."""
         u = self.coordinates(theta.detach())
         return torch.nan_to_num(u.square().sum(-1), nan=math.inf) <= self.reach**2
@@ -265,7 +266,7 @@ class Expansion(Evaluator):
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
-        inside = self.inside(flat)
+        inside = self.served(flat)
         if transformed():
             near, far = self._near(flat, shares), self.exact.brightness(flat, shares)
             kept = None
@@ -324,7 +325,7 @@ def _polynomial(coefficients: Tensor, monomials: Tensor) -> Tensor:
     return torch.tensordot(monomials, coefficients, 1)
 
 
-def _evaluated(table: dict[str, Tensor], monomials: Tensor) -> dict[str, Tensor]:
+def _evaluated(table: Mapping[str, Tensor], monomials: Tensor) -> dict[str, Tensor]:
     """A surface's table (of coefficients) at monomials (..., M)."""
     found: dict[str, Tensor] = {}
     for name, coefficients in table.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from torchlc.lightcurve.evaluators.contract import Evaluator
@@ -30,6 +31,9 @@ class FixedTables(Evaluator):
                 made = self.pipeline.make_tables(view, detail, compact=True)
                 self.kept[detail] = replace(made, surfaces=tuple(map(self.condensed, made.surfaces)))
         return self.kept[detail]
+
+    def served(self, theta: Tensor) -> Tensor:
+        return torch.ones(theta.shape[:-1], dtype=torch.bool, device=theta.device)
 
     def tables_at(self, theta: Tensor, detail: bool) -> Tables:
         return self.tables(detail)

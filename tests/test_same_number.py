@@ -185,7 +185,7 @@ def test_light_between_clock_offsets_is_that_of_the_offset(tmp_path):
     scene, recording = clocked(tmp_path)
     curve = flux(scene, recording, ["time_offset", "earth_shadow"])
     assert curve.evaluation.way == "clocked"
-    step = curve._clock_step
+    step = curve.evaluator.step
     theta = curve.theta().detach().repeat(4, 1)
     theta[:, curve.names.index("time_offset.s")] = step * torch.tensor(
         [-3.4, -0.5, 0.7, 2.5], dtype=theta.dtype

@@ -205,14 +205,21 @@ def _between(values: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor]:
-    """The two lobe sums (..., T) of a condensed table at exponents n (...)."""
-    steps = table["lobes"].shape[0] // 2 - 1
+    """The two lobe sums (..., T) of a condensed table at exponents n (...). One with ``monomials`` (..., M) has a polynomial of
+    M terms, one row after the other, in place of each row."""
+    monomials = table.get("monomials")
+    terms = 1 if monomials is None else monomials.shape[-1]
+    steps = table["lobes"].shape[0] // (2 * terms) - 1
     place = torch.log1p(n) * (steps / (GRID_STEPS * GRID_STEP))
     cell = place.detach().floor().clamp(0, steps - 1)
     t = place - cell
     h01 = t * t * (3 - 2 * t)
     weight = torch.stack([1 - h01, t * (1 - t) ** 2, h01, t * t * (t - 1)], -1)
     rows = 2 * per_epoch(cell.long()) + torch.arange(4, device=cell.device)
+    if monomials is not None:
+        rows = (terms * rows[..., None] + torch.arange(terms, device=cell.device)).flatten(-2)
+        weight = (weight[..., None] * monomials[..., None, :]).flatten(-2)
+        rows = rows.expand(weight.shape)
     normal, grazing = combined(table["lobes"], rows, weight).exp_().chunk(2, -1)
     return normal, grazing
 

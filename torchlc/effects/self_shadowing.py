@@ -22,6 +22,7 @@ class SelfShadowing(Effect):
     name = "self_shadowing"
     title = "parts that shade and hide each other"
     stage = "surface"
+    joins_parts = True
     known = True
 
     def jumps(self, context):

@@ -21,7 +21,8 @@ from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.geometry.orbit import angle_between
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
-from torchlc.lightcurve.model import DARKEST, LightCurve
+from torchlc.lightcurve.model import LightCurve
+from torchlc.lightcurve.pipeline import DARKEST
 from torchlc.parameters import EXPONENT, FRESNEL, INDEX, LOBE_REFLECTANCE, REFLECTANCE, WIDTH, Free, Prior
 from torchlc.shapes import Band, Dome
 from torchlc.stages.effect import View

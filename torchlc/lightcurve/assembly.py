@@ -185,6 +185,18 @@ class Assembly:
         """True if a free parameter moves the geometry."""
         return bool(self.geometry_columns)
 
+    def effect_of(self, name: str) -> Effect | None:
+        """The effect whose number this is, by its full name; None if it is the scene's."""
+        origin = self.origins[name]
+        if origin.role != "effects":
+            return None
+        return next((effect for effect in self.effects if effect.name == origin.owner), None)
+
+    @property
+    def parts_meet(self) -> bool:
+        """True if parts shadow or light each other, which every new geometry has to have worked out anew."""
+        return any(effect.joins_parts or effect.stage == "scatter" for effect in self.effects)
+
     def stage(self, name: str) -> list[Effect]:
         return [effect for effect in self.effects if effect.stage == name]
 

@@ -33,7 +33,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -41,6 +40,7 @@ from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
+from torchlc.tensors.autodiff_state import apart
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -86,11 +86,14 @@ class Instants:
     @property
     def middle(self) -> Tensor:
         """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
-        order = np.lexsort((self.place.abs().numpy(), self.row.numpy()))
-        rows, first = np.unique(self.row.numpy()[order], return_index=True)
-        found = torch.zeros(int(rows[-1]) + 1 if self.rows is None else self.rows, dtype=torch.long)
-        found[torch.as_tensor(rows)] = torch.as_tensor(order[first])
-        return found
+        with apart():
+            order = torch.argsort(self.place.abs(), stable=True)
+            order = order[torch.argsort(self.row[order], stable=True)]
+            row = self.row[order]
+            first = torch.ones_like(row, dtype=torch.bool)
+            first[1:] = row[1:] != row[:-1]
+            rows = int(row[-1]) + 1 if self.rows is None else self.rows
+            return row.new_zeros(rows).index_copy(0, row[first], order[first])
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""
@@ -456,8 +459,10 @@ class Effect:
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
-    scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` an effect that gives the lobe of a surface another
-    shape; ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
+    scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` a material that gives lobes another form, so that no
+    table of theirs serves it; ``joins_parts`` a surface that every other part has a hand in, and so costs much for a new
+    geometry; ``shifts_clock`` a clock whose first quantity is an offset, s, the same for all instants of a row;
+    ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
     the quantity that is the height, km, of the air that takes sunlight away."""
 
     name: ClassVar[str]
@@ -480,10 +485,12 @@ class Effect:
     width: float | None = None
     spans_exposure: ClassVar[bool] = False
     at_middle: ClassVar[bool] = False
-    reshapes_lobe: ClassVar[bool] = False
     adds_area: ClassVar[bool] = False
     opaque_air: ClassVar[str] = ""
     taken: frozenset[str] = frozenset()
+    reshapes_lobe: ClassVar[bool] = False
+    joins_parts: ClassVar[bool] = False
+    shifts_clock: ClassVar[bool] = False
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init_subclass__(cls, **keywords: Any) -> None:

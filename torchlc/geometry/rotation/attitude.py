@@ -124,12 +124,12 @@ class Attitude(nn.Module):
         if attitude.spin_axis is not None:
             axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
             self.register_buffer("spin_axis", axis / torch.linalg.norm(axis), persistent=False)
-        self._spin_epoch_s = _seconds_of_epoch(scene, recording, "spin_epoch")
+        self._spin_epoch_s = epoch_seconds(scene, recording, "spin_epoch")
         self._retarded = self.mode in TURNING and not recording.light_time_corrected
         if self.mode in ("nadir", "yaw-steering"):
             _check_geometry(scene, recording, needs_velocity=self.mode == "nadir")
         elif self.mode in TURNING:
-            self._epoch_s = _seconds_of_epoch(scene, recording, "epoch")
+            self._epoch_s = epoch_seconds(scene, recording, "epoch")
             _check_rate(scene, recording.seconds - self._epoch_s, self.numbers)
             frame = icrs_from_ecliptic() if scene.orbit.vectors == "ecliptic" else np.eye(3)
             self.register_buffer("frame", torch.from_numpy(frame), persistent=False)
@@ -251,7 +251,7 @@ def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool)
         )
 
 
-def _seconds_of_epoch(scene: Scene, recording: Recording, key: str) -> float:
+def epoch_seconds(scene: Scene, recording: Recording, key: str) -> float:
     """Seconds from the recording's row 0 to an epoch of the scene, by default the first time of the file."""
     epoch = getattr(scene.attitude, key)
     first: Any = recording.time[0]

@@ -47,7 +47,9 @@ class Connections:
     complete: bool
 
 
-def connections(rows: Rows, local: Local, symmetry: int, *, changing: bool, bounds: tuple[float, float]) -> Connections:
+def connections(
+    rows: Rows, local: Local, symmetry: int, *, changing: bool, bounds: tuple[float, float]
+) -> Connections:
     """Counts of turns that join the passes of a solution; ``changing``: the period may change. ``bounds``: of f."""
     passes = rows.passes
     middles = rows.middle.numpy()
@@ -57,7 +59,8 @@ def connections(rows: Rows, local: Local, symmetry: int, *, changing: bool, boun
     covariance[np.arange(1, passes + 1), np.arange(1, passes + 1)] += PHASE_FLOOR**2
     tightest = 0.3 * PHASE_FLOOR / float(rows.span.max())
     covariance[0, 0] += tightest**2
-    prior = RATE_A_DAY / DAY_S * local.frequency if changing else 1e-30
+    prior = RATE_A_DAY / DAY_S * local.frequency
+    free = 3 if changing else 2
     elapsed = middles - reference
     design = np.zeros((passes + 2, 3))
     design[0] = [0.0, 1.0, 0.0]
@@ -65,6 +68,7 @@ def connections(rows: Rows, local: Local, symmetry: int, *, changing: bool, boun
     design[-1] = [0.0, 0.0, 1.0]
     full = np.zeros((passes + 2, passes + 2))
     full[:-1, :-1], full[-1, -1] = covariance, prior**2
+    extent, start = max(float(np.ptp(middles)), 1.0), np.array([0.0, local.frequency, 0.0])
     order = np.argsort(np.abs(middles - middles[np.argmax(rows.span.numpy())]), kind="stable")
     beams: list[dict[int, int]] = [{int(order[0]): 0}]
     complete = True
@@ -73,15 +77,17 @@ def connections(rows: Rows, local: Local, symmetry: int, *, changing: bool, boun
         at = [0, *(1 + one for one in known), passes + 1]
         values = np.array([local.frequency, *(phases[one] + k / symmetry for one, k in known.items()), 0.0])
         weight = np.linalg.inv(full[np.ix_(at, at)])
-        part = design[at]
-        scale = np.array([1.0, 1 / max(np.ptp(middles), 1.0), 1 / max(np.ptp(middles), 1.0) ** 2])
+        part = design[at][:, :free]
+        scale = np.array([1.0, 1 / extent, 1 / extent**2])[:free]
         scaled = part * scale
         inverse = np.linalg.pinv(scaled.T @ weight @ scaled, hermitian=True, rcond=1e-18)
-        about = values - part @ np.array([0.0, local.frequency, 0.0])
+        about = values - part @ start[:free]
         step = inverse @ (scaled.T @ weight @ about)
         left = about - scaled @ step
-        result = np.array([0.0, local.frequency, 0.0]) + scale * step
-        return result, inverse * scale[:, None] * scale, float(left @ weight @ left)
+        result, spread = start.copy(), np.zeros((3, 3))
+        result[:free] += scale * step
+        spread[:free, :free] = inverse * scale[:, None] * scale
+        return result, spread, float(left @ weight @ left)
 
     for one in order[1:]:
         one = int(one)

@@ -55,9 +55,7 @@ class FacetLight:
         area.index_put_((places, of), torch.cat(areas), accumulate=True)
         mean = normal.new_zeros(len(area), 3).index_add(0, places, normal * torch.cat(areas)[:, None])
         models = assembly.models
-        lobed = tuple(
-            any(quantity.name in LOBES for quantity in models[name].quantities) for name in names
-        )
+        lobed = tuple(any(quantity.name in LOBES for quantity in models[name].quantities) for name in names)
         coupled = tuple("r_diff" in models[name].simplex for name in names)
         return cls(unit(mean), area, names, lobed, coupled, tuple(notes))
 
@@ -80,9 +78,7 @@ class FacetLight:
         log_half = torch.log((half @ self.normal.T).clamp(min=1e-6))
         seen = ((cos_i > 0) & (cos_r > 0)).to(cos_i)
         angles = Incidence(cos_i, cos_r, length / 2, log_half, torch.zeros_like(log_half))
-        plain, joined = (
-            (lambert(angles), None) if not any(self.coupled) else (None, coupled_diffuse(angles))
-        )
+        plain, joined = (lambert(angles), None) if not any(self.coupled) else (None, coupled_diffuse(angles))
         if not all(self.coupled) and plain is None:
             plain = lambert(angles)
         found = []

@@ -77,9 +77,7 @@ def search(
     return sorted(found, key=lambda one: one.misfit)
 
 
-def _some(
-    rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symmetry: int
-) -> list[GridState]:
+def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symmetry: int) -> list[GridState]:
     frame = frame_of(poles)
     products, targets, sizes = [], [], []
     for one in range(rows.passes):
@@ -105,7 +103,9 @@ def _some(
         chosen = [(poles_index, best, phase) for phase in phases]
         if rows.scaled:
             strength = [b[at].amax(-1).clamp(min=1e-30) for b, at in zip(targets, chosen, strict=True)]
-            a = sum(a[at] / s[:, None, None] ** 2 for a, at, s in zip(products, chosen, strength, strict=True))
+            a = sum(
+                a[at] / s[:, None, None] ** 2 for a, at, s in zip(products, chosen, strength, strict=True)
+            )
             b = sum(b[at] / s[:, None] ** 2 for b, at, s in zip(targets, chosen, strength, strict=True))
         else:
             a = sum(a[at] for a, at in zip(products, chosen, strict=True))
@@ -133,7 +133,13 @@ def _some(
 
 
 def _normal_equations(
-    rows: Rows, body: FacetLight, frame: Tensor, frequencies: Tensor, here: Tensor, middle: Tensor, symmetry: int
+    rows: Rows,
+    body: FacetLight,
+    frame: Tensor,
+    frequencies: Tensor,
+    here: Tensor,
+    middle: Tensor,
+    symmetry: int,
 ) -> tuple[Tensor, Tensor, float]:
     """Products (D, G, H, K, K) of the columns and (D, G, H, K) of these with the light, over a pass, and the square of
     the light, all over errors."""

@@ -56,7 +56,9 @@ class Refiner:
         self.positive = rows.flux > 0
         self.log_flux = torch.log(torch.where(self.positive, rows.flux, 1.0))
 
-    def refined(self, starts: Sequence[GridState], tilts: Sequence[Tensor], iterations: int = 25) -> list[Local]:
+    def refined(
+        self, starts: Sequence[GridState], tilts: Sequence[Tensor], iterations: int = 25
+    ) -> list[Local]:
         """One solution a start, the best first."""
         poles = torch.stack([one.pole for one in starts])
         begin = torch.stack(
@@ -81,7 +83,9 @@ class Refiner:
 
             low, high = self._bounds(begin[k])
             best = minimise(residual, begin[k : k + 1], low, high, iterations=iterations, tolerance=1e-4)
-            found.append(self._local(best.y[0], poles[k], float(base[k]), float(best.cost[0]), best.jacobian[0]))
+            found.append(
+                self._local(best.y[0], poles[k], float(base[k]), float(best.cost[0]), best.jacobian[0])
+            )
         return sorted(found, key=lambda one: one.chi2)
 
     def _bounds(self, begin: Tensor) -> tuple[Tensor, Tensor]:
@@ -135,7 +139,9 @@ class Refiner:
         weights = torch.zeros_like(light[:, 0])
         model = torch.zeros_like(light[..., 0])
         for turn in range(2):  # the second about the first, so that it is one of magnitudes
-            about = weight if turn == 0 else weight * (rows.flux.abs() / torch.maximum(model, rows.flux.abs()))
+            about = (
+                weight if turn == 0 else weight * (rows.flux.abs() / torch.maximum(model, rows.flux.abs()))
+            )
             columns = light * about[..., None]
             target = (rows.flux * about)[..., None].expand(*columns.shape[:-1], 1)
             weights = non_negative(columns.mT @ columns, (columns.mT @ target)[..., 0])

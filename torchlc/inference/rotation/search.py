@@ -120,7 +120,10 @@ def search_rotation(
     rows = rows_of(model)
     if len(rows.flux) < MIN_ROWS:
         raise InputError(
-            recording.source, None, f"{len(rows.flux)} measured rows", f"at least {MIN_ROWS} to find a rotation"
+            recording.source,
+            None,
+            f"{len(rows.flux)} measured rows",
+            f"at least {MIN_ROWS} to find a rotation",
         )
     if not float(rows.span.max()) > 0:
         raise InputError(recording.source, "column time", "passes of one row each", "a stretch of time")
@@ -193,7 +196,10 @@ def _range(
         )
     if not first < last:
         raise InputError(
-            recording.source, "--shortest, --longest", f"periods from {first:.4g} to {last:.4g} s", "a range of periods"
+            recording.source,
+            "--shortest, --longest",
+            f"periods from {first:.4g} to {last:.4g} s",
+            "a range of periods",
         )
     return 1 / last, 1 / first, warnings
 
@@ -210,7 +216,10 @@ def _tilted(
     """Solutions with the body's axes turned against the axis of the spin, from the best of the straight ones turned
     either way, each pass at each of the phases that a straight body cannot tell apart."""
     angle = math.radians(TILTED_DEG)
-    tilts = [angle * torch.tensor(one, dtype=torch.float64) for one in ([1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0])]
+    tilts = [
+        angle * torch.tensor(one, dtype=torch.float64)
+        for one in ([1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0])
+    ]
     generator = torch.Generator().manual_seed(0)
     ways = torch.nn.functional.normalize(
         torch.randn(2, 40, 3, generator=generator, dtype=torch.float64), dim=-1
@@ -295,7 +304,9 @@ def _fitted(
                 if one.distance < joined.found[0].distance + 40:
                     tasks.append((local, one, changing))
     if not tasks:
-        told.append("no count of turns between the passes joins their phases to one rotation within its bounds")
+        told.append(
+            "no count of turns between the passes joins their phases to one rotation within its bounds"
+        )
     if not connected:
         told.append(
             "the passes are too far apart for their phases to be connected: the counts of turns between them that are "
@@ -312,7 +323,11 @@ def _fitted(
 
 def _wanting(found: Sequence[_Candidate], rows: Rows) -> bool:
     """Whether steady spin leaves more than the errors allow: chi-square beyond 3 of its standard deviations."""
-    least = min(one.chi2 for one in found if not one.changing) if any(not one.changing for one in found) else math.inf
+    least = (
+        min(one.chi2 for one in found if not one.changing)
+        if any(not one.changing for one in found)
+        else math.inf
+    )
     count = len(rows.flux)
     return least > count + 3 * math.sqrt(2 * count)
 
@@ -335,6 +350,10 @@ def _polished(
     theta = parameters.start().clone()
     _materials(model, local, theta)
     noise = model.noise(theta) if model.assembly.stage("noise") else None
+    moving = model.assembly.geometry_columns
+    if len(moving) < len(theta):  # the materials first, so that the attitude does not stand in for them
+        settled = polish(likelihood, theta[None], noise, iterations=12, held=moving)
+        theta = parameters.from_flat(settled.y[0])
     best = polish(likelihood, theta[None], noise, iterations=40)
     place = int(best.cost.argmin())
     natural = parameters.from_flat(best.y[place])
@@ -444,15 +463,14 @@ def _materials(model: LightCurve, local: Local, theta: Tensor) -> None:
             place[name, "n"] = place[name, "n_u"] = place[name, "n_v"] = n
             place[name, "alpha"] = place[name, "m"] = math.sqrt(2 / n)
             number += 1
-    low, high = (parameters.from_flat(one) for one in parameters.flat_bounds())
     for k, free in enumerate(parameters.free):
         origin = free.origin
         value = place.get((origin.owner, origin.quantity))
         if origin.role == "materials" and value is not None:
-            ends = float(low[k]), float(high[k])
-            span = ends[1] - ends[0]
-            inside = (ends[0] + 0.01 * span, ends[1] - 0.3 * span) if origin.quantity in ("r_diff", "r_spec") else ends
-            theta[k] = min(max(value, inside[0]), inside[1])
+            low, high = max(free.prior.low, 0.0), free.prior.high
+            if origin.quantity in ("r_diff", "r_spec"):  # well inside of the triangle that they share
+                low, high = max(low, 0.01), min(high, 0.6 if origin.quantity == "r_diff" else 0.35)
+            theta[k] = min(max(value, low), high)
 
 
 def _merged(found: Sequence[_Candidate], rows: Rows) -> list[RotationMode]:
@@ -531,5 +549,11 @@ def _verdict(modes: Sequence[RotationMode], dof: int, connected: bool, passes: i
         return False, (
             f"cannot tell: {len(poles)} rotations fit about as well, the best with a turn in {period}; the table lists them"
         )
-    joined = "" if passes < 2 else ", the turns between the passes counted" if connected else ", the passes not connected"
+    joined = (
+        ""
+        if passes < 2
+        else ", the turns between the passes counted"
+        if connected
+        else ", the passes not connected"
+    )
     return True, f"one turn in {period}{joined}"

@@ -28,7 +28,9 @@ def power(rows: Rows, frequency: np.ndarray) -> np.ndarray:
         light = light - np.polyval(np.polyfit(seconds - seconds.mean(), light, 1), seconds - seconds.mean())
         weight = float((light**2).sum())
         search = LombScargle(seconds, light, nterms=TERMS)
-        left = left + weight * np.asarray(search.power(frequency, method="fastchi2" if len(frequency) > 500 else "chi2"))
+        left = left + weight * np.asarray(
+            search.power(frequency, method="fastchi2" if len(frequency) > 500 else "chi2")
+        )
         total += weight
     return left / max(total, 1e-300)
 

@@ -1,7 +1,7 @@
 """torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites
 and debris.
 
-The verbs are :func:`load`, :func:`simulate`, :func:`fit`, :func:`diagnose` and :func:`campaign`;
+The verbs are :func:`load`, :func:`simulate`, :func:`fit`, :func:`diagnose`, :func:`rotation` and :func:`campaign`;
 :class:`LightCurve` is the model, a torch module. Everything is imported on first use.
 """
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
-    from torchlc.api import diagnose, fit, load, simulate
+    from torchlc.api import diagnose, fit, load, rotation, simulate
     from torchlc.campaigns.run import CampaignResult, campaign
     from torchlc.errors import InputError, TorchlcError
     from torchlc.inference.likelihood import Likelihood
@@ -21,15 +21,17 @@ if TYPE_CHECKING:
     from torchlc.readers import Recording
     from torchlc.report.write import write_report
     from torchlc.results.fit_result import FitResult
+    from torchlc.results.rotation_result import RotationResult
     from torchlc.results.simulated_curve import SimulatedCurve
     from torchlc.scene import Scene
 
 _HOME = {
-    "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
+    "load": "api", "simulate": "api", "fit": "api", "diagnose": "api", "rotation": "api",
     "write_report": "report.write", "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
     "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
     "Scene": "scene", "Recording": "readers",
-    "FitResult": "results.fit_result", "SimulatedCurve": "results.simulated_curve",
+    "FitResult": "results.fit_result", "RotationResult": "results.rotation_result",
+    "SimulatedCurve": "results.simulated_curve",
     "InputError": "errors", "TorchlcError": "errors",
 }  # fmt: skip
 """Public name: the module it comes from."""
@@ -41,6 +43,7 @@ __all__ = [
     "LightCurve",
     "Likelihood",
     "Recording",
+    "RotationResult",
     "Scene",
     "SimulatedCurve",
     "TorchlcError",
@@ -49,6 +52,7 @@ __all__ = [
     "diagnose",
     "fit",
     "load",
+    "rotation",
     "simulate",
     "write_report",
 ]

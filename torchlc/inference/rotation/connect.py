@@ -100,8 +100,8 @@ def connections(
             reach = min(WIDTH * sd * symmetry, MOST)
             if WIDTH * sd * symmetry > MOST:
                 complete = False
-            for k in range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1):
-                grown.append((abs(k - expected), {**known, one: k}))
+            around = range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1)
+            grown += [(abs(k - expected), {**known, one: k}) for k in around]
             if len(grown) > 4 * MOST:
                 complete = False
                 break

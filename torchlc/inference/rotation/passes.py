@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +90,7 @@ def _passes(seconds: np.ndarray) -> Tensor:
     order = np.argsort(seconds, kind="stable")
     number = np.zeros(len(seconds), dtype=int)
     current, start = 0, seconds[order[0]]
-    for before, here in zip(order[:-1], order[1:], strict=True):
+    for before, here in itertools.pairwise(order):
         gap = seconds[here] - seconds[before]
         if gap > LONGEST_GAP and gap > GAP_SHARE * (seconds[before] - start):
             current, start = current + 1, seconds[here]

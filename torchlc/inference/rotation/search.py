@@ -4,6 +4,7 @@ turns between passes, and the model with everything in it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -300,9 +301,8 @@ def _fitted(
             joined = connections(rows, local, symmetry, changing=changing, bounds=wide)
             if not joined.complete:
                 connected = False
-            for one in joined.found[: JOINED if number == 0 else 1]:
-                if one.distance < joined.found[0].distance + 40:
-                    tasks.append((local, one, changing))
+            near = (one for one in joined.found if one.distance < joined.found[0].distance + 40)
+            tasks += [(local, one, changing) for one in itertools.islice(near, JOINED if number == 0 else 1)]
     if not tasks:
         told.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from astropy.time import Time
@@ -53,7 +54,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     warnings = [text for one in recordings for text in one.warnings]
     if lacking:
         warnings.append(f"left out, because not every recording has it: {', '.join(lacking)}")
-    time = times[order]
+    time: Any = times[order]
     dropped: dict[str, int] = {}
     for one in recordings:
         for reason, count in one.dropped.items():
@@ -65,7 +66,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         first,
         time=time,
         seconds=seconds_since(time, time[:1]),
-        first_time=min((one.first_time for one in recordings), key=lambda moment: moment.jd),
+        first_time=min((one.first_time for one in recordings), key=_day),
         observed=np.concatenate([one.observed for one in recordings])[order],
         error=error,
         station=station[order],
@@ -79,6 +80,10 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         warnings=tuple(dict.fromkeys(warnings)),
         **columns,
     )
+
+
+def _day(moment: Any) -> float:
+    return float(moment.jd)
 
 
 def _free(name: str, taken: Sequence[str]) -> str:

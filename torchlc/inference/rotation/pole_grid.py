@@ -159,10 +159,10 @@ def _normal_equations(
 
     seen = [turned(one) for one in (sun, observer)]
     lobes = sum(body.lobed)
-    first = body.light(*seen, torch.full((lobes,), EXPONENTS[0], dtype=torch.float64))
+    first = body.light(seen[0], seen[1], torch.full((lobes,), EXPONENTS[0], dtype=torch.float64))
     tables = [first]
     if lobes:
-        second = body.light(*seen, torch.full((lobes,), EXPONENTS[1], dtype=torch.float64))
+        second = body.light(seen[0], seen[1], torch.full((lobes,), EXPONENTS[1], dtype=torch.float64))
         tables.append(second[..., len(body.names) :])
     table = torch.cat(tables, -1)  # (D, nodes, STEPS, K)
     weight = 1 / _spread(rows.flux[here], rows.error[here])

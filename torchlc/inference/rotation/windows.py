@@ -18,7 +18,7 @@ OVERSAMPLING = 5
 
 def power(rows: Rows, frequency: np.ndarray) -> np.ndarray:
     """Share of the variance, over all passes, that two harmonics explain, about a mean and a slope of each pass."""
-    left = total = 0.0
+    explained, total = np.zeros(len(frequency)), 0.0
     for one in range(rows.passes):
         here = rows.of(one).numpy()
         if len(here) < 2 * TERMS + 4:
@@ -28,11 +28,11 @@ def power(rows: Rows, frequency: np.ndarray) -> np.ndarray:
         light = light - np.polyval(np.polyfit(seconds - seconds.mean(), light, 1), seconds - seconds.mean())
         weight = float((light**2).sum())
         search = LombScargle(seconds, light, nterms=TERMS)
-        left = left + weight * np.asarray(
+        explained += weight * np.asarray(
             search.power(frequency, method="fastchi2" if len(frequency) > 500 else "chi2")
         )
         total += weight
-    return left / max(total, 1e-300)
+    return explained / max(total, 1e-300)
 
 
 def windows(rows: Rows, low: float, high: float) -> tuple[list[tuple[float, float]], np.ndarray, np.ndarray]:

@@ -249,7 +249,8 @@ def rotation(
     scene = _scene(scene, trust)
     if not recordings:
         raise InputError(None, None, "no recording", "one or more")
-    rows = usable(scene, joined([usable(scene, one, use=use) for one in recordings]))
+    each = [usable(scene, one, use=use) for one in recordings]
+    rows = usable(scene, joined(each))
     with ExitStack() as stack:
         directory = None
         if out is not None:
@@ -262,9 +263,13 @@ def rotation(
         search = search_rotation(
             scene, rows, shortest_s=shortest, longest_s=longest, seed=seed, progress=progress
         )
-        result = RotationResult(
-            search, seed, time.monotonic() - began, provenance(scene, rows, seed, command)
-        )
+        made = provenance(scene, rows, seed, command)
+        made["inputs"] |= {
+            f"recording {number}": provenance(scene, one, seed)["inputs"]["recording"]
+            for number, one in enumerate(each[1:], 2)
+            if one.source is not None and one.sha256 is not None
+        }
+        result = RotationResult(search, seed, time.monotonic() - began, made)
         if directory is not None:
             result.write(directory)
     return result

@@ -65,6 +65,7 @@ def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
         "diagnose",
         "campaign",
         "period",
+        "rotation",
         "materials",
         "effects",
         "demo",

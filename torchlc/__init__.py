@@ -1,8 +1,8 @@
 """torchlc: what is it made of, and what does the model leave out? Differentiable light curves of satellites
 and debris.
 
-The verbs are :func:`load`, :func:`simulate`, :func:`predict`, :func:`visibility`, :func:`fit`, :func:`diagnose` and
-:func:`campaign`; :class:`LightCurve` is the model, a torch module. Everything is imported on first use.
+The verbs are :func:`load`, :func:`simulate`, :func:`predict`, :func:`visibility`, :func:`fit`, :func:`diagnose`,
+:func:`rotation` and :func:`campaign`; :class:`LightCurve` is the model, a torch module. Everything is imported on first use.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
-    from torchlc.api import diagnose, fit, load, predict, simulate, visibility
+    from torchlc.api import diagnose, fit, load, predict, rotation, simulate, visibility
     from torchlc.campaigns.run import CampaignResult, campaign
     from torchlc.errors import InputError, TorchlcError
     from torchlc.inference.likelihood import Likelihood
@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from torchlc.readers import Recording
     from torchlc.report.write import write_report
     from torchlc.results.fit_result import FitResult
+    from torchlc.results.rotation_result import RotationResult
     from torchlc.results.simulated_curve import SimulatedCurve
     from torchlc.results.stored_fit import StoredFit, load_fit
     from torchlc.scene import Scene
 
 _HOME = {
     "load": "api", "simulate": "api", "fit": "api", "diagnose": "api",
+    "rotation": "api", "RotationResult": "results.rotation_result",
     "predict": "api", "visibility": "api", "Prediction": "prediction.result", "Visibility": "prediction.visibility",
     "write_report": "report.write", "campaign": "campaigns.run", "CampaignResult": "campaigns.run",
     "LightCurve": "lightcurve.model", "Likelihood": "inference.likelihood",
@@ -47,6 +49,7 @@ __all__ = [
     "Likelihood",
     "Prediction",
     "Recording",
+    "RotationResult",
     "Scene",
     "SimulatedCurve",
     "StoredFit",
@@ -59,6 +62,7 @@ __all__ = [
     "load",
     "load_fit",
     "predict",
+    "rotation",
     "simulate",
     "visibility",
     "write_report",

@@ -1,4 +1,4 @@
-"""The verbs: load, simulate, predict, visibility, fit, diagnose. Each takes paths or objects, checks everything before it works,
+"""The verbs: load, simulate, predict, visibility, fit, diagnose, rotation. Each takes paths or objects, checks everything before it works,
 and returns one object.
 """
 
@@ -25,6 +25,7 @@ from torchlc.files.writing import (
     CHAIN_FILE,
     DIAGNOSIS_FILES,
     FIT_FILES,
+    ROTATION_FILES,
     OutputDirectory,
     resources,
     write_whole,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from torchlc.diagnosis.result import Diagnosis
     from torchlc.prediction.result import Prediction
     from torchlc.prediction.visibility import Visibility
+    from torchlc.results.rotation_result import RotationResult
 
 Progress = Callable[[str, float], None]
 Rows = Any
@@ -330,6 +332,57 @@ def diagnose(
             from torchlc.report.diagnosis_page import write_diagnosis
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
+    return result
+
+
+def rotation(
+    scene: str | Path | Scene,
+    *recordings: str | Path | Recording,
+    shortest: float | None = None,
+    longest: float | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    use: str | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> RotationResult:
+    """Rotation states of a body from one or more recordings: pole, period, phase, with all modes that fit.
+
+    The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
+    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there.
+    """
+    from torchlc.inference.rotation.search import search_rotation
+    from torchlc.readers.joining import joined
+    from torchlc.results.rotation_result import RotationResult
+
+    began = time.monotonic()
+    scene = _scene(scene, trust)
+    if not recordings:
+        raise InputError(None, None, "no recording", "one or more")
+    each = [usable(scene, one, use=use) for one in recordings]
+    rows = usable(scene, joined(each))
+    with ExitStack() as stack:
+        directory = None
+        if out is not None:
+            inputs = [
+                *input_files(scene),
+                *(Path(one) for one in recordings if not isinstance(one, Recording)),
+            ]
+            directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
+        stack.enter_context(resources(None if out is None else Path(out)))
+        search = search_rotation(
+            scene, rows, shortest_s=shortest, longest_s=longest, seed=seed, progress=progress
+        )
+        made = provenance(scene, rows, seed, command)
+        made["inputs"] |= {
+            f"recording {number}": provenance(scene, one, seed)["inputs"]["recording"]
+            for number, one in enumerate(each[1:], 2)
+            if one.source is not None and one.sha256 is not None
+        }
+        result = RotationResult(search, seed, time.monotonic() - began, made)
+        if directory is not None:
+            result.write(directory)
     return result
 
 

@@ -93,7 +93,7 @@ def spin_phase(model: LightCurve, values: dict[str, Tensor]) -> Tensor | None:
     seconds = model.assembly.context.seconds
     rate = values.get("attitude.spin_rate")
     period = values.get("attitude.period")
-    if model.scene.attitude.mode == "spin-pole" and period is not None:
+    if period is not None:
         return torch.remainder(seconds / 3600 / period, 1.0)
     if rate is not None and float(rate) != 0.0:
         return torch.remainder(seconds / 3600 * rate, 1.0)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
+from torchlc.effects.attitude_offset import turn_about_axes
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 

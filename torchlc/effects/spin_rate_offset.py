@@ -32,7 +32,7 @@ class SpinRateOffset(Effect):
         return None if context.attitude.spins else "the attitude has no spin"
 
     def spin(self, values, p, context):
-        if context.mode == "spin-pole":
+        if "attitude.period" in values:
             period = values["attitude.period"]
             turns = 1 + period * p["rev_per_hour"]
             turns = torch.where(turns.abs() < SLOWEST, SLOWEST, turns)

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 

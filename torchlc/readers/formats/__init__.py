@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def formats() -> list[type[Format]]:
     """Every format in the order in which a file is offered to them."""
-    return sorted([*FORMATS.values()][::-1], key=lambda one: one.order)
+    latest_first = list(reversed(FORMATS.values()))
+    return sorted(latest_first, key=lambda one: one.order)
 
 
 def read_header(path: Path, reading: Reading | None = None, scene: Scene | None = None) -> Header:

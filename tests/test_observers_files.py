@@ -9,6 +9,7 @@ import re
 import zoneinfo
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
@@ -400,7 +401,11 @@ class TestFormatsOfOthers:
 
 
 class TestRowsInMemory:
-    COLUMNS = {"time": Time(JD, format="jd", scale="utc"), "mag": np.array(MAG), "mag_err": np.array(ERROR)}
+    COLUMNS: ClassVar = {
+        "time": Time(JD, format="jd", scale="utc"),
+        "mag": np.array(MAG),
+        "mag_err": np.array(ERROR),
+    }
 
     @pytest.mark.parametrize("rows", [
         COLUMNS,
@@ -547,7 +552,7 @@ class TestCommands:
             np.testing.assert_array_equal(stored.draws[name], result.posterior.theta[..., k].numpy())
         assert stored.to_pandas()["median"].tolist() == result.to_pandas()["median"].tolist()
         (Path("fit") / "posterior.nc").write_bytes(b"nothing")
-        with pytest.raises(InputError, match="posterior.nc: cannot be read"):
+        with pytest.raises(InputError, match=r"posterior\.nc: cannot be read"):
             torchlc.load_fit("fit")
         with pytest.raises(InputError, match="no such file"):
             torchlc.load_fit("nowhere")

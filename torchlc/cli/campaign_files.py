@@ -7,6 +7,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from torchlc.campaigns.manifest import TASKS
 from torchlc.campaigns.matching import match_files
@@ -60,7 +61,8 @@ def write_campaign(
             )
             continue
         try:
-            first = float(load_recording(path).first_time.utc.jd)
+            moment: Any = load_recording(path).first_time
+            first = float(moment.utc.jd)
             chosen = nearest_set(match.sets, first)
             texts[scene] = new_scene(chosen, shape, station=station)
             load_recording(path, check_scene(texts[scene], folder, scene))

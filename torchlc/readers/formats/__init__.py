@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-import importlib
 import pkgutil
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,16 +17,10 @@ if TYPE_CHECKING:
     from torchlc.scene import Scene
 
 
-@functools.cache
-def _load_all() -> None:
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
-
-
 def formats() -> list[type[Format]]:
     """Every format in the order in which a file is offered to them."""
-    _load_all()
-    return sorted(reversed(FORMATS.values()), key=lambda one: one.order)
+    latest_first = list(reversed(FORMATS.values()))
+    return sorted(latest_first, key=lambda one: one.order)
 
 
 def read_header(path: Path, reading: Reading | None = None, scene: Scene | None = None) -> Header:
@@ -40,3 +33,7 @@ def read_header(path: Path, reading: Reading | None = None, scene: Scene | None 
         told = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
         header = replace(header, notes=(told, *header.notes))
     return header
+
+
+for _module in pkgutil.iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

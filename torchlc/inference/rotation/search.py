@@ -35,8 +35,8 @@ from torchlc.scene.parts import Attitude
 POLES = 500
 STEPS_A_TURN = 12.0
 """Frequencies of the grid: steps of 1/12 turn over the longest pass."""
-PAIRS = 3_000_000
-"""Starts of the first least squares times rows and facets: 10 s."""
+STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-6
+"""CPU seconds for the first least squares, of a start, and of each pair of row and facet of a start, as measured on one core."""
 LEAST_STARTS, MOST_STARTS = 24, 200
 FLOOR = 0.05
 """Relative error of the light of facets."""
@@ -49,6 +49,8 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted."""
 CHANGED = 16.0
 """Fall of chi-square that a change of the period has to bring."""
+UNSTEADY = 150.0
+"""Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
 ALIKE_DEG = 12.0
 MIN_ROWS = 12
 NAMES = ("pole_lon", "pole_lat", "period", "phase", "period_rate", "tilt_x", "tilt_y", "tilt_z")
@@ -143,7 +145,8 @@ def search_rotation(
     states = pole_grid.search(
         rows, body, poles, grid, symmetry=_whole_steps(symmetry), progress=lambda share: say("poles", share)
     )
-    count = max(LEAST_STARTS, min(MOST_STARTS, PAIRS // max(1, len(body.normal) * len(rows.flux) // 50)))
+    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux)))
+    count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)
     refiner = Refiner(rows, body, FLOOR, tilted=False)
@@ -301,6 +304,8 @@ def _fitted(
             joined = connections(rows, local, symmetry, changing=changing, bounds=wide)
             if not joined.complete:
                 connected = False
+            if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
+                continue  # no steady spin has these phases
             near = (one for one in joined.found if one.distance < joined.found[0].distance + 40)
             tasks += [(local, one, changing) for one in itertools.islice(near, JOINED if number == 0 else 1)]
     if not tasks:

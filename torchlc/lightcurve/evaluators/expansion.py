@@ -83,7 +83,7 @@ class Expansion(Evaluator):
         self.reach = math.sqrt(count) + 3.0
         self._kept: dict[bool, tuple[Tables, Tables]] = {}
         with apart():
-            self._measure(scale.detach())
+            self._measure()
 
     def _check(self) -> None:
         a = self.assembly
@@ -287,7 +287,7 @@ class Expansion(Evaluator):
     def _near(self, flat: Tensor, shares: bool) -> Brightness:
         return self.shone(self.tables_at(flat, shares or self.assembly.needs_shares), flat, shares)
 
-    def _measure(self, scale: Tensor) -> None:
+    def _measure(self) -> None:
         """Sets ``own_error_mag``, and ``reach`` to where it is at most MOST_MAG."""
         generator = torch.Generator().manual_seed(0)
         d = len(self.columns)

@@ -148,10 +148,10 @@ def magnitudes(model: LightCurve, theta: Tensor, scatter_mag: float, seed: int) 
     """
     with torch.no_grad():
         mag = model.magnitude(model.brightness(theta), theta).expand(len(theta), -1).numpy()
-        noise = model.noise(theta).jitter
+        added = model.noise(theta).variance
     sigma = np.full((len(theta), 1), scatter_mag)
-    if noise is not None:
-        sigma = np.sqrt(sigma**2 + noise.expand(len(theta), -1).numpy() ** 2)
+    if added is not None:
+        sigma = np.sqrt(sigma**2 + added.expand(len(theta), -1).numpy())
     if not sigma.any():
         return mag
     if len(mag) == 1:

@@ -10,7 +10,8 @@ import numpy as np
 from astropy.time import Time
 
 from torchlc.errors import InputError
-from torchlc.readers.recording import Recording, seconds_since
+from torchlc.readers.measurements import seconds_since
+from torchlc.readers.recording import Recording
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

@@ -7,6 +7,7 @@ ORDER = (
     "predict",
     "fit",
     "diagnose",
+    "rotation",
     "campaign",
     "effects",
     "period",

@@ -118,7 +118,9 @@ def connections(
         result, _, distance = solved(known)
         if bounds[0] <= result[1] <= bounds[1]:
             counts = tuple(known[one] for one in range(passes))
-            found.append(Connection(counts, reference, *(float(x) for x in result), distance))
+            found.append(
+                Connection(counts, reference, float(result[0]), float(result[1]), float(result[2]), distance)
+            )
     return Connections(tuple(sorted(found, key=lambda one: one.distance)), complete)
 
 

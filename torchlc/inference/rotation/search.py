@@ -4,7 +4,6 @@ turns between passes, and the model with everything in it.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -40,7 +39,7 @@ STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-6
 LEAST_STARTS, MOST_STARTS = 24, 200
 FLOOR = 0.05
 """Relative error of the light of facets."""
-LOCALS, JOINED = 5, 4
+LOCALS, JOINED = 4, 3
 """Solutions of different poles, and counts of turns of the best, that the model is fitted to."""
 KEPT_CHI2 = 25.0
 SAME_DEG = 1.5
@@ -306,8 +305,14 @@ def _fitted(
                 connected = False
             if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
-            near = (one for one in joined.found if one.distance < joined.found[0].distance + 40)
-            tasks += [(local, one, changing) for one in itertools.islice(near, JOINED if number == 0 else 1)]
+            near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
+            tried = JOINED if number == 0 else 1
+            if number == 0 and len(near) > tried:
+                told.append(
+                    f"{len(near)} counts of turns between the passes are possible by their phases"
+                    f"{' if the period changes' if changing else ''}; the {tried} best were tried with the model"
+                )
+            tasks += [(local, one, changing) for one in near[:tried]]
     if not tasks:
         told.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
@@ -554,11 +559,10 @@ def _verdict(modes: Sequence[RotationMode], dof: int, connected: bool, passes: i
         return False, (
             f"cannot tell: {len(poles)} rotations fit about as well, the best with a turn in {period}; the table lists them"
         )
-    joined = (
-        ""
-        if passes < 2
-        else ", the turns between the passes counted"
-        if connected
-        else ", the passes not connected"
-    )
+    if passes > 1 and not connected:
+        return False, (
+            f"cannot tell how often it turned between the passes: a turn takes {period} to about a thousandth, and neither its further "
+            "digits nor a change of the period is known; errors that are given hold for the counts of turns that are shown"
+        )
+    joined = "" if passes < 2 else ", the turns between the passes counted"
     return True, f"one turn in {period}{joined}"

@@ -245,6 +245,10 @@ ATTITUDES = {
     "inertial": f"x_angle = {free(20.0, 0.0, 90.0)}\n{SPIN}",
     "spin-pole": f"pole = [{free(30.0, 0.0, 360.0)}, {free(40.0, -90.0, 90.0)}]\n"
     f"period = {free(2.0, 1.0, 3.0)}\nphase = {free(10.0, 0.0, 360.0)}\nepoch = 2459140.0\n",
+    "rigid-body": f"pole = [{free(30.0, 0.0, 360.0)}, {free(40.0, -90.0, 90.0)}]\n"
+    f"period = {free(2.0, 1.0, 3.0)}\nphase = {free(10.0, 0.0, 360.0)}\nepoch = 2459140.0\n"
+    f"polhode_phase = {free(40.0, 0.0, 360.0)}\nnutation = {free(25.0, 1.0, 89.0)}\n"
+    f"inertia = [{free(0.5, 0.45, 0.6)}, {free(0.8, 0.75, 0.9)}]\n",
 }
 
 

@@ -11,7 +11,7 @@ import torch
 
 import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.passes import Rows

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,15 @@ GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
 
 
+def without_cluster() -> AbstractContextManager[Any]:
+    """Work done here: xarray asks dask for its scheduler when it writes, and the client of a cluster may have gone."""
+    try:
+        import dask.config
+    except ImportError:
+        return nullcontext()
+    return dask.config.set(scheduler="synchronous")
+
+
 def write_fit(
     result: FitResult,
     directory: OutputDirectory,
@@ -46,7 +56,8 @@ def write_fit(
     directory.write_json("fit.json", result.to_json())
     if result.posterior is not None:
         data = result.to_arviz()
-        directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
+        with without_cluster():
+            directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
     drawn = draw_all("fit", result)
     for number, (kind, figure) in enumerate(drawn):
         directory.write_bytes(f"{kind.name}.png", png(figure))

@@ -295,7 +295,7 @@ def test_by_every_number_of_every_effect(name):
 @pytest.mark.parametrize(
     "effects",
     [
-        ["appendage", "panel_offset", "wobble"],
+        ["appendage", "panel_offset", "attitude_offset"],
         ["self_shadowing", "attitude_offset", "panel_cant"],
         ["light_time", "along_track_offset", "time_offset", "opposition_surge[cells]", "background"],
         ["finite_sun", "second_material[foil]", "normal_dispersion[cells]", "color_term[body]"],

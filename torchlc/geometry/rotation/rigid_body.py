@@ -161,7 +161,7 @@ def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
 def _basis(order: Tensor, sam: Tensor) -> Tensor:
     """Axes of the mode in the body, as rows: (small, middle, large) in SAM, (middle, large, small) in LAM, the middle
     one turned round where the order of the axes is left-handed."""
-    axes = torch.nn.functional.one_hot(order, 3).to(torch.float64)
+    axes = (order[..., None] == torch.arange(3, device=order.device)).to(torch.float64)
     hand = torch.linalg.det(axes)[..., None]
     axes = torch.stack([axes[..., 0, :], axes[..., 1, :] * hand, axes[..., 2, :]], -2)
     return torch.where(sam[..., None, None], axes[..., None, :, :], axes[..., None, [1, 2, 0], :])

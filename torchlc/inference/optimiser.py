@@ -29,9 +29,6 @@ NOISE_VALUES = 10_000_000
 """Elements of the covariances held at once while noise is fitted: 80 MB."""
 LEADERS = 6
 LONG_POLISH = 300
-FLAT_ENOUGH = 1e-6
-"""Share of chi-square that a step must gain to go on: 3e-4 for a few hundred rows, far below what the data
-can see."""
 Progress = Callable[[str, float], None]
 
 

@@ -266,9 +266,3 @@ def module_key(text: str) -> str:
     module has for itself begins with a code."""
     escaped = text.replace("%", "%25").replace(".", "%2E")
     return f"%{ord(escaped[0]):02X}{escaped[1:]}" if escaped in MODULE_ATTRIBUTES else escaped
-
-
-def degrees_between(a: Tensor, b: Tensor) -> Tensor:
-    """Angle between unit vectors (..., 3), degrees, accurate at any size."""
-    apart, together = torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)
-    return torch.rad2deg(2 * torch.atan2(apart, together))

@@ -1,7 +1,7 @@
 """``python -m benchmarks [SECTION ...]``: torchlc and its peers side by side, as ratios.
 
 Every section runs in a process of its own, one thread unless it says otherwise. Sections: call, threads,
-compiled, effects, geometry, memory, mesh, start, posterior.
+compiled, effects, geometry, memory, mesh, start, posterior, free.
 """
 
 from __future__ import annotations
@@ -12,7 +12,18 @@ import sys
 import warnings
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-SECTIONS = ("call", "threads", "compiled", "effects", "geometry", "memory", "mesh", "start", "posterior")
+SECTIONS = (
+    "call",
+    "threads",
+    "compiled",
+    "effects",
+    "geometry",
+    "memory",
+    "mesh",
+    "start",
+    "posterior",
+    "free",
+)
 
 
 def run(name: str) -> None:
@@ -26,6 +37,8 @@ def run(name: str) -> None:
     warnings.filterwarnings("ignore", module="arviz")
     if name == "posterior":
         from benchmarks.posterior import posterior as section
+    elif name == "free":
+        from benchmarks.free import free as section
     else:
         section = getattr(speed, name)
     print(f"{name}: {section.__doc__.splitlines()[0]}")

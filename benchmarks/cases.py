@@ -31,7 +31,7 @@ def object_1(effects: Sequence[str] = (), *, epochs: int = EPOCHS, hours: float 
         setting.object_1(), start=NIGHT, hours=hours - cadence / 3600, cadence=cadence, noise=0.02, seed=1
     )
     scene = setting.object_1(setting.free_materials())
-    recording = _recording(curve, scene)
+    recording = recording_of(curve, scene)
     exposed = replace(recording, exptime=np.full(len(recording.seconds), EXPOSURE_S))
     return torchlc.Likelihood(LightCurve(scene, exposed, effects=list(effects)))
 
@@ -83,10 +83,10 @@ def torus(folder: Path, epochs: int = MESH_EPOCHS) -> tuple[torchlc.Scene, torch
     path.write_text(RING.format(*setting.ORBITS[1]))
     scene, cadence = torchlc.load(path), 4 * 3600 / epochs
     curve = torchlc.simulate(scene, start=NIGHT, hours=4 - cadence / 3600, cadence=cadence, noise=0.02)
-    return scene, _recording(curve, scene)
+    return scene, recording_of(curve, scene)
 
 
-def _recording(curve: torchlc.SimulatedCurve, scene: torchlc.Scene) -> torchlc.Recording:
+def recording_of(curve: torchlc.SimulatedCurve, scene: torchlc.Scene) -> torchlc.Recording:
     with tempfile.TemporaryDirectory() as folder:
         return load_recording(curve.write(Path(folder) / "curve.ecsv"), scene)
 

@@ -174,7 +174,7 @@ def section(effect: dict[str, Any]) -> list[str]:
     name = effect["name"]
     target = f", one set of parameters for each {effect['per']}" if effect["per"] else ""
     usual = ", on unless the scene lists its effects" if effect["default"] else ""
-    lines = [f"### {name}", ""]
+    lines = [f"### {name}", "", f"{effect['title'].capitalize()}.", ""]
     if target or usual:
         lines += [f"*{(target + usual).removeprefix(', ').capitalize()}.*", ""]
     lines += [inspect.cleandoc(registry()[name].__doc__ or ""), ""]

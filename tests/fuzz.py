@@ -26,7 +26,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, Phase, given, settings
 
 from tests.fuzz_cases import LONG, QUICK, WHOLE, Case, cases
-from torchlc.cli.commands import run
+from torchlc.cli import run
 
 LONGEST_S = 30.0
 LONGEST_END_S = 30.0

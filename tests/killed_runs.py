@@ -27,7 +27,7 @@ import pandas
 from PIL import Image
 
 from torchlc.campaigns.objects import read_record
-from torchlc.cli.commands import run
+from torchlc.cli import run
 
 RESULTS = ("fit.json", "diagnosis.json")
 LATER = 1.1

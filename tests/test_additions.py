@@ -20,13 +20,14 @@ from tests.paper_orbits import ORBIT_1
 from torchlc.brdf import MODELS, Brdf
 from torchlc.brdf.base import lambert, per_epoch
 from torchlc.cli import completion
+from torchlc.diagnosis.brdf_alternatives import under_other_laws
 from torchlc.effects import Effect, registry
 from torchlc.files.numbers import Size
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.naming import Replaced
-from torchlc.parameters import Quantity
+from torchlc.parameters import LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.report.figures import ReportFigure
 from torchlc.report.figures.contract import FIGURES
 from torchlc.report.listing import effects_listing
@@ -70,11 +71,11 @@ class ConstantGlow(Brdf):
 
     model = "constant-glow"
     quantities = (
-        Quantity("glow", "", 0.0, 1.0, "flux of a unit area", role="lobe reflectance"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("glow", "", 0.0, 1.0, "flux of a unit area", role=LOBE_REFLECTANCE),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex = ("glow", "r_diff")
-    alternative = {"glow": 0.3}  # noqa: RUF012
+    rivals = {"phong-mirror": {"n": 20.0, "r_spec": 0.2}}  # noqa: RUF012
 
     @staticmethod
     def tabulate(angles, weight):
@@ -268,15 +269,10 @@ def test_diagnose_names_the_cloud(recording):
     assert "A cloud dims everything" in found._repr_html_() or "thin_cloud" in repr(found)
 
 
-def test_a_law_stands_in_for_another_if_it_says_so():
-    from torchlc.diagnosis.brdf_alternatives import under_other_laws
-
-    glossy = (
-        scene_with().to_toml().replace('model = "constant-glow"', 'model = "ashikhmin-shirley"\nn = 50.0')
-    )
-    others = under_other_laws(Scene.from_toml(glossy.replace("glow =", "r_spec =")))
-    assert set(others) == {"ggx", "cook-torrance", "constant-glow"}
-    assert set(others["constant-glow"].materials["paint"].parameters) == {"glow", "r_diff"}
+def test_a_diagnosis_tries_the_laws_that_a_law_counts_among_its_rivals():
+    others = under_other_laws(scene_with())
+    assert set(others) == {"phong-mirror"}
+    assert set(others["phong-mirror"].materials["paint"].parameters) == {"n", "r_spec", "r_diff"}
 
 
 def test_every_list_knows_them():
@@ -360,7 +356,6 @@ class LearntGlow(ConstantGlow):
     """Lambert's law times a learnt function of the albedo; for a test."""
 
     model = "learnt-glow"
-    alternative = {}  # noqa: RUF012
 
     def build(self):
         torch.manual_seed(5)

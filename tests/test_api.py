@@ -170,6 +170,7 @@ def test_posterior_files_hold_the_draws(result: FitResult, out: Path):
     names = {path.name for path in out.iterdir()}
     assert names == {
         "fit.json", "posterior.nc", "chain.h5", "report.html", "curve.png", "shares.png", "object.png", "corner.png", "traces.png",
+        "torchlc-manifest.json",
     }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import torchlc
 from tests.effects.cases import seen_from, still, unit
 from tests.effects.test_finite_sun import CYLINDER
 from torchlc.inference.likelihood import compiled
-from torchlc.lightcurve.model import VALUES_AT_ONCE
+from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE
 
 DEMO = Path(torchlc.__file__).parent / "demo"
 

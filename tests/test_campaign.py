@@ -31,7 +31,7 @@ from torchlc.campaigns.cluster import connected, spread
 from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
 from torchlc.campaigns.objects import origin_of, read_record, run_object
 from torchlc.campaigns.summary import arrow_schema, write_csv
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.errors import TorchlcError
 from torchlc.files.writing import LOCK_NAME, OutputDirectory
 
@@ -323,7 +323,7 @@ def test_what_is_no_cluster_is_said(manifest: Path, tmp_path: Path, capsys: pyte
 
 
 def test_without_dask_the_pip_line_is_said(manifest: Path, tmp_path: Path):
-    call = "import sys; sys.modules['distributed'] = None; from torchlc.cli.commands import main; main()"
+    call = "import sys; sys.modules['distributed'] = None; from torchlc.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", call, "campaign", str(manifest), "-o", str(tmp_path / "out")],
         capture_output=True, text=True, check=False,

@@ -23,7 +23,7 @@ from astropy.table import Table
 import torchlc
 from tests.bad_input_cases import CASES, Case
 from tests.small_case import write_case
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.files.writing import LOCK_NAME, MANIFEST_NAME
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"
@@ -60,10 +60,12 @@ def test_help_of_every_command_ends_well(capsys: pytest.CaptureFixture[str]):
     for command in (
         "",
         "simulate",
+        "predict",
         "fit",
         "diagnose",
         "campaign",
         "period",
+        "rotation",
         "materials",
         "effects",
         "demo",
@@ -261,7 +263,7 @@ def test_bash_completes_commands_options_and_names():
         "torchlc diagnose a b --effects panel_offset,earth": {
             "panel_offset,earth_shadow", "panel_offset,earthshine"
         },
-        "torchlc materials fit a --model gg": {"ggx"},
+        "torchlc materials fit a --model gg": {"ggx", "ggx-conductor", "ggx-dielectric"},
         "torchlc init my.toml --shape cu": {"cubesat"},
         "torchlc fit a b --use f": {"flux"},
     }  # fmt: skip

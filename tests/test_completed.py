@@ -24,6 +24,7 @@ from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import Free, Scene
+from torchlc.stages.noise import Noise
 
 ODD = "panel, +Y @night~1 'x'"
 """A name with every sign that means something in a list of effects, but brackets."""
@@ -65,6 +66,12 @@ def every_entry(case) -> list[str]:
     return [*candidate_entries(Workbench(case[2]), None), *noise]
 
 
+def numbers(noise: Noise) -> list[torch.Tensor | None]:
+    """The added variance, and every tensor of the law and of the processes of a noise."""
+    held = [noise.law, *noise.processes]
+    return [noise.variance, *(v for part in held for v in vars(part).values() if isinstance(v, torch.Tensor))]
+
+
 def assert_same_model(one: LightCurve, two: LightCurve) -> None:
     assert one.parameter_set.free == two.parameter_set.free
     assert [(effect.name, effect.target) for effect in one.effects] == [
@@ -73,7 +80,7 @@ def assert_same_model(one: LightCurve, two: LightCurve) -> None:
     theta = one.parameter_set.start()
     with torch.no_grad():
         torch.testing.assert_close(two(theta), one(theta), rtol=0, atol=1e-12)
-        for mine, other in zip(vars(one.noise(theta)).values(), vars(two.noise(theta)).values(), strict=True):
+        for mine, other in zip(numbers(one.noise(theta)), numbers(two.noise(theta)), strict=True):
             assert (mine is None) == (other is None)
             if mine is not None:
                 torch.testing.assert_close(mine, other, rtol=0, atol=1e-12)

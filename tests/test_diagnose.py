@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchlc.diagnosis.evidence import NoiseModel, Scorer, make_blocks
+from torchlc.diagnosis.evidence import WHITE, Scorer, make_blocks
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.plan import next_nights
 from torchlc.diagnosis.refit import (
@@ -27,7 +27,6 @@ from torchlc.diagnosis.refit import (
 from torchlc.diagnosis.run import diagnose
 from torchlc.diagnosis.search import Found, candidate_entries, judged, released, stuck, unaided
 from torchlc.files.numbers import Free
-from torchlc.inference.likelihood import matern32
 from torchlc.inference.optimiser import find_modes, polish
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
@@ -159,7 +158,7 @@ def test_the_scene_s_own_model_is_looked_for_where_effects_left_it(demo_refit) -
     bench = Workbench(demo_refit.model.assembly)
     likelihood = bench.likelihood(Hypothesis())
     context = bench.base.context
-    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, context.curve), False)
+    scorer = Scorer(context, make_blocks(context.seconds, context.curve))
     wrong = demo_refit.theta.clone()
     wrong[demo_refit.names.index("panel.n")] = 3.0
     null = judged(linearised(likelihood, Hypothesis(), wrong), scorer)
@@ -239,7 +238,7 @@ def test_nights_are_planned_with_the_exposures_of_the_recording(demo_refit) -> N
     theta = bench.start(rival, demo_refit.theta[None], demo_refit.names)[0]
     theta[bench.likelihood(rival).model.names.index("background.fraction")] = 0.1
     context = base.context
-    scorer = Scorer(context.seconds, context.curve, make_blocks(context.seconds, context.curve), False)
+    scorer = Scorer(context, make_blocks(context.seconds, context.curve))
     refits = demo_refit, linearised(bench.likelihood(rival), rival, theta)
     nights = next_nights(*(Found(one, scorer.score(one)) for one in refits))
     assert "exposure_smearing" in [effect.name for effect in base.effects]
@@ -258,31 +257,29 @@ def test_fewer_rows_than_parameters_get_a_verdict() -> None:
 
 
 @pytest.mark.parametrize(
-    "noise",
-    [
-        NoiseModel("white"),
-        NoiseModel("jitter", jitter=0.03),
-        NoiseModel("red_noise", red=0.05, tau_min=20.0),
-    ],
+    ("kind", "values"),
+    [(None, {}), ("jitter", {"mag": 0.03}), ("red_noise", {"mag": 0.05, "tau_min": 20.0})],
 )
-def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, noise: NoiseModel) -> None:
+def test_evidence_and_heldout_are_those_of_the_dense_normal(demo_refit, kind, values) -> None:
     """log N(r; M (mu - y), C + M V M') and the conditional density of a block, written out with full
     matrices."""
     refit = demo_refit
     context = refit.model.assembly.context
     blocks = make_blocks(context.seconds, context.curve)
-    scorer = Scorer(context.seconds, context.curve, blocks, False)
+    scorer = Scorer(context, blocks)
+    noise = WHITE if kind is None else scorer.model(kind, **values)
     free = ~refit.held
     m = refit.slopes[:, free]
     prior = torch.linalg.inv(refit.prior_precision[free][:, free])
     shift = m @ (refit.prior_mean - refit.y)[free]
     gap = (context.seconds[:, None] - context.seconds).abs() / 60
-    c = torch.diag(refit.sigma**2 + noise.jitter**2)
-    if noise.kind == "red_noise":
-        c = c + noise.red**2 * matern32(gap, torch.tensor(noise.tau_min))
+    c = torch.diag(refit.sigma**2 + (0.03**2 if kind == "jitter" else 0.0))
+    if kind == "red_noise":
+        x = math.sqrt(3) * gap / 20.0
+        c = c + 0.05**2 * (1 + x) * torch.exp(-x)
     dense = torch.distributions.MultivariateNormal(shift, c + m @ prior @ m.T)
     assert scorer.log_evidence(refit, noise) == pytest.approx(float(dense.log_prob(refit.delta)), abs=1e-4)
-    if noise.kind == "red_noise":
+    if kind == "red_noise":
         return
     rows, removed = blocks.rows[2], blocks.removed[2]
     rest = torch.tensor([i for i in range(len(refit.delta)) if i not in set(removed.tolist())])
@@ -302,8 +299,9 @@ def test_a_block_that_the_rest_predicts_badly_is_improbable(demo_refit) -> None:
     refit = demo_refit
     context = refit.model.assembly.context
     blocks = make_blocks(context.seconds, context.curve)
-    scorer = Scorer(context.seconds, context.curve, blocks, False)
-    noise = NoiseModel("outliers", fraction=0.03, width=8.0)
+    scorer = Scorer(context, blocks)
+    share, width = 0.03, 8.0
+    noise = scorer.model("outliers", fraction=share, width=width)
     push = torch.zeros_like(refit.delta)
     push[blocks.rows[1]] = 100.0
     far = replace(refit, delta=refit.delta + push * refit.sigma)
@@ -312,15 +310,13 @@ def test_a_block_that_the_rest_predicts_badly_is_improbable(demo_refit) -> None:
     perfect = replace(
         refit, delta=chance * refit.sigma
     )  # residuals of chance alone, that no parameter has followed
-    met = torch.log(
-        (1 - noise.fraction + noise.fraction / noise.width) / (refit.sigma * math.sqrt(2 * math.pi))
-    )
+    met = torch.log((1 - share + share / width) / (refit.sigma * math.sqrt(2 * math.pi)))
     for one in (refit, far, followed, perfect):
         for rows, density in zip(blocks.rows, scorer.heldout(one, noise), strict=True):
             assert float(density) <= float(met[rows].sum())
     gone = scorer.heldout(refit, noise)[1] - scorer.heldout(far, noise)[1]
     # each row a hundred errors off costs half of (100 / 8)^2, less what the parameters can follow
-    assert float(gone) > 0.2 * len(blocks.rows[1]) * (100 / noise.width) ** 2
+    assert float(gone) > 0.2 * len(blocks.rows[1]) * (100 / width) ** 2
 
 
 def test_gaussian_prior_is_the_density_of_reflectances_known_to_a_few_per_cent() -> None:

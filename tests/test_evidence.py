@@ -9,13 +9,20 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from torchlc.diagnosis.evidence import NoiseModel, filtered_log_density
+from torchlc.diagnosis.evidence import filtered_log_density
+from torchlc.noise.outliers import Mixture
+from torchlc.stages.noise import Law
 
-NOISE = NoiseModel("outliers", fraction=0.1, width=8.0)
+
+def mixture(share: float, width: float) -> Mixture:
+    return Mixture(*(torch.tensor([value], dtype=torch.float64) for value in (share, width)))
+
+
+LAW = mixture(0.1, 8.0)
 SLOPES, SIGMA = np.array([1.0, -0.7, 0.4]), np.array([0.5, 0.8, 0.6])
 
 
-def filtered(delta: np.ndarray, mean: float, variance: float, noise: NoiseModel = NOISE) -> np.ndarray:
+def filtered(delta: np.ndarray, mean: float, variance: float, law: Law = LAW) -> np.ndarray:
     """Log density (N,) of N sequences of rows delta (N, n) with one parameter."""
     number, rows = delta.shape
     return filtered_log_density(
@@ -25,7 +32,7 @@ def filtered(delta: np.ndarray, mean: float, variance: float, noise: NoiseModel 
         torch.as_tensor(SLOPES[:rows, None]).expand(number, rows, 1),
         torch.as_tensor(SIGMA[:rows]).expand(number, rows),
         torch.ones(number, rows, dtype=torch.bool),
-        noise,
+        law,
     ).numpy()
 
 
@@ -58,7 +65,7 @@ def test_without_outliers_it_is_the_joint_normal_density():
     delta = np.array([[0.4, -2.0, 0.2], [3.0, 1.0, -1.0]])
     covariance = 2.0 * np.outer(SLOPES, SLOPES) + np.diag(SIGMA**2)
     expected = stats.multivariate_normal.logpdf(delta, 0.3 * SLOPES, covariance)
-    none = NoiseModel("outliers", fraction=1e-300, width=8.0)
+    none = mixture(1e-300, 8.0)
     np.testing.assert_allclose(filtered(delta, 0.3, 2.0, none), expected, rtol=1e-9)
 
 
@@ -72,6 +79,6 @@ def test_rows_that_are_not_there_count_nothing():
         torch.as_tensor(SLOPES[None, :, None]),
         torch.as_tensor(SIGMA[None]),
         torch.tensor([[True, True, False]]),
-        NOISE,
+        LAW,
     )
     assert float(cut[0]) == pytest.approx(full, rel=1e-12)

@@ -16,7 +16,9 @@ import torchlc
 from torchlc.inference.likelihood import Likelihood, magnitude_difference
 from torchlc.inference.optimiser import adam, fit_map, laplace, polish
 from torchlc.inference.sampler import log_density
-from torchlc.stages.effect import Noise
+from torchlc.noise.outliers import Mixture
+from torchlc.noise.red_noise import Matern32
+from torchlc.stages.noise import Noise
 from torchlc.tensors.least_squares import minimise
 
 ROOT = Path(__file__).parents[1]
@@ -107,7 +109,7 @@ def test_jitter_is_added_in_quadrature(panel_night):
     likelihood = Likelihood(torchlc.LightCurve(*panel_night))
     theta = likelihood.model.parameter_set.start()
     recording = likelihood.model.recording
-    noise = Noise(jitter=torch.tensor([0.05], dtype=torch.float64))
+    noise = Noise().wider(torch.tensor([0.05], dtype=torch.float64))
     width = np.hypot(recording.error, 0.05)
     expected = stats.norm.logpdf(recording.observed, likelihood.model(theta).numpy(), width).sum()
     assert float(likelihood.log_likelihood(theta, noise)) == pytest.approx(expected, rel=1e-12)
@@ -123,9 +125,9 @@ def test_red_noise_is_a_gaussian_process(panel_night):
     expected = stats.multivariate_normal.logpdf(
         recording.observed, likelihood.model(theta).numpy(), covariance
     )
-    assert float(likelihood.log_likelihood(theta, Noise(red=red, tau=tau))) == pytest.approx(
-        expected, rel=1e-9
-    )
+    process = Matern32(red, tau, likelihood.model.assembly.context.seconds)
+    found = likelihood.log_likelihood(theta, Noise().with_process(process))
+    assert float(found) == pytest.approx(expected, rel=1e-9)
 
 
 def test_outliers_are_a_mixture(panel_night):
@@ -138,7 +140,7 @@ def test_outliers_are_a_mixture(panel_night):
     safe = np.isfinite(np.log(0.9 * narrow + 0.1 * wide))
     rows = Likelihood(torchlc.LightCurve(panel_night[0], recording.keep(safe, "underflow of the check")))
     expected = np.log(0.9 * narrow + 0.1 * wide)[safe].sum()
-    found = rows.log_likelihood(theta, Noise(outliers=share, width=width))
+    found = rows.log_likelihood(theta, Noise().with_law(Mixture(share, width)))
     assert float(found) == pytest.approx(expected, rel=1e-10)
 
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from tests.bad_input_cases import BODY, MESH_SCENE, RECORDING, SCENE
 from tests.fuzz import in_process, whole_process
 from tests.fuzz_cases import BESIDE, QUICK, WHOLE, Case, cases
-from torchlc.cli.commands import run
+from torchlc.cli import run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")
 patient = settings(deadline=None, suppress_health_check=list(HealthCheck))
@@ -44,7 +44,7 @@ WATCH = """
 import subprocess
 import sys
 from pathlib import Path
-from torchlc.cli.commands import run
+from torchlc.cli import run
 
 folder = sys.argv[1]
 arguments = ["fit", f"{folder}/scene.toml", f"{folder}/recording.csv", "-o", f"{folder}/out", "--steps", "20", "--quiet"]

@@ -19,8 +19,10 @@ from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood, power_difference
 from torchlc.inference.optimiser import fit_map
 from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.outliers import Mixture
+from torchlc.noise.red_noise import Matern32
 from torchlc.scene import Scene
-from torchlc.stages.effect import Noise
+from torchlc.stages.noise import Noise
 
 FREE = '[materials.white]\nmodel = "lambert"\nalbedo = {value = 0.5, low = 0.05, high = 1.0}\n'
 KNOWN = '[materials.white]\nmodel = "lambert"\nalbedo = 0.5\n'
@@ -37,8 +39,17 @@ NOISE = {
 }
 
 
-def noise_of(name: str) -> Noise:
-    return Noise(**{key: torch.tensor([value], dtype=torch.float64) for key, value in NOISE[name].items()})
+def noise_of(name: str, likelihood: Likelihood) -> Noise:
+    values = {key: torch.tensor([value], dtype=torch.float64) for key, value in NOISE[name].items()}
+    noise = Noise()
+    if "jitter" in values:
+        noise = noise.wider(values["jitter"])
+    if "outliers" in values:
+        noise = noise.with_law(Mixture(values["outliers"], values["width"]))
+    if "red" in values:
+        seconds = likelihood.model.assembly.context.seconds
+        noise = noise.with_process(Matern32(values["red"], values["tau"], seconds))
+    return noise
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +126,7 @@ def test_density_with_quoted_errors(seven, kind, noise, limits):
     floor = 0.25 * np.median(np.abs(observed[~limit]))
     unit = np.ones(7) if kind == "mag" else np.maximum(centre, floor) / MAG_PER_LN
     sd = np.hypot(error, values.get("jitter", 0.0) * unit)
-    found = float(likelihood.log_likelihood(theta, noise_of(noise)))
+    found = float(likelihood.log_likelihood(theta, noise_of(noise, likelihood)))
     if "red" not in values:
         assert found == pytest.approx(expected_rows(observed, centre, sd, limit, values, kind), abs=1e-7)
         return
@@ -151,7 +162,7 @@ def test_density_with_fitted_errors(seven, kind, noise, limits):
     middle = math.log(np.std((observed - centre)[~limit]))
     levels = np.linspace(middle - 4, middle + 9, 261)  # steps of 0.05 on peaks 0.4 wide: exact to 1e-8
     expected = math.log(integrate.trapezoid([at(level) for level in levels], levels))
-    found = float(likelihood.log_likelihood(theta, noise_of(noise)))
+    found = float(likelihood.log_likelihood(theta, noise_of(noise, likelihood)))
     assert found == pytest.approx(expected, abs=1e-4)
 
 
@@ -167,14 +178,20 @@ def test_slopes_and_batches(seven, kind, noise, fitted):
     probability of limits, whose rounding they see); a batch is its members."""
     likelihood, _, _ = recorded(seven, kind, LIMITS, fitted)
     many = torch.tensor([[0.45], [0.5], [0.58]], dtype=torch.float64)
-    values = [likelihood.log_likelihood(one, noise_of(noise)) for one in many]
+    values = [likelihood.log_likelihood(one, noise_of(noise, likelihood)) for one in many]
     torch.testing.assert_close(
-        likelihood.log_likelihood(many, noise_of(noise)), torch.stack(values), rtol=1e-11, atol=1e-9
+        likelihood.log_likelihood(many, noise_of(noise, likelihood)),
+        torch.stack(values),
+        rtol=1e-11,
+        atol=1e-9,
     )
     for one in many:
         leaf = one.clone().requires_grad_(True)
-        (slope,) = torch.autograd.grad(likelihood.log_likelihood(leaf, noise_of(noise)), leaf)
-        up, down = (float(likelihood.log_likelihood(one + step, noise_of(noise))) for step in (1e-5, -1e-5))
+        (slope,) = torch.autograd.grad(likelihood.log_likelihood(leaf, noise_of(noise, likelihood)), leaf)
+        up, down = (
+            float(likelihood.log_likelihood(one + step, noise_of(noise, likelihood)))
+            for step in (1e-5, -1e-5)
+        )
         assert float(slope) == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-4)
 
 
@@ -187,7 +204,7 @@ def test_a_looser_limit_never_costs_more(seven, kind, noise):
     """From far fainter than the model to far brighter; a hopelessly loose one costs nothing."""
     likelihood, _, theta = recorded(seven, kind, [6], fitted=noise == "fitted")
     found = likelihood.residuals(theta)
-    used = Noise() if noise == "fitted" else noise_of(noise)
+    used = Noise() if noise == "fitted" else noise_of(noise, likelihood)
     unit = found.sigma[6] if found.sigma.ndim else found.sigma
     looser = torch.linspace(-30, 200, 116, dtype=torch.float64)[:, None] * unit * likelihood.fainter
     delta = found.delta.repeat(116, 1)
@@ -309,12 +326,7 @@ def test_red_noise_beside_outliers_is_refused(seven):
     with pytest.raises(InputError, match="red_noise cannot be applied: outliers are in the list"):
         LightCurve(scene, seven[1])
     likelihood, _, theta = recorded(seven, "mag", [])
-    both = Noise(
-        **{
-            **vars(noise_of("red noise")),
-            **{k: v for k, v in vars(noise_of("outliers")).items() if v is not None},
-        }
-    )
+    both = noise_of("red noise", likelihood).with_law(noise_of("outliers", likelihood).law)
     with pytest.raises(InputError, match="red_noise cannot be applied"):
         likelihood.log_likelihood(theta, both)
 
@@ -397,9 +409,10 @@ def test_slopes_at_low_signal_to_noise(tmp_path, noise):
     assert likelihood.power is not None
     for albedo in (0.05 + 1e-3, 0.3, 0.5, 0.99):
         leaf = torch.tensor([albedo], dtype=torch.float64, requires_grad=True)
-        (slope,) = torch.autograd.grad(likelihood.log_likelihood(leaf, noise_of(noise)), leaf)
+        (slope,) = torch.autograd.grad(likelihood.log_likelihood(leaf, noise_of(noise, likelihood)), leaf)
         up, down = (
-            float(likelihood.log_likelihood(leaf.detach() + step, noise_of(noise))) for step in (1e-6, -1e-6)
+            float(likelihood.log_likelihood(leaf.detach() + step, noise_of(noise, likelihood)))
+            for step in (1e-6, -1e-6)
         )
         assert float(slope) == pytest.approx((up - down) / 2e-6, rel=1e-5, abs=1e-5)
     dark = torch.zeros(len(recording), dtype=torch.float64, requires_grad=True)

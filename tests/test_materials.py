@@ -155,7 +155,7 @@ def test_a_defective_library_is_refused_with_its_place(change: str, word: str, t
 
 
 def test_a_material_listed_twice_is_refused(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[1] / "torchlc" / "data" / "materials.toml").read_text()
+    text = (Path(__file__).parents[1] / "torchlc" / "materials" / "materials.toml").read_text()
     path = tmp_path / "materials.toml"
     path.write_text(text + text[text.index("[[materials]]") :])
     with pytest.raises(InputError, match="Kapton: listed twice"):

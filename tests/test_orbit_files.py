@@ -112,7 +112,7 @@ class TestElementFiles:
         ("content", "message"),
         [
             ("", "no two-line elements"),
-            (f"{GEO_1}\n{GEO_2}\n{ISS[0]}\n{ISS[1]}\n", r"elements of 2 objects \(00001, 25544\)"),
+            (f"{GEO_1}\n{GEO_2}\n{ISS[0]}\n{ISS[1]}\n", r"elements of 2 objects \(1, 25544\)"),
             (f"x\n{GEO_1}\n{GEO_2.replace('67.2351', '67.2352')}\n", "line 3: checksum"),
             (None, "orbit.tle_file: no file 'many.txt'"),
         ],

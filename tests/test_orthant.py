@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from torchlc.inference.orthant import log_orthant, log_quantile
+from torchlc.noise.orthant import log_orthant, log_quantile
 
 
 def factor(covariance: np.ndarray) -> torch.Tensor:

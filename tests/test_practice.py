@@ -40,9 +40,8 @@ def refit(case: str) -> tuple[Fit, dict]:
 def chi2_of(fit: Fit) -> float:
     """With the fitted jitter in the errors."""
     found = fit.likelihood.residuals(fit.theta)
-    jitter = fit.model.noise(fit.theta).jitter
-    added = torch.zeros(()) if jitter is None else jitter * found.scale
-    return float((found.delta**2 / (found.sigma**2 + added**2)).sum())
+    sigma = fit.model.noise(fit.theta).sigma(found.sigma, found.scale)
+    return float((found.delta / sigma).square().sum())
 
 
 def deviations(fit: Fit, truth: dict[str, float]) -> dict[str, tuple[float, float]]:

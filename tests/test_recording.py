@@ -519,15 +519,14 @@ class TestWhatTimesAre:
         """61115.368056 is a night in March as JD - 2400000, and the morning after it as a modified Julian date."""
         text = "time,mag\n61115.368056,14.9\n"
         with pytest.raises(
-            InputError, match=r"2400000\.5 .*time_format: mjd, or time_format: jd-2400000, in a line"
+            InputError, match=r"2400000\.5 .*time_format: mjd .*time_format: jd-2400000 .*in a line"
         ):
             read(text)
         for form, expected in (("mjd", "2026-03-16T08:50:00"), ("jd-2400000", "2026-03-15T20:50:00")):
             found = read(f"# time_format: {form}\n" + text).time
             assert abs((found[0] - Time(expected)).to_value(u.s)) < 0.1  # six decimals of a day are 0.09 s
-        with pytest.raises(InputError, match="Rename MJD to time and say time_format: mjd in a line"):
-            read(text.replace("time", "MJD"))
-        with pytest.raises(InputError, match="BJD holds times at the Sun"):
+            assert read(text, columns=f"time_format={form}").time[0] == found[0]
+        with pytest.raises(InputError, match="BJD'; expected times at the observer"):
             read(text.replace("time", "BJD"))
 
 
@@ -572,7 +571,7 @@ class TestNumbers:
             "\u22121.5",
             "1e",
             "1 2",
-            ">18.5",
+            "<18.5",
             "12,5",
         ],
     )

@@ -375,6 +375,8 @@ def test_practice_recordings_are_reproduced(case: str) -> None:
     if not folder.is_dir():
         pytest.skip("../shared/practice is not here")
     answer = json.loads((folder / "answer.json").read_text())
+    if "true_numbers" in answer or "pole" in answer:
+        pytest.skip("the scene is not that of the truth: sizes, pointing or rotation are to be found")
     one = body.Scene.read(folder / "scene.toml").with_materials(answer["materials"])
     t, mag, error, exptime, station = observe.read_recording(folder / "recording.ecsv")
     effects = {**reference.scene_effects(one), **answer["parameters"]}

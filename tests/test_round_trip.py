@@ -11,7 +11,7 @@ import torchlc
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from tests.effects.passes import CELLS, LOW_PASS, MATERIALS, TUMBLING, orbiting
 from tests.paper_orbits import LOW
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.effects import registry
 from torchlc.lightcurve.model import LightCurve
 

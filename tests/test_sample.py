@@ -28,7 +28,7 @@ from scipy import stats
 
 import torchlc
 from tests.small_case import write_case
-from torchlc.cli.commands import run
+from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.chain import read_chain
 from torchlc.inference.likelihood import Likelihood

@@ -1,6 +1,6 @@
 """``python -m torchlc``."""
 
-from torchlc.cli.commands import main
+from torchlc.cli import main
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""The verbs: load, simulate, fit, diagnose. Each takes paths or objects, checks everything before it works,
+"""The verbs: load, simulate, predict, visibility, fit, diagnose, rotation. Each takes paths or objects, checks everything before it works,
 and returns one object.
 """
 
@@ -7,20 +7,25 @@ from __future__ import annotations
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from torchlc.effects import mending_kind
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
+from torchlc.files.reading import sha256_of
 from torchlc.files.writing import (
     CHAIN_FILE,
     DIAGNOSIS_FILES,
     FIT_FILES,
+    ROTATION_FILES,
     OutputDirectory,
     resources,
     write_whole,
@@ -33,17 +38,26 @@ from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
-from torchlc.readers import Recording, counted, load_recording
+from torchlc.noise.kind import NoiseKind
+from torchlc.readers import Recording, counted, recording_of
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
-from torchlc.scene import Scene, load_scene
+from torchlc.scene import Scene, Station, load_scene
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
     from torchlc.diagnosis.result import Diagnosis
+    from torchlc.prediction.result import Prediction
+    from torchlc.prediction.visibility import Visibility
+    from torchlc.results.rotation_result import RotationResult
 
 Progress = Callable[[str, float], None]
+Rows = Any
+"""What holds a recording: a path, a Recording, astropy's Table or TimeSeries, a LightCurve of lightkurve, a DataFrame of
+pandas, or a mapping of columns (arrays, quantities, instants)."""
+Columns = str | Mapping[str, Any] | None
+"""Which column is what: "time=JD_UTC,mag=V", or a mapping; over the table [recording] of the scene."""
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
 MIN_ROWS = 2
@@ -51,65 +65,162 @@ MIN_ROWS = 2
 
 @overload
 def load(
-    scene: str | Path, recording: None = None, *, use: str | None = None, trust: bool = False
+    scene: str | Path | Scene,
+    recording: None = None,
+    *,
+    use: str | None = None,
+    columns: Columns = None,
+    trust: bool = False,
 ) -> Scene: ...
 @overload
 def load(
-    scene: str | Path | Scene, recording: str | Path, *, use: str | None = None, trust: bool = False
+    scene: str | Path | Scene,
+    recording: Rows,
+    *,
+    use: str | None = None,
+    columns: Columns = None,
+    trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
 def load(
     scene: str | Path | Scene,
-    recording: str | Path | None = None,
+    recording: Rows = None,
     *,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
 ) -> Scene | tuple[Scene, Recording]:
     """Read a scene, or a scene and a recording, and check them.
 
-    ``use`` picks "mag" or "flux" of a recording that has both. ``trust`` lets the scene name files outside
-    its own folder.
+    A recording is a path, or what holds its rows in memory: astropy's Table or TimeSeries, a LightCurve of lightkurve, a
+    DataFrame of pandas, or a mapping of arrays, quantities and instants. ``use`` picks "mag" or "flux" of one that has
+    both. ``columns`` says which column is what ("time=JD_UTC,mag=V", or a mapping). ``trust`` lets the scene name files
+    outside its own folder.
     """
     read = _scene(scene, trust)
-    return read if recording is None else (read, load_recording(recording, read, use=use))
+    return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
 def simulate(
     scene: str | Path | Scene,
-    recording: str | Path | Recording | None = None,
+    recording: Rows = None,
     *,
     start: str | float | None = None,
     hours: float | None = None,
     cadence: float | None = None,
     noise: float | None = None,
     seed: int = 0,
+    columns: Columns = None,
     trust: bool = False,
 ) -> SimulatedCurve:
     """The light curve of a scene at a recording's rows, or for ``hours`` from ``start`` (ISO UTC or JD)
     every ``cadence`` seconds.
 
     Free numbers have their scene's values. ``noise`` (mag) makes a recording of it: normal errors, quoted,
-    and on top what noise effects of the scene say (jitter, red_noise, outliers), unquoted.
+    and on top what noise effects of the scene say (jitter, say), unquoted.
     """
     scene = _scene(scene, trust)
-    if recording is None:
-        if start is None or hours is None or cadence is None:
-            raise InputError(
-                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
-            )
-        rows = observation_grid(scene, start, hours, cadence)
-    elif start is not None or hours is not None or cadence is not None:
-        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
-    else:
-        rows = recording if isinstance(recording, Recording) else load_recording(recording, scene)
+    rows = _grid_or(scene, recording, start, hours, cadence, columns)
     low, high = LIMITS["mag_err"]
     if noise is not None and not low <= noise <= high:
         raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
     return simulated_curve(scene, rows, noise, seed)
 
 
+def predict(
+    scene: str | Path | Scene | FitResult,
+    *,
+    elements: str | Path | None = None,
+    stations: Sequence[Station] | None = None,
+    date: str | None = None,
+    start: str | float | None = None,
+    hours: float | None = None,
+    cadence: float = 10.0,
+    elevation: float = 10.0,
+    sun: float = -6.0,
+    extinction: float = 0.0,
+    scatter: float = 0.0,
+    faintest: float | None = None,
+    draws: int = 256,
+    seed: int = 0,
+    out: str | Path | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> Prediction:
+    """How bright, and when: passes over stations in the dark, with magnitudes and their 68 and 95 % intervals.
+
+    ``scene`` is a scene, whose priors are drawn from, or a fit or its directory, whose posterior is. ``elements``, a file
+    of two-line elements of any number of objects, takes the place of the scene's orbit: every object is taken for one of
+    the scene's shape and materials. ``stations`` take the place of the scene's. ``date`` is a night by its evening's date;
+    or ``hours`` from ``start`` (ISO UTC or JD). Passes are above ``elevation`` deg while the Sun is below ``sun``, deg, on a
+    grid of ``cadence`` s.
+
+    ``extinction`` (mag an airmass) gives apparent magnitudes beside those outside the air. ``scatter`` (mag) is the
+    standard deviation between objects of one kind, which the intervals hold. Passes fainter than ``faintest`` are left
+    out. With ``out`` prediction.json, prediction.ecsv, passes.ecsv, passes.ics and passes.png are written there.
+    """
+    from torchlc.prediction import run as predicting
+    from torchlc.prediction.passes import no_station
+    from torchlc.prediction.posterior import read_fit
+    from torchlc.prediction.result import PREDICTION_FILES
+
+    wanted = predicting.Wanted(elevation, sun, extinction, scatter, faintest, draws, seed)
+    predicting.check(wanted)
+    read, posterior, inputs = read_fit(scene, lambda given: _scene(given, trust))
+    places = list(read.stations if stations is None else stations)
+    if not places:
+        raise no_station(read.source)
+    inputs += input_files(read) + ([] if elements is None else [Path(elements)])
+    with ExitStack() as stack:
+        directory = None
+        if out is not None:
+            directory = stack.enter_context(OutputDirectory(out, PREDICTION_FILES, inputs))
+        stack.enter_context(resources(None if out is None else Path(out)))
+        span = predicting.span_of(places, date, start, hours, cadence)
+        if elements is None:
+            orbiters, said = [predicting.orbiter_of(read, span)], []
+        else:
+            orbiters, said = predicting.orbiters_of(elements, span)
+        found = predicting.run(read, orbiters, span, wanted, posterior, progress)
+        found = replace(
+            found,
+            warnings=[*said, *found.warnings],
+            provenance=made_with(
+                {file.name: sha256_of(file) for file in inputs if file.is_file()}, seed, command
+            ),
+        )
+        if directory is not None:
+            found.write_into(directory)
+    return found
+
+
+def visibility(
+    scene: str | Path | Scene,
+    recording: Rows = None,
+    *,
+    start: str | float | None = None,
+    hours: float | None = None,
+    cadence: float | None = None,
+    values: Mapping[str, Tensor] | None = None,
+    towards: Mapping[str, Tensor] | None = None,
+    trust: bool = False,
+) -> Visibility:
+    """Lit, seen, and lit-and-seen shares, and projected areas, of every component, at a recording's rows or for
+    ``hours`` from ``start`` (ISO UTC or JD) every ``cadence`` seconds.
+
+    Tensors in, tensors out: ``values`` puts tensors in place of numbers of the scene by full name ("panel.size_u"), and
+    gradients reach them. ``towards`` names further directions, vectors (3,) or (T, 3) in GCRS; the velocity is one
+    where it is known.
+    """
+    from torchlc.prediction.visibility import component_visibility
+
+    scene = _scene(scene, trust)
+    return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
+
+
 def fit(
     scene: str | Path | Scene,
-    recording: str | Path | Recording,
+    recording: Rows,
     *,
     steps: int | None = None,
     walkers: int | None = None,
@@ -117,6 +228,7 @@ def fit(
     out: str | Path | None = None,
     resume: bool = False,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -132,7 +244,7 @@ def fit(
     scene = _scene(scene, trust)
     if resume and out is None:
         raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
-    rows = usable(scene, recording, use=use)
+    rows = usable(scene, recording, use=use, columns=columns)
     with ExitStack() as stack:
         later = {CHAIN_FILE} if resume else frozenset()
         directory = _held(stack, out, FIT_FILES - later, scene, rows)
@@ -189,13 +301,14 @@ def fit(
 
 def diagnose(
     scene: str | Path | Scene,
-    recording: str | Path | Recording,
+    recording: Rows,
     *,
     quick: bool = False,
     effects: Sequence[str] | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -210,7 +323,7 @@ def diagnose(
     from torchlc.diagnosis.run import diagnose as run
 
     scene = _scene(scene, trust)
-    rows = usable(scene, recording, use=use)
+    rows = usable(scene, recording, use=use, columns=columns)
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
@@ -219,6 +332,57 @@ def diagnose(
             from torchlc.report.diagnosis_page import write_diagnosis
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
+    return result
+
+
+def rotation(
+    scene: str | Path | Scene,
+    *recordings: str | Path | Recording,
+    shortest: float | None = None,
+    longest: float | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    use: str | None = None,
+    trust: bool = False,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> RotationResult:
+    """Rotation states of a body from one or more recordings: pole, period, phase, with all modes that fit.
+
+    The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
+    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there.
+    """
+    from torchlc.inference.rotation.search import search_rotation
+    from torchlc.readers.joining import joined
+    from torchlc.results.rotation_result import RotationResult
+
+    began = time.monotonic()
+    scene = _scene(scene, trust)
+    if not recordings:
+        raise InputError(None, None, "no recording", "one or more")
+    each = [usable(scene, one, use=use) for one in recordings]
+    rows = usable(scene, joined(each))
+    with ExitStack() as stack:
+        directory = None
+        if out is not None:
+            inputs = [
+                *input_files(scene),
+                *(Path(one) for one in recordings if not isinstance(one, Recording)),
+            ]
+            directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
+        stack.enter_context(resources(None if out is None else Path(out)))
+        search = search_rotation(
+            scene, rows, shortest_s=shortest, longest_s=longest, seed=seed, progress=progress
+        )
+        made = provenance(scene, rows, seed, command)
+        made["inputs"] |= {
+            f"recording {number}": provenance(scene, one, seed)["inputs"]["recording"]
+            for number, one in enumerate(each[1:], 2)
+            if one.source is not None and one.sha256 is not None
+        }
+        result = RotationResult(search, seed, time.monotonic() - began, made)
+        if directory is not None:
+            result.write(directory)
     return result
 
 
@@ -250,14 +414,13 @@ def demo(
     return found, result
 
 
-def usable(scene: Scene, recording: str | Path | Recording, *, use: str | None = None) -> Recording:
+def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None) -> Recording:
     """The rows of a recording that a fit may use: at least two, and those below the horizon dropped and
     counted.
     """
     from torchlc.geometry.orbit import make_track
 
-    if not isinstance(recording, Recording):
-        recording = load_recording(recording, scene, use=use, min_rows=MIN_ROWS)
+    recording = recording_of(recording, scene, use=use, columns=columns, min_rows=MIN_ROWS)
     with scene.reading():
         track = make_track(scene, recording)
     kept = recording.keep(above_horizon(track), "below the horizon")
@@ -271,20 +434,26 @@ def provenance(scene: Scene, recording: Recording, seed: int, command: str | Non
     """From what, with what and how a result was made: hashes of the bytes that were read of each input,
     versions, seed, command.
     """
-    import astropy
-    import emcee
-
     read = {
         "scene": (scene.source, scene.sha256),
         "recording": (recording.source, recording.sha256),
         **{place: (name, scene.hashes.get(name)) for place, name in scene.files().items()},
     }
+    inputs = {
+        name: {"file": Path(source).name, "sha256": digest}
+        for name, (source, digest) in read.items()
+        if source is not None and digest is not None
+    }
+    return made_with(inputs, seed, command)
+
+
+def made_with(inputs: Mapping[str, Any], seed: int, command: str | None) -> dict[str, Any]:
+    """Provenance of a result from these ``inputs``: with which versions, seed and command."""
+    import astropy
+    import emcee
+
     return {
-        "inputs": {
-            name: {"file": Path(source).name, "sha256": digest}
-            for name, (source, digest) in read.items()
-            if source is not None and digest is not None
-        },
+        "inputs": dict(inputs),
         "versions": {
             "torchlc": __version__,
             "python": platform.python_version(),
@@ -316,6 +485,26 @@ def input_files(scene: Scene, recording: Recording | None = None) -> list[Path]:
     return [*(Path(source) for source in sources if source is not None), *named]
 
 
+def _grid_or(
+    scene: Scene,
+    recording: Rows,
+    start: str | float | None,
+    hours: float | None,
+    cadence: float | None,
+    columns: Columns = None,
+) -> Recording:
+    """The rows of a recording, or of a grid of times."""
+    if recording is None:
+        if start is None or hours is None or cadence is None:
+            raise InputError(
+                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
+            )
+        return observation_grid(scene, start, hours, cadence)
+    if start is not None or hours is not None or cadence is not None:
+        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
+    return recording_of(recording, scene, columns=columns)
+
+
 def _scene(scene: str | Path | Scene, trust: bool) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
 
@@ -332,20 +521,22 @@ def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> 
 def _search(
     likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None
 ) -> tuple[Fit, list[str]]:
-    """The maximum a posteriori; with a jitter added to the model where chi-square says that the quoted
+    """The maximum a posteriori; with the noise that mends it added to the model where chi-square says that the quoted
     errors are too small.
     """
     found = fit_map(likelihood, seed=seed, progress=progress)
     effects = [effect.entry for effect in likelihood.model.effects]
-    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and "jitter" not in effects
+    widened = any(isinstance(one, NoiseKind) and one.widens for one in likelihood.model.effects)
+    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened
     if not doubtful:
         return found, []
     said = f"chi2 is {found.chi2:.1f} for {found.dof} degrees of freedom (p = {found.p_value:.1g})"
     if not likelihood.model.names:
         return found, [f"{said}: the model as it stands does not fit within the errors"]
     assembly = likelihood.model.assembly
-    with_jitter = assemble(assembly.scene, recording, [*effects, "jitter"], base=assembly)
-    model = LightCurve(assembly.scene, recording, assembly=with_jitter)
+    remedy = mending_kind().name
+    mended = assemble(assembly.scene, recording, [*effects, remedy], base=assembly)
+    model = LightCurve(assembly.scene, recording, assembly=mended)
     found = fit_map(Likelihood(model), seed=seed, progress=progress)
-    warning = f"{said}: a jitter was added to the errors; torchlc diagnose looks for what the model lacks"
+    warning = f"{said}: a {remedy} was added to the errors; torchlc diagnose looks for what the model lacks"
     return found, [warning]

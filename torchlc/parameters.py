@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 from torch import Tensor
@@ -21,19 +20,20 @@ from torch.distributions import constraints, transforms
 from torchlc.naming import NOBODY, Origin
 
 PRIORS = ("uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal")
+REFLECTANCE, LOBE_REFLECTANCE, FRESNEL = "reflectance", "reflectance of the lobe", "Fresnel reflectance"
+EXPONENT, WIDTH, INDEX, SHARE = "exponent", "width", "refractive index", "share"
+ROLES = {
+    REFLECTANCE: "of diffuse light, or of all light: a factor of it",
+    LOBE_REFLECTANCE: "a factor of the light of the lobe",
+    FRESNEL: "reflectance at normal incidence: light of the lobe is linear in it, but it is no factor",
+    EXPONENT: "of the cosine whose power the lobe is",
+    WIDTH: "of the lobe: roughness, or slope of microfacets",
+    INDEX: "of refraction, from which the lobe's reflectance follows",
+    SHARE: "of an area that is another material: beyond one half the other is the first",
+}
 NEAR_POLE = 1e-24
 """Square of a latitude's cosine below which its slope against the sine is no longer followed: at a pole it has
 none."""
-
-
-QuantityRole = Literal[
-    "", "reflectance", "lobe reflectance", "nonlinear reflectance", "exponent", "width", "index"
-]
-"""What a number does to the light: a reflectance, of which light is linear if all other numbers stay ("lobe
-reflectance": of a lobe), or not linear; of a lobe its exponent, its width (rms slope times sqrt 2) or a refractive
-index; nothing of these."""
-LOBE_ROLES = frozenset(("lobe reflectance", "exponent", "width", "index"))
-"""Roles of numbers that only a glint tells."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Quantity:
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
     ``typical`` the size worth suspecting; ``prior`` (one of PRIORS) is the default, with ``mean`` and ``sigma``.
     A latitude in degrees whose direction may point anywhere alike declares ``isotropic``. What has a value ``unless_set``
-    keeps it where the scene says nothing. ``role`` is what a law of reflection uses it for: fits, samplers and the sizes of
-    facets go by it.
+    keeps it where the scene says nothing. ``role`` says what kind of number it is, where that decides how it is
+    searched, sampled or judged: one of ROLES.
     """
 
     name: str
@@ -58,17 +58,11 @@ class Quantity:
     mean: float | None = None
     sigma: float | None = None
     unless_set: float | None = None
-    role: QuantityRole = ""
+    role: str = ""
 
-    @property
-    def is_reflectance(self) -> bool:
-        """Whether light is linear in it."""
-        return self.role in ("reflectance", "lobe reflectance")
-
-    @property
-    def is_scale(self) -> bool:
-        """Whether it makes a surface brighter or fainter as a whole."""
-        return self.is_reflectance or self.role == "nonlinear reflectance"
+    def __post_init__(self) -> None:
+        if self.role and self.role not in ROLES:
+            raise ValueError(f"{self.name}: role {self.role!r}; expected one of {', '.join(ROLES)}")
 
 
 @dataclass(frozen=True)
@@ -264,8 +258,7 @@ class LatitudeTransform(transforms.Transform):
 
 @dataclass(frozen=True)
 class Free:
-    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is, ``quantity``
-    which number."""
+    """A free parameter: its full name, its prior and the value to start from; ``origin`` says whose it is, ``role`` is its quantity's."""
 
     name: str
     prior: Prior
@@ -273,15 +266,7 @@ class Free:
     unit: str = ""
     meaning: str = ""
     origin: Origin = NOBODY
-    quantity: Quantity | None = None
-
-    @property
-    def is_reflectance(self) -> bool:
-        return self.quantity is not None and self.quantity.is_reflectance
-
-    @property
-    def role(self) -> QuantityRole:
-        return "" if self.quantity is None else self.quantity.role
+    role: str = ""
 
 
 def prior_of(quantity: Quantity) -> Prior:
@@ -323,6 +308,7 @@ class ParameterSet:
         self.free = [entries[name] for name in order]
         self.names = order
         self.quantities = [parameter.origin.quantity for parameter in self.free]
+        self.roles = [parameter.role for parameter in self.free]
         self._transforms = [parameter.prior.transform() for parameter in self.free]
         self._second = {second: first for first, second in self.pairs}
         self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}

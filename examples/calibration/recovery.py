@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from dataclasses import replace
@@ -101,8 +100,9 @@ def simulated(case: int) -> tuple[torchlc.LightCurve, torch.Tensor]:
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     truth = model.parameter_set.sample_prior(1, generator)[0]
     with torch.no_grad():
-        mag, jitter = model(truth).numpy(), model.noise(truth).jitter
-    spread = math.hypot(NOISE_MAG, 0.0 if jitter is None else float(jitter))
+        mag = model(truth).numpy()
+        quoted = torch.tensor(NOISE_MAG, dtype=truth.dtype)
+        spread = float(model.noise(truth).sigma(quoted, torch.ones_like(quoted)))
     observed = mag + spread * rng.normal(size=len(grid))
     recording = replace(grid, observed=observed).keep(np.isfinite(observed), "dark")
     return torchlc.LightCurve(scene, recording), truth

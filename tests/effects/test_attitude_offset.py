@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.effects.cases import flux, seen_from, still, unit
 from tests.effects.passes import BODY, CELLS, MATERIALS, WINGS
-from torchlc.effects.attitude_offset import rotation_of
+from torchlc.geometry.rotation.matrices import rotation_of
 
 BOX_WING = (BODY + WINGS, MATERIALS + CELLS)
 

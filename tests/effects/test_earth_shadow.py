@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -305,3 +306,43 @@ def test_the_best_hard_edge_is_as_far_off_as_the_docs_say(radius_km, least, most
         hard = sunlit_fraction(place, sun, torch.full((len(angle),), h0).double()).numpy()
         errors.append(np.abs(2.5 * np.log10(np.maximum(hard[seen], 1e-9) / expected[seen])).max())
     assert least < min(errors) < most
+
+
+@pytest.mark.parametrize("exposure_s", [None, 1.0])
+def test_a_free_clock_takes_the_shadow_with_it(exposure_s):
+    """Rows that are far from the edge for every offset of a batch are not integrated: light is still, row by row, what is
+    left of that without a shadow by rays past the ellipsoid at the very time of each row (2e-3: their sampling; 0.02: the mean
+    over an exposure of 1 s, an eighth of an entry, is not quite its middle)."""
+    scene = orbiting(TUMBLING, tle=LOW)
+    seen = rows(scene, LOW_PASS, 1.0, 40.0)
+    exptime = None if exposure_s is None else np.full(len(seen), exposure_s)
+    seen = dataclasses.replace(seen, kind="flux", exptime=exptime)
+    more = [] if exposure_s is None else ["exposure_smearing"]
+    shaded, bare = (
+        LightCurve(scene, seen, effects=[*chosen, "time_offset", *more]) for chosen in (["earth_shadow"], [])
+    )
+    column = shaded.names.index("time_offset.s")
+    theta = shaded.parameter_set.start().repeat(9, 1)
+    theta[:-1, column] = 5.0 * torch.arange(8, dtype=theta.dtype)
+    theta[-1, column] = 300.0
+    h0 = theta[:, shaded.names.index("earth_shadow.h0")]
+    of_bare = [shaded.names.index(name) for name in bare.names]
+    with torch.no_grad():
+        light, whole = shaded.brightness(theta).flux, bare.brightness(theta[:, of_bare]).flux
+        alone = torch.stack([shaded.brightness(row).flux for row in theta])
+    torch.testing.assert_close(light, alone, rtol=1e-11, atol=0)
+    seen_at_all = whole > 0
+    share = torch.where(seen_at_all, light / torch.where(seen_at_all, whole, 1.0), 1.0)
+    partly = (share > 0) & (share < 1)
+    assert int(partly.sum()) >= 2
+    assert bool((share == 0).any())
+    track = make_track(scene, seen)
+    limit = 2e-3 if exposure_s is None else 0.02
+    others = seen_at_all & (torch.arange(len(seen)) % 10 == 0)
+    others[1:-1] = False
+    for which, row in torch.nonzero(partly | others).tolist():
+        offset = float(theta[which, column])
+        state = track.at(offset, offset, 0.0)
+        assert state.position is not None
+        place, sun = (one.reshape(-1, 3)[row].numpy() for one in (state.position, state.sun))
+        assert sampled(place, sun, float(h0[which])) == pytest.approx(float(share[which, row]), abs=limit)

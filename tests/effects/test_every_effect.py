@@ -50,13 +50,14 @@ def without_effects(name: str) -> LightCurve:
 
 
 def at(model: LightCurve, attribute: str) -> torch.Tensor:
-    """theta with each quantity of the effect at its off, typical, low or high; where None, at its start."""
+    """theta with each quantity of the effect at its off, typical, low or high; where None, at its start. Quantities
+    that are fixed unless a scene sets them may be absent."""
     theta = model.theta().detach().clone()
     for effect in model.effects:
         for quantity in effect.quantities:
-            value = getattr(quantity, attribute)
-            if value is not None:
-                theta[model.names.index(effect.full_name(quantity.name))] = value
+            value, name = getattr(quantity, attribute), effect.full_name(quantity.name)
+            if value is not None and (quantity.unless_set is None or name in model.names):
+                theta[model.names.index(name)] = value
     return theta
 
 

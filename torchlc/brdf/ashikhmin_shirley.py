@@ -20,7 +20,7 @@ from torchlc.brdf.base import (
     schlick_weight,
     weighed,
 )
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.tensors.autodiff_state import transformed
 
 GRID_STEP = 0.08
@@ -49,19 +49,23 @@ class AshikhminShirley(Brdf):
     model: ClassVar[str] = "ashikhmin-shirley"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform", role="exponent"
+            "n_u", "", 0.0, 1e6, "lobe exponent along the facet's u axis", prior="loguniform", role=EXPONENT
         ),
         Quantity(
-            "n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform", role="exponent"
+            "n_v", "", 0.0, 1e6, "lobe exponent along the facet's v axis", prior="loguniform", role=EXPONENT
         ),
         Quantity(
-            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role="lobe reflectance"
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role=LOBE_REFLECTANCE
         ),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
     along_axes: ClassVar[tuple[str, ...]] = ("n_u", "n_v")
+    rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "ggx": {"alpha": 0.2, "f0": 0.2},
+        "cook-torrance": {"m": 0.2, "f0": 0.2},
+    }
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
@@ -89,7 +93,10 @@ class AshikhminShirley(Brdf):
         """
         columns = range(0, table["diffuse"].shape[-1], COLUMNS_AT_ONCE)
         cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
-        pieces = [_condensed({name: one[..., cut] for name, one in table.items()}) for cut in cuts]
+        finer, smooth = _fine_steps(table)
+        pieces = [
+            _condensed({name: one[..., cut] for name, one in table.items()}, finer, smooth) for cut in cuts
+        ]
         return {"diffuse": table["diffuse"], "lobes": torch.cat(pieces, -1).flatten(2).flatten(0, 1)}
 
     @staticmethod
@@ -127,7 +134,24 @@ class AshikhminShirley(Brdf):
         return {**values, "n_u": wider, "n_v": wider if n_u is n_v else n_v / (1 + n_v * variance)}
 
 
-def _condensed(table: Mapping[str, Tensor]) -> Tensor:
+def _widest_exponent(table: Mapping[str, Tensor]) -> Tensor:
+    """The exponent from which on a pair's lobe is as wide as the extent of its source, (P, T)."""
+    if "spread" not in table:
+        return torch.full_like(table["log_half"][:1], math.inf)
+    return 1 / table["spread"].clamp(min=1e-12)
+
+
+def _fine_steps(table: Mapping[str, Tensor]) -> tuple[int, int]:
+    """Grid steps per unit of the table, and how many of them lie below the first exponent at which any pair's lobe
+    reaches its source's extent: there the sums are smooth and every finer step follows from its neighbours."""
+    finer = FINER if "spread" in table else 1
+    idle = (table["normal"] == 0) & (table["grazing"] == 0)
+    most = _widest_exponent(table)
+    first_jump = float(torch.log1p(torch.where(idle, math.inf, most).min()))
+    return finer, finer * math.floor(min(first_jump / GRID_STEP, GRID_STEPS))
+
+
+def _condensed(table: Mapping[str, Tensor], finer: int, smooth: int) -> Tensor:
     """Logarithms of the normal and grazing sums and their derivatives per grid step, (G, 2, 2, T): value and
     slope, normal and grazing; -600 where there is no light."""
     idle = (table["normal"] == 0) & (table["grazing"] == 0)
@@ -139,17 +163,14 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     log_half = table["log_half"]
     light = torch.stack([table["normal"], table["grazing"]])
     spread = table.get("spread")
-    most = torch.full_like(log_half[:1], math.inf) if spread is None else 1 / spread.clamp(min=1e-12)
+    most = _widest_exponent(table)
     widest = torch.addcmul(torch.log1p(most), most, log_half) if spread is not None else log_half
     # a lobe that an extent keeps wide may outlast narrower ones nearer to their glint: it is left out by what is left of
     # the brightest in the end
     last = 1.0 if spread is None else most.clamp(max=1e6)
     depth = torch.where(idle, -math.inf, last * log_half)
     brightest = depth.amax(0).clamp(min=-1e300)
-    finer = 1 if spread is None else FINER
     grid = torch.arange(finer * GRID_STEPS + 1, dtype=light.dtype, device=light.device) * (GRID_STEP / finer)
-    first_jump = float(torch.log1p(torch.where(idle, math.inf, most).min()))
-    smooth = finer * math.floor(min(first_jump / GRID_STEP, GRID_STEPS))
     logs, slopes, steady = [], [], False
     for step, x in enumerate(grid):
         n = torch.expm1(x)
@@ -201,14 +222,21 @@ def _between(values: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def interpolated(table: Mapping[str, Tensor], n: Tensor) -> tuple[Tensor, Tensor]:
-    """The two lobe sums (..., T) of a condensed table at exponents n (...)."""
-    steps = table["lobes"].shape[0] // 2 - 1
+    """The two lobe sums (..., T) of a condensed table at exponents n (...). One with ``monomials`` (..., M) has a polynomial of
+    M terms, one row after the other, in place of each row."""
+    monomials = table.get("monomials")
+    terms = 1 if monomials is None else monomials.shape[-1]
+    steps = table["lobes"].shape[0] // (2 * terms) - 1
     place = torch.log1p(n) * (steps / (GRID_STEPS * GRID_STEP))
     cell = place.detach().floor().clamp(0, steps - 1)
     t = place - cell
     h01 = t * t * (3 - 2 * t)
     weight = torch.stack([1 - h01, t * (1 - t) ** 2, h01, t * t * (t - 1)], -1)
     rows = 2 * per_epoch(cell.long()) + torch.arange(4, device=cell.device)
+    if monomials is not None:
+        rows = (terms * rows[..., None] + torch.arange(terms, device=cell.device)).flatten(-2)
+        weight = (weight[..., None] * monomials[..., None, :]).flatten(-2)
+        rows = rows.expand(weight.shape)
     normal, grazing = combined(table["lobes"], rows, weight).exp_().chunk(2, -1)
     return normal, grazing
 

@@ -177,9 +177,10 @@ class Brdf(nn.Module):
     defaults: ClassVar[Mapping[str, float]] = {}
     form_of: ClassVar[str] = ""
     """The law under whose name a scene may ask for this one too, by the keys that it gives."""
-    alternative: ClassVar[Mapping[str, float]] = {}
-    """Where the numbers of its lobe start if a diagnosis tries this law in place of a scene's own; a law without them is
-    never tried."""
+    curved: ClassVar[tuple[str, ...]] = ()
+    """Reflectances in which light is not linear, for more than one factor of them is in it."""
+    rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {}
+    """Laws of another shape of lobe that a diagnosis tries in the place of this one, with where their lobes start."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 

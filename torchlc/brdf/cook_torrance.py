@@ -19,7 +19,7 @@ from torchlc.brdf.base import (
     schlick_weight,
 )
 from torchlc.brdf.fresnel import conductor, dielectric, least_schlick
-from torchlc.parameters import Quantity
+from torchlc.parameters import FRESNEL, INDEX, REFLECTANCE, WIDTH, Quantity
 
 
 class CookTorrance(Brdf):
@@ -34,13 +34,12 @@ class CookTorrance(Brdf):
     model: ClassVar[str] = "cook-torrance"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role=WIDTH
         ),
-        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence", role="lobe reflectance"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence", role=FRESNEL),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
-    alternative: ClassVar[Mapping[str, float]] = {"m": 0.2, "f0": 0.2}
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
@@ -78,13 +77,12 @@ class CookTorranceDielectric(CookTorrance):
     model: ClassVar[str] = "cook-torrance-dielectric"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role=WIDTH
         ),
-        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric", role="index"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("ior", "", 1.0, 5.0, "refractive index of a dielectric", role=INDEX),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ()
-    alternative: ClassVar[Mapping[str, float]] = {}
     form_of: ClassVar[str] = "cook-torrance"
 
     @staticmethod
@@ -118,11 +116,11 @@ class CookTorranceConductor(CookTorranceDielectric):
     model: ClassVar[str] = "cook-torrance-conductor"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role="width"
+            "m", "", 1e-3, 1.0, "rms slope of the microfacets times sqrt 2", prior="loguniform", role=WIDTH
         ),
-        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index", role="index"),
-        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index", role="index"),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("eta", "", 0.01, 10.0, "real part of a metal's refractive index", role=INDEX),
+        Quantity("k", "", 0.0, 20.0, "imaginary part of a metal's refractive index", role=INDEX),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
 
     @staticmethod

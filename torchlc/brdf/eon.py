@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch, retro
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 
 LOST = 0.5 - 2 / (3 * math.pi)
 LOST_ON_AVERAGE = 2 / 3 - 28 / (15 * math.pi)
@@ -35,11 +35,12 @@ class Eon(Brdf):
             0.0,
             1.0,
             "share of the light that is scattered each time it meets the surface",
-            role="nonlinear reflectance",
+            role=REFLECTANCE,
         ),
         Quantity("roughness", "", 0.0, 1.0, "0: Lambert's law; 1: as rough as the law goes"),
     )
     additive: ClassVar[bool] = True
+    curved: ClassVar[tuple[str, ...]] = ("albedo",)
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

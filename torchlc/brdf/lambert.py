@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf, Incidence, lambert, per_epoch
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 
 
 class Lambert(Brdf):
@@ -17,7 +17,7 @@ class Lambert(Brdf):
 
     model: ClassVar[str] = "lambert"
     quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity("albedo", "", 0.0, 1.0, "share of the incident light that is scattered", role="reflectance"),
+        Quantity("albedo", "", 0.0, 1.0, "share of the incident light that is scattered", role=REFLECTANCE),
     )
     additive: ClassVar[bool] = True
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 
 
 class LommelSeeligerLambert(Brdf):
@@ -25,7 +25,7 @@ class LommelSeeligerLambert(Brdf):
     model: ClassVar[str] = "lommel-seeliger-lambert"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity("weight", "", 0.0, 10.0, "weight of Lambert's law beside Lommel and Seeliger's"),
-        Quantity("albedo", "", 0.0, 1.0, "scale of both laws together", role="reflectance"),
+        Quantity("albedo", "", 0.0, 1.0, "scale of both laws together", role=REFLECTANCE),
     )
     defaults: ClassVar[Mapping[str, float]] = {"albedo": 1.0}
     additive: ClassVar[bool] = True

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch, retro
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 
 
 class OrenNayar(Brdf):
@@ -30,12 +30,7 @@ class OrenNayar(Brdf):
     model: ClassVar[str] = "oren-nayar"
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity(
-            "albedo",
-            "",
-            0.0,
-            1.0,
-            "share of the light that the walls of cavities scatter",
-            role="reflectance",
+            "albedo", "", 0.0, 1.0, "share of the light that the walls of cavities scatter", role=REFLECTANCE
         ),
         Quantity("sigma", "deg", 0.0, 40.0, "standard deviation of the angles of the cavities' walls"),
     )

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf, Incidence, lambert, lobe, per_epoch, per_pair
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 
 
 class PhongHalf(Brdf):
@@ -23,13 +23,11 @@ class PhongHalf(Brdf):
 
     model: ClassVar[str] = "phong-half"
     quantities: ClassVar[tuple[Quantity, ...]] = (
+        Quantity("n", "", 0.0, 1e6, "lobe exponent about the half vector", prior="loguniform", role=EXPONENT),
         Quantity(
-            "n", "", 0.0, 1e6, "lobe exponent about the half vector", prior="loguniform", role="exponent"
+            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role=LOBE_REFLECTANCE
         ),
-        Quantity(
-            "r_spec", "", 0.0, 1.0, "mirror-like reflectance at normal incidence", role="lobe reflectance"
-        ),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role="reflectance"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.files.reading import readable_file
+from torchlc.scene.reading import reading_of
 from torchlc.suggest import did_you_mean
 
 COLUMNS = ("scene", "recording", "task", "id", "options")
@@ -181,6 +182,7 @@ def _parser(task: str) -> argparse.ArgumentParser:
     parser = _Parser(prog="", add_help=False, allow_abbrev=False, argument_default=argparse.SUPPRESS)
     parser.add_argument("--seed", type=_whole(0, MOST_SEED))
     parser.add_argument("--use", choices=("mag", "flux"))
+    parser.add_argument("--columns", type=_columns)
     parser.add_argument("--trust", action="store_true")
     if task == "fit":
         parser.add_argument("--steps", type=_whole(1))
@@ -200,6 +202,14 @@ def _whole(least: int, most: int | None = None) -> Any:
         return value
 
     return read
+
+
+def _columns(text: str) -> str:
+    try:
+        reading_of(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def _entries(text: str) -> list[str]:

@@ -80,8 +80,8 @@ class CampaignResult:
 
 def campaign(
     manifest: str | Path,
-    out: str | Path,
     *,
+    out: str | Path,
     scheduler: str | None = None,
     workers: int | None = None,
     threads: int = 1,

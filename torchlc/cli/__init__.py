@@ -1,5 +1,5 @@
-"""The command line."""
+"""The command line: each command is a verb, whose import waits until it is needed."""
 
-from torchlc.cli.commands import main
+from torchlc.cli.program import main, run
 
-__all__ = ["main"]
+__all__ = ["main", "run"]

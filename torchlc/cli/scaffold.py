@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
-from torchlc.scene import Scene
+from torchlc.prediction.posterior import POSTERIOR_FILE, read_posterior
+from torchlc.scene import Scene, Station, load_scene
+from torchlc.scene.problems import of_validation
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.scene.tle import Elements, nearest, read_elements
+from torchlc.scene.tle import Elements, nearest, read_catalogue, sets_of_object
 from torchlc.scene.writer import toml_value
 from torchlc.suggest import did_you_mean
 
@@ -26,15 +31,32 @@ PRESETS = {
     "mesh": "mesh",
 }
 """Shape by the name people say, and its template."""
+STARLINKS = {"starlink-v1.5": "starlink_v15", "starlink-v2-mini": "starlink_v2_mini"}
+PRESETS |= STARLINKS
+SCATTER_MAG = {"starlink-v1.5": 0.45, "starlink-v2-mini": 0.4}
+"""Standard deviation between satellites of one kind, mag, about the preset's model: 1.48 times the median deviation of the
+recorded magnitudes that it was fitted to, 0.39 and 0.35, rounded up; see docs/how_to/predict.md."""
+ON_STATION = """
+# As in the model that the materials were fitted with: nothing shadows anything else.
+effects = ["sun_distance", "light_time", "earth_shadow"]"""
 TUMBLING = """
 # While the attitude is free, shadows and the Sun's disc are worked out anew for every try, which costs some hundred times
 # more: add self_shadowing and finite_sun once it is known.
 effects = ["sun_distance", "light_time", "earth_shadow"]"""
 
+EFFECTS = {"rocket-body": TUMBLING} | dict.fromkeys(STARLINKS, ON_STATION)
+"""The list of effects, where a preset has one."""
 
-def elements_for(path: Path, date: str | float | None) -> Elements:
-    """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
-    sets = read_elements(path)
+
+def elements_for(path: Path, date: str | float | None, wanted: str | None = None) -> Elements:
+    """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; of a file of many objects
+    that of the one ``wanted``, by its number, its name or a part of its name.
+    """
+    return nearest_set(sets_of_object(path, read_catalogue(path), wanted), date)
+
+
+def nearest_set(sets: Sequence[Elements], date: str | float | None) -> Elements:
+    """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
     if date is None:
         return max(sets, key=lambda one: one.epoch)
     try:
@@ -56,6 +78,20 @@ def read_station(text: str) -> tuple[str, float, float, float]:
     return name, latitude, longitude, height
 
 
+def _folded(name: str) -> str:
+    return name.strip().lower().replace(" ", "-").replace("_", "-")
+
+
+def _preset_key(preset: str) -> str:
+    """The preset's name as PRESETS has it, folded; InputError if there is none."""
+    key = _folded(preset)
+    if key not in map(_folded, PRESETS):
+        raise InputError(
+            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(preset, PRESETS)
+        )
+    return key
+
+
 def new_scene(
     elements: Elements,
     preset: str,
@@ -65,12 +101,8 @@ def new_scene(
     mesh: str | None = None,
 ) -> str:
     """TOML of a scene that can be simulated and fitted as it stands."""
-    folded = {key.replace(" ", "-").replace("_", "-"): value for key, value in PRESETS.items()}
-    key = preset.strip().lower().replace(" ", "-").replace("_", "-")
-    if key not in folded:
-        raise InputError(
-            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(preset, PRESETS)
-        )
+    folded = {_folded(key): value for key, value in PRESETS.items()}
+    key = _preset_key(preset)
     if (key == "mesh") != (mesh is not None):
         raise InputError(
             None,
@@ -92,12 +124,83 @@ def new_scene(
         "EDIT": "" if station is not None else "   # EDIT: where it is observed from",
         "MESH": toml_value(mesh or ""),
         "SHAPE": shape.rstrip(),
-        "EFFECTS": TUMBLING if key == "rocket-body" else "",
+        "EFFECTS": EFFECTS.get(key, ""),
     }
     for key, value in values.items():
         if key != "MESH":
             text = text.replace(f"@{key}@", value)
     return text.replace("@MESH@", values["MESH"])
+
+
+@dataclass(frozen=True)
+class AskedPrediction:
+    """What the arguments of ``predict`` name: a scene or the directory of a fit, the file of elements that takes the place
+    of its orbit, stations that take the place of its own, and the preset's scatter between objects, mag."""
+
+    scene: Scene | Path
+    elements: Path | None
+    stations: list[Station] | None
+    scatter: float
+
+
+def prediction_of(
+    given: Path, preset: str | None, like: Path | None, stations: list[str], trust: bool
+) -> AskedPrediction:
+    """Sort out what was given: TOML is a scene, a directory a fit, anything else elements."""
+    whole = given.is_dir() or given.suffix.lower() == ".toml"
+    if whole and (preset is not None or like is not None):
+        option = "--preset" if preset is not None else "--like"
+        raise InputError(None, option, f"given with {given}", "elements of many objects with it")
+    if not whole and (preset is None) == (like is None):
+        found = f"{given} without --preset and --like" if preset is None else "both of them"
+        hint = f"--preset takes {', '.join(PRESETS)}"
+        raise InputError(None, "--preset, --like", found, "one of them, to say what the objects are", hint)
+    typed = [text for text in stations if "," in text]
+    names = [text for text in stations if "," not in text]
+    own = [_station(text) for text in typed]
+    if preset is not None:
+        if names or not own:
+            raise InputError(None, "--station", repr(names[0]) if names else "missing", "ID,LAT,LON,HEIGHT")
+        first = read_catalogue(given)[0]
+        key = _preset_key(preset)
+        if key == "mesh":
+            raise InputError(None, "--preset", "mesh", "a shape with sizes; --like takes a scene with a mesh")
+        text = new_scene(
+            first, preset, name=f"{preset.strip().lower()} of {given.name}", station=_numbers(own[0])
+        )
+        scatter = next((value for name, value in SCATTER_MAG.items() if _folded(name) == key), 0.0)
+        return AskedPrediction(check_scene(text, given.parent, given), given, own, scatter)
+    source = given if like is None else like
+    if like is not None and not (like.is_dir() or like.suffix.lower() == ".toml"):
+        raise InputError(like, None, "neither TOML nor a directory", "a scene, or the directory of a fit")
+    scene: Scene | Path = source
+    if not source.is_dir():
+        scene = load_scene(source, trust=trust, known_effects=effect_names())
+    chosen = own
+    if names:
+        known = {one.id: one for one in _scene_of(scene).stations}
+        for name in names:
+            if name not in known:
+                expected = f"ID,LAT,LON,HEIGHT, or one of {', '.join(known) or 'none in the scene'}"
+                raise InputError(None, "--station", repr(name), expected, did_you_mean(name, known))
+        chosen = [known[name] for name in names] + own
+    return AskedPrediction(scene, None if like is None else given, chosen or None, 0.0)
+
+
+def _scene_of(scene: Scene | Path) -> Scene:
+    return scene if isinstance(scene, Scene) else read_posterior(scene / POSTERIOR_FILE)[0]
+
+
+def _station(text: str) -> Station:
+    name, latitude, longitude, height = read_station(text)
+    try:
+        return Station(id=name, latitude=latitude, longitude=longitude, height=height)
+    except ValidationError as error:
+        raise of_validation("--station", error) from None
+
+
+def _numbers(station: Station) -> tuple[str, float, float, float]:
+    return station.id, station.latitude, station.longitude, station.height
 
 
 def check_scene(text: str, directory: Path, source: Path) -> Scene:

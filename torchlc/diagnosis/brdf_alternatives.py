@@ -4,53 +4,50 @@ scene's own, for a lobe of another shape bends every refit."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from torchlc.brdf import MODELS, Brdf
+from torchlc.brdf.base import MODELS
 from torchlc.files.numbers import Free
-from torchlc.parameters import LOBE_ROLES
+from torchlc.parameters import REFLECTANCE
 from torchlc.scene import Scene
 from torchlc.scene.parts import Material
 
 
 def under_other_laws(scene: Scene) -> dict[str, Scene]:
-    """The scene with every lobe that has free numbers following another law, by the law's name: of each law that
-    declares itself an ``alternative``.
+    """The scene with every lobe that has free numbers following another law, by the law's name: one that its own law
+    counts among its ``rivals``.
 
-    Lobes start anew, without what the scene says of them; the other numbers are kept, which the new law has to share.
+    Lobes start anew, without what the scene says of them; diffuse reflectances are kept.
     """
     scenes = {}
-    for name, law in MODELS.items():
-        if not law.alternative:
-            continue
-        materials = {key: _under(law, material) for key, material in scene.materials.items()}
-        if any(materials[key] is not scene.materials[key] for key in materials):
-            scenes[name] = scene.model_copy(update={"materials": materials})
+    laws = dict.fromkeys(
+        law for material in scene.materials.values() for law in MODELS[material.model].rivals
+    )
+    for law in laws:
+        materials = {name: _under(law, material) for name, material in scene.materials.items()}
+        if any(material is not scene.materials[name] for name, material in materials.items()):
+            scenes[law] = scene.model_copy(update={"materials": materials})
     return scenes
 
 
-def _under(law: type[Brdf], material: Material) -> Material:
-    """A material under another law; itself where that cannot stand in for its own."""
+def _under(law: str, material: Material) -> Material:
+    """The material under a law, if that is a rival of its own and anything of it is free; else itself."""
     own = MODELS[material.model]
-    if law in own.forms() or own.form_of == law.model:
+    kept = {
+        name: number for name, number in material.parameters.items() if own.quantity(name).role == REFLECTANCE
+    }
+    lobe = own.rivals.get(law)
+    if lobe is None or not kept or not any(isinstance(one, Free) for one in material.parameters.values()):
         return material
-    lobe, rest = _parted(own, material.parameters)
-    if not lobe or not any(isinstance(number, Free) for number in material.parameters.values()):
-        return material
-    if {*law.alternative, *rest} != {quantity.name for quantity in law.quantities}:
-        return material
-    parameters = {key: _free(law, key, start) for key, start in law.alternative.items()} | rest
-    return Material.model_construct(model=law.model, preset=None, parameters=parameters)
+    return Material.model_construct(model=law, preset=None, parameters={**_free(law, lobe), **kept})
 
 
-def _parted(
-    law: type[Brdf], numbers: Mapping[str, float | Free]
-) -> tuple[dict[str, float | Free], dict[str, float | Free]]:
-    """A material's numbers: those of its lobe, and the others."""
-    lobe = {key: number for key, number in numbers.items() if law.quantity(key).role in LOBE_ROLES}
-    return lobe, {key: number for key, number in numbers.items() if key not in lobe}
-
-
-def _free(law: type[Brdf], key: str, start: float) -> Free:
-    quantity = law.quantity(key)
-    prior = "loguniform" if quantity.prior == "loguniform" else "uniform"
-    return Free(value=start, low=quantity.low, high=quantity.high, prior=prior)
+def _free(law: str, starts: Mapping[str, float]) -> dict[str, Free]:
+    """Numbers of a law, free between their bounds."""
+    quantities: dict[str, Any] = {name: MODELS[law].quantity(name) for name in starts}
+    return {
+        name: Free(
+            value=value, low=quantities[name].low, high=quantities[name].high, prior=quantities[name].prior
+        )
+        for name, value in starts.items()
+    }

@@ -9,6 +9,8 @@ from torchlc.geometry.orbit.track import angle_between
 from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.effect import View
 
+TIME = "time"
+"""The coordinate along which stretches of a recording are told anyway."""
 MOST_FACES = 8
 """Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
 name."""
@@ -28,7 +30,7 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
     to_sun = view.to_sun[middle]
     to_observer = view.to_observer.expand(view.to_sun.shape)[middle]
     found = {
-        "time": context.seconds,
+        TIME: context.seconds,
         "phase_angle_deg": torch.rad2deg(angle_between(to_sun, to_observer)),
         "flux": flux,
         "inverse_flux": 1 / torch.where(flux > 0, flux, flux.max().clamp(min=1e-300)),
@@ -91,7 +93,7 @@ def spin_phase(model: LightCurve, values: dict[str, Tensor]) -> Tensor | None:
     seconds = model.assembly.context.seconds
     rate = values.get("attitude.spin_rate")
     period = values.get("attitude.period")
-    if model.scene.attitude.mode == "spin-pole" and period is not None:
+    if period is not None:
         return torch.remainder(seconds / 3600 / period, 1.0)
     if rate is not None and float(rate) != 0.0:
         return torch.remainder(seconds / 3600 * rate, 1.0)

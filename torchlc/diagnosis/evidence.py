@@ -1,58 +1,78 @@
-"""Evidence and held-out prediction of a refit under white noise, jitter, red noise or outliers, in closed
-form.
+"""Evidence and held-out prediction of a refit under white noise and every other kind of the library, in closed
+form where noise is normal.
 
 About a refit the recording is linear-Gaussian: r = delta - M x with x ~ N(mu - y, V) a priori and C the
 noise. With one factorisation of C the log evidence log N(r; M (mu - y), C + M V M') and the predictive
 density of every held-out block given the rest follow. Blocks are longer than three correlation times, with a
 gap of one, so that a process has forgotten and physics has not.
 
-Outliers are a mixture, under which the rows of a block have no joint density in closed form. Theirs is the product
-of every row's density given the rest and the block's rows before it, mixtures of two normals each, with x kept as
-normal in between (assumed density filtering; Opper 1998, in On-line Learning in Neural Networks, 363): a product of
-densities is a density whatever is kept, and with few outliers it is that of the normal.
+Under a law of errors that is not the normal one (outliers, say) the rows of a block have no joint density in closed
+form. Theirs is the product of every row's density given the rest and the block's rows before it, the law blurred by what
+is not known of x, with x kept as normal in between (assumed density filtering; Opper 1998, in On-line Learning in Neural
+Networks, 363): a product of densities is a density whatever is kept, and with few outliers it is that of the normal.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import torch
 from torch import Tensor
 
 from torchlc.diagnosis.refit import Refit
-from torchlc.inference.likelihood import matern32
-from torchlc.inference.optimiser import lightened
+from torchlc.effects import registry
+from torchlc.noise import Noise
+from torchlc.noise.kind import Facts, NoiseKind
+from torchlc.stages.effect import Context
+from torchlc.stages.noise import Law, Process
 
 LONGEST_TAU_MIN = 120.0
-JITTER_SCALE = 0.05
 LOG_2PI = math.log(2 * math.pi)
 MEMBERSHIPS = 5
 """Times that the rows of the rest are weighed anew; the weights of later ones differ by less than a hundredth."""
 
 
+NUMBER_COST = 2.5
+"""Log prior width spent on each number of a noise model: ln 12, of a value known to a twelfth of its prior."""
+
+
 @dataclass(frozen=True)
 class NoiseModel:
-    """``kind`` white, jitter, red_noise or outliers, with its parameters (mag, minutes, fraction, width)."""
+    """A ``kind`` of noise at some ``values`` of its quantities; no kind is white noise, as quoted."""
 
-    kind: str
-    jitter: float = 0.0
-    red: float = 0.0
-    tau_min: float = 0.0
-    fraction: float = 0.0
-    width: float = 1.0
+    noise: Noise
+    kind: NoiseKind | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, kind: NoiseKind, values: Mapping[str, float], context: Context) -> NoiseModel:
+        numbers = {name: context.seconds.new_tensor([value]) for name, value in values.items()}
+        return cls(kind.noise(Noise(), numbers, context), kind, values)
+
+    @property
+    def name(self) -> str:
+        return "white" if self.kind is None else self.kind.name
 
     @property
     def penalty(self) -> float:
-        """Log prior width spent on its parameters, taken off the maximised evidence."""
-        return {"white": 0.0, "jitter": 2.5, "red_noise": 5.0, "outliers": 5.0}[self.kind]
+        """Log prior width spent on its numbers, taken off the maximised evidence."""
+        return NUMBER_COST * len(self.values)
+
+    @property
+    def correlates(self) -> bool:
+        return bool(self.noise.processes)
+
+
+WHITE = NoiseModel(Noise())
 
 
 @dataclass(frozen=True)
 class Score:
-    """How a refit fares under its best noise model: log evidence, and the held-out log density by block.
+    """How a refit fares under its best noise model: log evidence, and the held-out log density by block; both, the
+    latter in total, under ``white`` noise and ``by_kind`` of noise that was tried.
 
     ``unseen``, where errors are fitted, is the root mean square, mag, of the parts of curves predicted from the
     other parts.
@@ -61,6 +81,7 @@ class Score:
     noise: NoiseModel
     log_evidence: float
     heldout: Tensor
+    white: tuple[float, float]
     by_kind: dict[str, tuple[float, float]]
     unseen: float = math.nan
 
@@ -111,9 +132,16 @@ class Scorer:
     """Scores refits of one recording: its blocks, and the groups (curves) within which noise is
     correlated."""
 
-    def __init__(self, seconds: Tensor, curve: Tensor, blocks: Blocks, fitted_errors: bool) -> None:
-        self.seconds, self.blocks, self.fitted_errors = seconds, blocks, fitted_errors
+    def __init__(self, context: Context, blocks: Blocks) -> None:
+        seconds, curve = context.seconds, context.curve
+        self.context, self.seconds, self.blocks = context, seconds, blocks
+        self.fitted_errors = not context.errors
         self.groups = [torch.nonzero(curve == one)[:, 0] for one in torch.unique(curve)]
+        self.kinds = {
+            name: cls().prepared(context)
+            for name, cls in registry().items()
+            if issubclass(cls, NoiseKind) and cls().missing(context) is None
+        }
         self.parts = parts_of(seconds, self.groups)
         span_min = float(max((seconds[g].max() - seconds[g].min()) for g in self.groups)) / 60
         steps = torch.cat([torch.diff(torch.sort(seconds[g]).values) for g in self.groups])
@@ -125,88 +153,74 @@ class Scorer:
             if longest <= shortest
             else torch.logspace(math.log10(shortest), math.log10(longest), 5, dtype=torch.float64).tolist()
         )
-        self._kernels: dict[tuple[int, float], Tensor] = {}
+        self._correlations: dict[tuple[int, Hashable], Tensor] = {}
 
     # ------------------------------------------------------------------ noise models
 
-    def score(
-        self, refit: Refit, kinds: Sequence[str] = ("white", "jitter", "red_noise", "outliers")
-    ) -> Score:
+    def score(self, refit: Refit) -> Score:
         """Evidence under each noise model at its best parameters, and the held-out density under the best of
         them."""
-        found: dict[str, tuple[NoiseModel, float]] = {}
-        for kind in kinds:
-            if kind == "jitter" and self.fitted_errors:
-                continue
-            noise = self._fitted(refit, kind)
-            if noise is not None:
-                found[kind] = (noise, self.log_evidence(refit, noise) - noise.penalty)
-        best = max(found.values(), key=lambda item: item[1])
-        by_kind = {
-            kind: (value, float(self.heldout(refit, noise).sum())) for kind, (noise, value) in found.items()
+        models = [WHITE, *(self._fitted(refit, kind) for kind in self.kinds.values())]
+        scored = {
+            model.name: (model, self.log_evidence(refit, model) - model.penalty)
+            for model in models
+            if model is not None
         }
+        best = max(scored.values(), key=lambda item: item[1])
+        by_kind = {
+            name: (value, float(self.heldout(refit, model).sum())) for name, (model, value) in scored.items()
+        }
+        white = by_kind.pop(WHITE.name)
         unseen = self.heldout_rms(refit, self.parts) if self.fitted_errors else math.nan
-        return Score(best[0], best[1], self.heldout(refit, best[0]), by_kind, unseen)
+        return Score(best[0], best[1], self.heldout(refit, best[0]), white, by_kind, unseen)
 
-    def _fitted(self, refit: Refit, kind: str) -> NoiseModel | None:
-        if kind == "white":
-            return NoiseModel("white")
+    def model(self, kind: str, **values: float) -> NoiseModel:
+        """A kind of the library at some values of its quantities."""
+        return NoiseModel.of(self.kinds[kind], values, self.context)
+
+    def _fitted(self, refit: Refit, kind: NoiseKind) -> NoiseModel | None:
+        """A kind at its best values of those that it tries; None if it tries none."""
         sigma = float((refit.sigma / refit.scale).median())
-        if kind == "jitter":
-            excess = refit.delta**2 - refit.sigma**2
-            guess = math.sqrt(max(float((excess / refit.scale**2).mean()), (0.1 * sigma) ** 2))
-            trials = [NoiseModel("jitter", jitter=guess * f) for f in (0.3, 0.55, 0.8, 1.0, 1.25, 1.8)]
-            return self._best(refit, trials)
-        if kind == "red_noise":
-            if not self.taus:
-                return None
-            spread = max(float((refit.delta / refit.scale).std()), 0.3 * sigma)
-            rough = [
-                NoiseModel("red_noise", red=spread * f, tau_min=tau)
-                for tau in self.taus
-                for f in (0.25, 0.7, 1.3)
-            ]
-            first = self._best(refit, rough)
-            around = [
-                NoiseModel("red_noise", red=first.red * f, tau_min=first.tau_min)
-                for f in (0.6, 0.8, 1.0, 1.25, 1.6)
-            ]
-            return self._best(refit, around)
-        u = refit.delta / refit.sigma
-        trials = [
-            NoiseModel("outliers", fraction=f, width=w)
-            for f in (0.01, 0.03, 0.1, 0.2)
-            for w in (3.0, 6.0, 15.0, 40.0)
-        ]
-        values = [self._mixture(u, noise).sum() for noise in trials]
-        return trials[int(torch.stack(values).argmax())]
+        facts = Facts(
+            sigma=sigma,
+            spread=float((refit.delta / refit.scale).std()),
+            excess=float(((refit.delta**2 - refit.sigma**2) / refit.scale**2).mean()),
+            taus=self.taus,
+        )
+        trials = kind.trials(facts)
+        if not trials:
+            return None
+        best = self._best(refit, kind, trials)
+        closer = kind.closer(best.values, facts)
+        return self._best(refit, kind, closer) if closer else best
 
-    def _best(self, refit: Refit, trials: Sequence[NoiseModel]) -> NoiseModel:
-        return max(trials, key=lambda noise: self.log_evidence(refit, noise))
+    def _best(self, refit: Refit, kind: NoiseKind, trials: Sequence[Mapping[str, float]]) -> NoiseModel:
+        models = [NoiseModel.of(kind, values, self.context) for values in trials]
+        return max(models, key=lambda model: self._merit(refit, model))
 
-    def _mixture(self, u: Tensor, noise: NoiseModel) -> Tensor:
-        core = math.log1p(-noise.fraction) - 0.5 * u * u
-        tail = math.log(noise.fraction) - 0.5 * (u / noise.width) ** 2 - math.log(noise.width)
-        return torch.logaddexp(core, tail)
+    def _merit(self, refit: Refit, model: NoiseModel) -> float:
+        """What values of a kind are compared by: evidence, or of a law that is not normal its density as it stands."""
+        if model.noise.normal:
+            return self.log_evidence(refit, model)
+        return float(self._row_densities(refit, model).sum())
+
+    def _row_densities(self, refit: Refit, model: NoiseModel) -> Tensor:
+        sigma = model.noise.sigma(refit.sigma, refit.scale)
+        return model.noise.law.log_mixed(refit.delta / sigma, sigma)
 
     # ------------------------------------------------------------------ linear-Gaussian algebra
 
-    def weights(self, refit: Refit, noise: NoiseModel) -> Tensor:
-        """Effective standard deviation of each row; outliers as the width their posterior membership
-        implies."""
-        if noise.kind == "jitter":
-            return torch.sqrt(refit.sigma**2 + (noise.jitter * refit.scale) ** 2)
-        if noise.kind == "outliers":
-            return lightened(refit.delta, refit.sigma, noise.fraction, noise.width)
-        return refit.sigma
+    def weights(self, refit: Refit, model: NoiseModel) -> Tensor:
+        """Effective standard deviation of each row (T,), by its weight under the law of errors."""
+        return model.noise.law.weighted(refit.delta, model.noise.sigma(refit.sigma, refit.scale))
 
     def _whitened(
-        self, refit: Refit, noise: NoiseModel, rows: Tensor | None = None
+        self, refit: Refit, model: NoiseModel, rows: Tensor | None = None
     ) -> tuple[Tensor, Tensor, float]:
         """Rows (delta, slopes) divided by the root of C, and log det C / 2, of all rows or some."""
-        sigma = self.weights(refit, noise)
+        sigma = self.weights(refit, model)
         columns = torch.cat([refit.delta[:, None], refit.slopes], 1)
-        if noise.kind != "red_noise":
+        if not model.correlates:
             pick = slice(None) if rows is None else rows
             white = columns[pick] / sigma[pick, None]
             return white[:, 0], white[:, 1:], float(torch.log(sigma[pick]).sum())
@@ -221,20 +235,22 @@ class Scorer:
             if not bool(mask.any()):
                 continue
             kept = group[mask]
-            kernel = self._kernel(number, noise.tau_min)[mask][:, mask]
-            red = noise.red * refit.scale[kept]
-            covariance = kernel * red[:, None] * red[None] + torch.diag(sigma[kept] ** 2)
+            covariance = torch.diag(sigma[kept] ** 2)
+            for process in model.noise.processes:
+                sd = (process.sd * refit.scale)[kept]
+                shared = self._correlation(number, process)[mask][:, mask]
+                covariance = shared * sd[:, None] * sd[None] + covariance
             factor = torch.linalg.cholesky(covariance)
             pieces.append(torch.linalg.solve_triangular(factor, columns[kept], upper=False))
             log_det += float(torch.log(torch.diagonal(factor)).sum())
         white = torch.cat(pieces)
         return white[:, 0], white[:, 1:], log_det
 
-    def whitened(self, refit: Refit, noise: NoiseModel) -> Refit:
+    def whitened(self, refit: Refit, model: NoiseModel) -> Refit:
         """The refit with rows of unit variance under a noise model, in place of its own; rows keep their
         order."""
-        r, m, _ = self._whitened(refit, noise)
-        if noise.kind == "red_noise":
+        r, m, _ = self._whitened(refit, model)
+        if model.correlates:
             order = torch.argsort(torch.cat(self.groups))
             r, m = r[order], m[order]
         one = torch.ones_like(r)
@@ -257,42 +273,42 @@ class Scorer:
             total += float((left * left).sum())
         return math.sqrt(total / len(refit.delta))
 
-    def _kernel(self, number: int, tau_min: float) -> Tensor:
-        key = (number, tau_min)
-        if key not in self._kernels:
-            times = self.seconds[self.groups[number]] / 60
-            gap = (times[:, None] - times[None]).abs()
-            self._kernels[key] = matern32(gap, torch.tensor(tau_min, dtype=gap.dtype))
-        return self._kernels[key]
+    def _correlation(self, number: int, process: Process) -> Tensor:
+        """Correlation of all rows of a group under a process; kept, if the process can be told from others."""
+        if process.key is None:
+            return process.correlation(self.groups[number])
+        key = (number, process.key)
+        if key not in self._correlations:
+            self._correlations[key] = process.correlation(self.groups[number])
+        return self._correlations[key]
 
-    def log_evidence(self, refit: Refit, noise: NoiseModel) -> float:
-        """log N(delta; M (mu - y), C + M V M'). For outliers a lower bound of it, close where it is clear which
-        rows are bad: the mixture is at least its value at the refit times the change of the weighted squares."""
-        r, m, log_det = self._whitened(refit, noise)
-        gaussian = _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
-        if noise.kind != "outliers":
-            return gaussian
-        u = refit.delta / refit.sigma
-        mixture = float((self._mixture(u, noise) - torch.log(refit.sigma)).sum()) - 0.5 * len(u) * LOG_2PI
-        return mixture + (_log_marginal(r, m, refit) + 0.5 * float((r * r).sum()))
+    def log_evidence(self, refit: Refit, model: NoiseModel) -> float:
+        """log N(delta; M (mu - y), C + M V M'). Under a law that is not normal a lower bound of it, close where it is
+        clear how much each row weighs: the density is at least its value at the refit times the change of the weighted
+        squares, as for every mixture of normals of one centre."""
+        r, m, log_det = self._whitened(refit, model)
+        if model.noise.normal:
+            return _log_marginal(r, m, refit) - log_det - 0.5 * len(r) * LOG_2PI
+        density = float(self._row_densities(refit, model).sum())
+        return density + (_log_marginal(r, m, refit) + 0.5 * float((r * r).sum()))
 
-    def heldout(self, refit: Refit, noise: NoiseModel) -> Tensor:
+    def heldout(self, refit: Refit, model: NoiseModel) -> Tensor:
         """Log predictive density of each block given the rest (less the gap): parameters from the rest, the
         process forgotten."""
-        if noise.kind == "outliers":
-            return self._heldout_mixture(refit, noise)
+        if not model.noise.normal:
+            return self._heldout_filtered(refit, model)
         scores = []
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
         shift, precision = refit.prior
         for rows, removed in zip(self.blocks.rows, self.blocks.removed, strict=True):
             rest = everything[~torch.isin(everything, removed)]
-            r, m, _ = self._whitened(refit, noise, rest)
+            r, m, _ = self._whitened(refit, model, rest)
             m = m[:, keep]
             system = precision + m.T @ m
             factor = stable_cholesky(system)
             x = torch.cholesky_solve((m.T @ r + precision @ shift)[:, None], factor)[:, 0]
-            rb, mb, log_det = self._whitened(refit, noise, rows)
+            rb, mb, log_det = self._whitened(refit, model, rows)
             mb = mb[:, keep]
             left = rb - mb @ x
             spread = torch.linalg.solve_triangular(factor, mb.T, upper=False)
@@ -304,24 +320,25 @@ class Scorer:
             scores.append(-0.5 * quadratic - half - log_det - 0.5 * len(rows) * LOG_2PI)
         return torch.stack([torch.as_tensor(score, dtype=refit.delta.dtype) for score in scores])
 
-    def _heldout_mixture(self, refit: Refit, noise: NoiseModel) -> Tensor:
+    def _heldout_filtered(self, refit: Refit, model: NoiseModel) -> Tensor:
         """Log density of each block's rows, one after the other, all blocks abreast: rows of the rest are weighed by
         how far they are from what the rest alone says."""
         keep = torch.nonzero(~refit.held)[:, 0]
         everything = torch.arange(len(refit.delta))
         slopes = refit.slopes[:, keep]
         shift, precision = refit.prior
+        law, every_sigma = model.noise.law, model.noise.sigma(refit.sigma, refit.scale)
         means, covariances = [], []
         for removed in self.blocks.removed:
             rest = everything[~torch.isin(everything, removed)]
-            delta, sigma, m = refit.delta[rest], refit.sigma[rest], slopes[rest]
-            error = lightened(delta, sigma, noise.fraction, noise.width)
+            delta, sigma, m = refit.delta[rest], every_sigma[rest], slopes[rest]
+            error = law.weighted(delta, sigma)
             for _ in range(MEMBERSHIPS):
                 white = m / error[:, None]
                 factor = stable_cholesky(precision + white.T @ white)
                 pull = white.T @ (delta / error) + precision @ shift
                 x = torch.cholesky_solve(pull[:, None], factor)[:, 0]
-                error = lightened(delta - m @ x, sigma, noise.fraction, noise.width)
+                error = law.weighted(delta - m @ x, sigma)
             means.append(x)
             covariances.append(torch.cholesky_inverse(factor))
         longest = max(len(rows) for rows in self.blocks.rows)
@@ -334,9 +351,9 @@ class Scorer:
             torch.stack(covariances),
             refit.delta[index],
             slopes[index],
-            refit.sigma[index],
+            every_sigma[index],
             inside,
-            noise,
+            law,
         )
 
 
@@ -347,29 +364,20 @@ def filtered_log_density(
     slopes: Tensor,
     sigma: Tensor,
     inside: Tensor,
-    noise: NoiseModel,
+    law: Law,
 ) -> Tensor:
-    """Log density (N,) of N sequences of rows delta = slopes x + noise, (N, n), with outliers of a share and width,
-    where x is normal with mean (N, K) and covariance (N, K, K): each row's mixture given those before, after which
-    x is the normal of the same mean and covariance as the mixture's. Rows not ``inside`` (N, n) are skipped."""
-    width = delta.new_tensor([1.0, noise.width])
-    share = torch.log(delta.new_tensor([1 - noise.fraction, noise.fraction]))
+    """Log density (N,) of N sequences of rows delta = slopes x + noise, (N, n), whose noise over sigma follows a law
+    that is the same for all rows, where x is normal with mean (N, K) and covariance (N, K, K): each row's density given
+    those before, after which x is the normal of the same mean and covariance. Rows not ``inside`` (N, n) are skipped."""
     total = torch.zeros_like(delta[:, 0])
     for row in range(delta.shape[1]):
         m, there = slopes[:, row], inside[:, row]
         spread = (covariance @ m[..., None])[..., 0]
         known = (m * spread).sum(-1)
-        variance = known[:, None] + (sigma[:, row, None] * width) ** 2
         left = delta[:, row] - (m * mean).sum(-1)
-        log_parts = share - 0.5 * left[:, None] ** 2 / variance - 0.5 * torch.log(variance) - 0.5 * LOG_2PI
-        log_row = torch.logsumexp(log_parts, -1)
+        log_row, slope, shrink = law.blurred(left, sigma[:, row], known)
         total = total + torch.where(there, log_row, 0.0)
-        member = torch.exp(log_parts - log_row[:, None])
-        gain = (member / variance).sum(-1)
-        # variance of the mixture: that within its parts, and that of their means about their own mean
-        between = (member / variance**2).sum(-1) - gain**2
-        shrink = gain - left**2 * between
-        mean = mean + torch.where(there, gain * left, 0.0)[:, None] * spread
+        mean = mean + torch.where(there, slope, 0.0)[:, None] * spread
         reduction = spread[:, :, None] * spread[:, None, :]
         covariance = covariance - torch.where(there, shrink, 0.0)[:, None, None] * reduction
     return total

@@ -155,7 +155,7 @@ def gate(
 ) -> Gate:
     """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one is
     given."""
-    if noise is not None and scorer is not None and noise.kind != "white":
+    if noise is not None and scorer is not None and noise.kind is not None:
         refit = scorer.whitened(refit, noise)
     basis = residual_projection(refit)
     rows = len(refit.delta)

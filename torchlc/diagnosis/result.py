@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
@@ -30,6 +30,7 @@ from torchlc.scene import Scene
 from torchlc.stages.effect import Effect, Entry, View
 
 if TYPE_CHECKING:
+    import pandas
     from astropy.table import Table
     from matplotlib.axes import Axes
 
@@ -60,7 +61,8 @@ class Diagnosis:
     quick: bool
     seed: int
     seconds: float
-    untried: Sequence[str] = ()
+    untried: Mapping[str, str] = field(default_factory=dict)
+    """Why, by entry, an effect was no candidate although it was asked for, or could act."""
     others: Sequence[Found] = ()
     """Every refit of more effects than one that was made on the way."""
     doubt: str = ""
@@ -80,7 +82,8 @@ class Diagnosis:
     @property
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
-        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *self.limits]))
+        untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
+        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *untried, *self.limits]))
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
@@ -97,6 +100,10 @@ class Diagnosis:
         return Table(
             text | {key: [math.nan if row[key] is None else row[key] for row in rows] for key in numbers}
         )
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas."""
+        return self.to_table().to_pandas()
 
     def plot_curve(self) -> Sequence[Axes]:
         """Recording, baseline and final model, residuals below: axes in pairs, a night each."""
@@ -193,10 +200,7 @@ class Diagnosis:
                 "next_observation": self.next_observation,
                 "sets": told(self.others, self.final, self.baseline),
                 "nights": [vars(night) for night in self.nights[:8]],
-                "untried": [
-                    {"effect": entry, "reason": "each of its geometries costs a pass over the whole mesh"}
-                    for entry in self.untried
-                ],
+                "untried": [{"effect": entry, "reason": reason} for entry, reason in self.untried.items()],
                 "seconds": self.seconds,
             }
         )
@@ -209,7 +213,7 @@ class Diagnosis:
         """
         rows = []
         base = self.baseline
-        white, heldout_white = base.score.by_kind["white"]
+        white, heldout_white = base.score.white
         for found in self.first:
             (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
             rows.append(
@@ -217,25 +221,24 @@ class Diagnosis:
                     **_names(entry),
                     "score": self.probes[plain].score,
                     "p": self.gate.marginal.get(f"signature {plain}"),
-                    "delta_log_evidence": found.score.by_kind["white"][0] - white,
-                    "heldout_delta_log_likelihood": found.score.by_kind["white"][1] - heldout_white,
+                    "delta_log_evidence": found.score.white[0] - white,
+                    "heldout_delta_log_likelihood": found.score.white[1] - heldout_white,
                     "parameters": effect_parameters(found.refit, entry),
                     "chi2_after": found.refit.chi2,
                 }
             )
-        for kind, (value, heldout) in base.score.by_kind.items():
-            if kind != "white":
-                rows.append(
-                    {
-                        **_names(kind),
-                        "score": None,
-                        "p": None,
-                        "delta_log_evidence": value - white,
-                        "heldout_delta_log_likelihood": heldout - heldout_white,
-                        "parameters": {},
-                        "chi2_after": base.refit.chi2,
-                    }
-                )
+        rows += [
+            {
+                **_names(kind),
+                "score": None,
+                "p": None,
+                "delta_log_evidence": value - white,
+                "heldout_delta_log_likelihood": heldout - heldout_white,
+                "parameters": {},
+                "chi2_after": base.refit.chi2,
+            }
+            for kind, (value, heldout) in base.score.by_kind.items()
+        ]
         rows.sort(key=lambda row: -row["delta_log_evidence"])
         tried = {found.hypothesis.plain[0] for found in self.first}
         untried = [entry for entry in self.probes if entry not in tried]
@@ -279,8 +282,8 @@ class Diagnosis:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
             note = f"structure is left: {left}, strongest in the statistic '{worst}'"
             kind = self.final.score.noise.kind
-            if kind != "white":
-                note += f"; described by {kind}"
+            if kind is not None:
+                note += f"; described by {kind.name} ({kind.title})"
         if self.law:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}

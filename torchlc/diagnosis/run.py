@@ -30,10 +30,12 @@ from torchlc.diagnosis.search import (
     judged,
     minima,
     nameable,
+    not_carried,
     search,
 )
 from torchlc.diagnosis.sizes import resized
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
+from torchlc.effects import effect_class, with_title
 from torchlc.inference.optimiser import find_modes
 from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
@@ -46,12 +48,13 @@ STRUCTURE_P = 1e-3
 NOISE_EVIDENCE = 5.0
 NOISE_HELDOUT = 3.0
 MOST_NOISE = 0.2
-"""Jitter or red noise, mag: four times the scale of their priors."""
+"""Standard deviation of what noise adds, mag: four times the scale of the priors of jitter and red noise."""
 LEFT_AFTER = 0.5
 LAW_EVIDENCE = 10.0
 """Another law of reflection is tried where a gross mismatch is left, and taken where its best model gains this
 over that of the scene's own law."""
-SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain it as well as an appendage"
+SIZES_AS_WELL = "sizes of the components some per cent from the scene's explain it as well as {}"
+DEAR = "each of its geometries costs a pass over the whole mesh"
 QUICK_REFITS = 3
 BASELINE_STARTS = 32
 MOST_MODES = 3
@@ -104,13 +107,15 @@ def _left_over(found: Diagnosis) -> bool:
     no trace of another law, nor is what can be described but not named. Beside another effect a tail may stand for
     another lobe, and the other for what it does not bend right."""
     likelihood = found.final.refit.likelihood
-    forgetful = found.verdict == "noise_model" and found.named != ("red_noise",)
+    forgetful = found.verdict == "noise_model" and not any(
+        found.scorer.kinds[name].correlates for name in found.named
+    )
     if found.verdict == "adequate" or forgetful or found.doubt or likelihood.fitted_errors:
         return False
     if consistent(found.baseline.refit):
         return False
     gross = likelihood.degrees_of_freedom + GROSS * likelihood.chi2_sd
-    reshaped = "lobe_tail" in found.named and len(found.named) > 1
+    reshaped = len(found.named) > 1 and any(effect_class(name).reshapes_lobe for name in found.named)
     return found.verdict == "unexplained" or reshaped or found.final.refit.chi2 > gross
 
 
@@ -140,9 +145,7 @@ def _under_one_law(
         progress("baseline", 0.05)
     context = bench.base.context
     group = context.curve if len(recording.curve_ids) >= 4 else context.night
-    scorer = Scorer(
-        context.seconds, context.curve, make_blocks(context.seconds, group), likelihood.fitted_errors
-    )
+    scorer = Scorer(context, make_blocks(context.seconds, group))
     found_coordinates = coordinates(likelihood.model, baseline[0].theta)
     possible = candidate_entries(bench, effects)
     entries = affordable(bench, possible)
@@ -167,7 +170,7 @@ def _under_one_law(
         "coordinates": found_coordinates,
         "quick": quick,
         "seed": seed,
-        "untried": tuple(entry for entry in possible if entry not in entries),
+        "untried": not_carried(bench, effects) | {entry: DEAR for entry in possible if entry not in entries},
     }
     if adequate:
         return Diagnosis(
@@ -205,10 +208,11 @@ def _under_one_law(
     if verdict == "noise_model" and final is not start:
         final, after = start, _gate(start.refit, scorer, found_coordinates, {}, seed)
     doubt = ""
-    if verdict == "missing_physics" and "appendage" in named:
+    if verdict == "missing_physics" and any(effect_class(name).adds_area for name in named):
         sized = resized(scene, recording, scorer, start.refit, final.refit, seed)
         if sized is not None and sized.log_evidence > final.log_evidence - EVIDENCE_GAIN:
-            verdict, named, doubt = "unexplained", [], SIZES_AS_WELL
+            areas = " and ".join(with_title(name) for name in named if effect_class(name).adds_area)
+            verdict, named, doubt = "unexplained", [], SIZES_AS_WELL.format(areas)
     groups = (
         families(final, [start, *first, *others], named)
         if verdict == "missing_physics"
@@ -296,11 +300,11 @@ def _verdict(
     """The verdict and the names. Several effects together bend a model to much that is none of them: they are
     named where they leave no structure behind, a single one also where it takes the larger part away and describes
     the recording better at the quoted errors than noise alone. Where it does not, the errors may be at fault, but not
-    red noise, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud. Where errors
+    noise that is correlated, which takes up whatever physics has begun to explain, nor noise that is MOST_NOISE loud. Where errors
     are fitted, rows that were not seen have to be predicted nearer."""
     likelihood = start.refit.likelihood
-    white, heldout_white = start.score.by_kind["white"]
-    kinds = {kind: score for kind, score in start.score.by_kind.items() if kind != "white"}
+    white, heldout_white = start.score.white
+    kinds = start.score.by_kind
     best = max(kinds, key=lambda kind: kinds[kind][0])
     begun = bool(final.hypothesis.added) and nameable(final)
     if begun:
@@ -311,7 +315,7 @@ def _verdict(
         else:
             before = start.refit.chi2 - likelihood.degrees_of_freedom
             left = final.refit.chi2 - final.refit.likelihood.degrees_of_freedom
-            pairs = zip(final.score.by_kind["white"], kinds[best], strict=True)
+            pairs = zip(final.score.white, kinds[best], strict=True)
             single = len(final.hypothesis.added) == 1 and all(alone > noisy for alone, noisy in pairs)
             little = left <= LEFT_AFTER * before or consistent(final.refit)
             done = (single or p_after >= STRUCTURE_P) and little
@@ -319,7 +323,7 @@ def _verdict(
             return "missing_physics", named
     noise = start.score.noise
     gained = kinds[best][0] - white > NOISE_EVIDENCE and kinds[best][1] - heldout_white > NOISE_HELDOUT
-    if gained and not (begun and noise.kind == "red_noise") and not loud(noise):
+    if gained and not (begun and noise.correlates) and not loud(noise):
         whitened = _gate(start.refit, scorer, found, {}, seed, noise=noise)
         if whitened.global_p >= STRUCTURE_P:
             return "noise_model", [best]
@@ -328,7 +332,7 @@ def _verdict(
 
 def loud(noise: NoiseModel) -> bool:
     """Whether noise is louder than what recordings have of it, so that it stands for something else."""
-    return max(noise.jitter, noise.red) > MOST_NOISE
+    return noise.noise.loudest > MOST_NOISE
 
 
 def _windows(refit: Refit, found: Gate, coordinates_: dict[str, torch.Tensor]) -> Where:

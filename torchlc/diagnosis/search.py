@@ -30,8 +30,8 @@ from torchlc.diagnosis.starts import objective, screened
 from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import polish
-from torchlc.parameters import Quantity
-from torchlc.stages.effect import Entry
+from torchlc.parameters import SHARE
+from torchlc.stages.effect import Entry, Quantity
 
 MOST_RESCANS = 3
 """Times that an effect that was tried at every row is tried there again from its refit."""
@@ -98,13 +98,13 @@ class Found:
 
 
 def judged(fitted: Refit, scorer: Scorer) -> Found:
-    """A refit with its score; where outliers describe its residuals best, refitted with those rows given less
-    weight, for least squares follow them."""
+    """A refit with its score; where a law of errors that is not normal describes its residuals best, refitted with its bad
+    rows given less weight, for least squares follow them."""
     found = Found(fitted, scorer.score(fitted))
     fitted.model.forget()
     for _ in range(REWEIGHTED):
         likelihood = found.refit.likelihood
-        if found.score.noise.kind != "outliers" or likelihood.fitted_errors or not likelihood.model.names:
+        if found.score.noise.noise.normal or likelihood.fitted_errors or not likelihood.model.names:
             break
         lighter = copy(likelihood)
         lighter.error = scorer.weights(found.refit, found.score.noise)
@@ -145,6 +145,26 @@ def _carried(bench: Workbench) -> list[str]:
                     str(Entry(name, target, per)) for per in (divisions(bench) if cls.divisible else ())
                 ]
     return entries
+
+
+def not_carried(bench: Workbench, only: Sequence[str] | None) -> dict[str, str]:
+    """Why, by entry, what ``only`` asks for is no candidate: each that :func:`candidate_entries` drops, and noise
+    not."""
+    context, known = bench.base.context, registry()
+    present = {effect.name for effect in bench.base.effects}
+    reasons = {}
+    for text in only or ():
+        entry = Entry.parse(text)
+        cls = known[entry.name]
+        if cls.stage == "noise" or candidate_entries(bench, [text]):
+            continue
+        if entry.name in present:
+            reasons[text] = "it is in the scene's model already"
+            continue
+        targets = [entry.target] if entry.target is not None else cls.targets(context)
+        missing = [reason for one in targets or [None] if (reason := cls(one).missing(context)) is not None]
+        reasons[text] = missing[0] if missing else "the scene has nothing that it could be applied to"
+    return reasons
 
 
 def affordable(bench: Workbench, entries: Sequence[str]) -> list[str]:
@@ -373,7 +393,7 @@ def nameable(found: Found) -> bool:
             if SPREADS * parsed.width > min(off - one.low, one.high - off):
                 return False
     sizes = sizes_of(found.refit)
-    too_much = any(size.quantity.name == "weight" and size.value > MOST_WEIGHT for size in sizes)
+    too_much = any(size.quantity.role == SHARE and size.value > MOST_WEIGHT for size in sizes)
     return not too_much and not stuck(found.refit)
 
 
@@ -600,7 +620,7 @@ def explored(found: Found, scorer: Scorer, seed: int) -> Found:
     """The refit with all the minima that a wide search of the materials finds while its effects and the geometry
     stay, so that what is said of materials spans them."""
     at, likelihood = found.refit, found.refit.likelihood
-    if likelihood.fitted_errors or found.score.noise.kind == "outliers" or not at.names:
+    if likelihood.fitted_errors or not found.score.noise.noise.normal or not at.names:
         return found
     generator = torch.Generator().manual_seed(seed)
     draws = other_materials(at, paid(likelihood, WIDE), generator)
@@ -646,8 +666,8 @@ def promising(sound: Sequence[Found], null: Found, excess: float | None) -> list
     """
     if excess is None or excess < GROSS * null.refit.likelihood.chi2_sd:
         return []
-    white = null.score.by_kind["white"][0]
-    gains = {id(found): found.score.by_kind["white"][0] - white for found in sound}
+    white = null.score.white[0]
+    gains = {id(found): found.score.white[0] - white for found in sound}
     kept = [
         found
         for found in sound

@@ -1,4 +1,4 @@
-"""Sizes that the scene may have wrong: the rival of an appendage, which is area too."""
+"""Sizes that the scene may have wrong: the rival of an effect that adds area."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import torch
 from torchlc.diagnosis.evidence import Scorer
 from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, refit
 from torchlc.diagnosis.search import Found, judged
+from torchlc.effects import effect_class
 from torchlc.files.numbers import Free
 from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import Entry
 
 SIZES = ("size", "radius", "length")
 SIGMA = 0.1
@@ -23,12 +23,12 @@ SIGMA = 0.1
 def resized(
     scene: Scene, recording: Recording, scorer: Scorer, baseline: Refit, final: Refit, seed: int
 ) -> Found | None:
-    """The final model with every size of the scene's components free in place of its appendage; None where the
+    """The final model with every size of the scene's components free in place of the area that effects add; None where the
     scene has no size to free."""
     freed = with_free_sizes(scene)
     if freed is None:
         return None
-    kept = tuple(entry for entry in final.hypothesis.added if Entry.parse(entry).name != "appendage")
+    kept = tuple(entry for entry in final.hypothesis.added if not effect_class(entry).adds_area)
     bench, hypothesis = Workbench(assemble(freed, recording), seed), Hypothesis(kept)
     starts = torch.cat([bench.start(hypothesis, one.theta[None], one.names) for one in (final, baseline)])
     return judged(refit(bench.likelihood(hypothesis), hypothesis, starts), scorer)

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.refit import is_slow
-from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
+from torchlc.noise.error_law import MAG_PER_LN
 
 SWEEPS = 25
 PARENTS = 3

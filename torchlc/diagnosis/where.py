@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.gate import runs
 from torchlc.diagnosis.refit import Refit
-from torchlc.inference.likelihood import MAG_PER_LN
+from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12
 FOLDS = 4

@@ -7,17 +7,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from torchlc.diagnosis.coordinates import TIME
 from torchlc.digits import stated
-from torchlc.effects import registry
+from torchlc.effects import registry, with_title
 from torchlc.stages.effect import Entry, first_sentence
 
 MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""
-NOISE = {
-    "jitter": "errors larger than quoted",
-    "red_noise": "noise that is correlated in time",
-    "outliers": "outliers",
-}
 VERDICTS = {
     "adequate": "Nothing is missing that these data could show.",
     "missing_physics": "The model lacks {named}.",
@@ -38,7 +34,7 @@ def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 def headline(content: Mapping[str, Any]) -> str:
     """The verdict in one line, from the content of diagnosis.json."""
     told = [_or(family) for family in content["families"]]
-    noise = [NOISE.get(str(name), str(name)) for name in content["named"]]
+    noise = [with_title(name) for name in content["named"]]
     verdict = VERDICTS[content["verdict"]].format(
         named=_and(noise if content["verdict"] == "noise_model" else told)
     )
@@ -112,7 +108,7 @@ def _place(where: Mapping[str, Any]) -> str:
         first = where["components"][0]
         text += f"; {100 * first['share']:.0f} % of it comes from {first['name']}"
     one = where["coordinate"]
-    if one and one["name"] != "time":  # the stretches are of time
+    if one and one["name"] != TIME:  # the stretches are of time
         text += f"; it follows {one['name']} between {one['from']:.4g} and {one['to']:.4g}"
     return text + "."
 
@@ -180,9 +176,9 @@ def chance(p: float | None) -> str:
 
 def _or(family: Sequence[str]) -> str:
     return (
-        family[0]
+        with_title(family[0])
         if len(family) == 1
-        else f"{family[0]} (or {' or '.join(family[1:])}: these data cannot tell)"
+        else f"{with_title(family[0])} (or {' or '.join(family[1:])}: these data cannot tell)"
     )
 
 

@@ -1,15 +1,15 @@
-"""The library of effects: every module of this folder is imported, and every class of an effect is listed by name, these
-and those that are defined elsewhere."""
+"""The library of effects: every module of this folder, and of the folder of noise models, is imported, and every class of
+an effect is listed by name, these and those that are defined elsewhere."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from pkgutil import iter_modules
-
+from torchlc import noise
+from torchlc.naming import import_modules
+from torchlc.noise.kind import NoiseKind
 from torchlc.stages.effect import EFFECTS, GEOMETRY_STAGES, STAGES, Context, Effect, Entry
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+import_modules(noise.__name__, noise.__path__)
+import_modules(__name__, __path__)
 
 
 def registry() -> dict[str, type[Effect]]:
@@ -28,4 +28,27 @@ def names() -> tuple[str, ...]:
     return tuple(registry())
 
 
-__all__ = ["GEOMETRY_STAGES", "STAGES", "Context", "Effect", "Entry", "effect_class", "names", "registry"]
+def mending_kind() -> type[NoiseKind]:
+    """The noise that a fit adds where chi-square says that the quoted errors are too small."""
+    kinds = (cls for cls in registry().values() if issubclass(cls, NoiseKind))
+    return next(kind for kind in kinds if kind.mends_errors)
+
+
+def with_title(name: str) -> str:
+    """The name of an effect and what it is in plain words; the name alone of one that the library does not have."""
+    cls = registry().get(name)
+    return name if cls is None else f"{name} ({cls.title})"
+
+
+__all__ = [
+    "GEOMETRY_STAGES",
+    "STAGES",
+    "Context",
+    "Effect",
+    "Entry",
+    "effect_class",
+    "mending_kind",
+    "names",
+    "registry",
+    "with_title",
+]

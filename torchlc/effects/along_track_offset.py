@@ -18,6 +18,7 @@ class AlongTrackOffset(Effect):
     """
 
     name = "along_track_offset"
+    title = "the object ahead of, or behind, its predicted place in the orbit"
     stage = "orbit"
     order = -1  # the light time is that from where the object is
     quantities = (

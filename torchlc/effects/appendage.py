@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Patch
 
 
@@ -18,7 +18,9 @@ class Appendage(Effect):
     """
 
     name = "appendage"
+    title = "a further flat part that the model lacks"
     stage = "surface"
+    adds_area = True
     order = 1
     brdf = AshikhminShirley
     simplex = ("r_spec", "r_diff")
@@ -43,7 +45,7 @@ class Appendage(Effect):
             typical=45.0,
             prior="isotropic",
         ),
-        Quantity("n", "", 1.0, 1e6, "lobe exponent", typical=100.0, prior="loguniform", role="exponent"),
+        Quantity("n", "", 1.0, 1e6, "lobe exponent", typical=100.0, prior="loguniform", role=EXPONENT),
         Quantity(
             "r_spec",
             "",
@@ -51,9 +53,9 @@ class Appendage(Effect):
             1.0,
             "mirror-like reflectance at normal incidence",
             typical=0.3,
-            role="lobe reflectance",
+            role=LOBE_REFLECTANCE,
         ),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", typical=0.3, role="reflectance"),
+        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", typical=0.3, role=REFLECTANCE),
     )
 
     def surface(self, patches, view, p, context):

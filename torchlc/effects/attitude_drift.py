@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
+from torchlc.effects.attitude_offset import turn_about_axes
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 
@@ -24,7 +25,9 @@ class AttitudeDrift(Effect):
     """
 
     name = "attitude_drift"
+    title = "an attitude that drifts steadily"
     stage = "attitude"
+    timed_by_rows = True
     order = 1
     quantities = (_rate("x"), _rate("y"), _rate("z"))
 

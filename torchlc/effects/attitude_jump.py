@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of, turn_about_axes
+from torchlc.effects.attitude_offset import turn_about_axes
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 
@@ -28,7 +29,9 @@ class AttitudeJump(Effect):
     """
 
     name = "attitude_jump"
+    title = "an attitude that jumps at one moment"
     stage = "attitude"
+    timed_by_rows = True
     order = 1
     scanned = "time"
     turning = "jump"

@@ -4,28 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Parameters
-
-SERIES_BELOW = 1e-4
-"""Square of the angle, rad^2, below which the series of Rodrigues' coefficients are exact to 1e-17."""
-
-
-def rotation_of(vector: torch.Tensor) -> torch.Tensor:
-    """Rotation (..., 3, 3) of a rotation vector w (..., 3), rad, smooth at 0: I + a [w]x + b [w]x^2."""
-    square = (vector * vector).sum(-1)
-    small = square < SERIES_BELOW
-    angle = torch.sqrt(torch.where(small, 1.0, square))
-    half = torch.sin(angle / 2) / (angle / 2)
-    series_a = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-    series_b = 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56))
-    a = torch.where(small, series_a, torch.sin(angle) / angle)
-    b = torch.where(small, series_b, 0.5 * half * half)
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
-    unit = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    return unit + a[..., None, None] * cross + b[..., None, None] * (cross @ cross)
 
 
 def turn_about_axes(p: Parameters) -> torch.Tensor:
@@ -47,6 +28,7 @@ class AttitudeOffset(Effect):
     """
 
     name = "attitude_offset"
+    title = "an attitude that is turned by a constant angle"
     stage = "attitude"
     quantities = (_angle("x", "X"), _angle("y", "Y"), _angle("z", "Z"))
 

@@ -19,6 +19,7 @@ class BackTransmission(Effect):
     """
 
     name = "back_transmission"
+    title = "light that shines through a panel from behind"
     stage = "scatter"
     per = "component"
     unable = "the component is no two-sided plate"

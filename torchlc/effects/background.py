@@ -26,6 +26,7 @@ class Background(Effect):
     """
 
     name = "background"
+    title = "constant light that is not the object's"
     stage = "detector"
     divisible = True
     quantities = (

@@ -15,6 +15,7 @@ class ColorTerm(Effect):
     """
 
     name = "color_term"
+    title = "components that differ in colour"
     stage = "detector"
     per = "component"
     order = 2

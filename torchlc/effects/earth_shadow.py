@@ -14,7 +14,7 @@ from torch import Tensor
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Instants
-from torchlc.tensors.autodiff_state import traced
+from torchlc.tensors.autodiff_state import readable, traced
 
 EARTH_RADIUS_KM = 6378.137
 FLATTENING = 1 / 298.257223563
@@ -233,7 +233,9 @@ class EarthShadow(Effect):
     """
 
     name = "earth_shadow"
+    title = "the shadow of the Earth"
     stage = "shade"
+    opaque_air = "h0"
     known = True
     quantities = (
         Quantity(
@@ -313,6 +315,23 @@ class EarthShadow(Effect):
         dark = ~lit & (high.amax(0) < self.lowest - margin)
         return lit, dark, crossed
 
+    def _standing(self, position: Tensor, sun: Tensor, instants: Instants | None) -> tuple[Tensor, Tensor]:
+        """Columns (..., C) whose rows are in full sunlight and in the umbra, whatever the air is, at places (..., Q, C, 3) that
+        free numbers move."""
+        low, high = Limb.seen(position.detach(), sun.detach()).heights()
+        low, high = low.amin(-2), high.amax(-2)
+        crossed = self.crossed
+        if instants is not None:
+            row = instants.row.expand(low.shape)
+            blank = low.new_zeros(*low.shape[:-1], len(crossed))
+            low = blank.scatter_reduce(-1, row, low, "amin", include_self=False).gather(-1, row)
+            high = blank.scatter_reduce(-1, row, high, "amax", include_self=False).gather(-1, row)
+            crossed = crossed[instants.row]
+        disc = torch.where(torch.isfinite(low), high.clamp(max=1e6) - low.clamp(max=1e6), 0.0)
+        margin = 1.0 + 0.2 * crossed * disc
+        lit = low > self.highest + margin
+        return lit, ~lit & (high < self.lowest - margin)
+
     def limits(self, p, context):
         if self.soft:
             return ()
@@ -341,14 +360,17 @@ class EarthShadow(Effect):
         position, sun, weight = sky.state.position, sky.state.sun, sky.nodes.weight
         assert position is not None  # see `missing`
         row = torch.arange(len(self.lit)) if instants is None else instants.row
-        lit, dark = self.lit[row], self.dark[row]
+        lit, dark = self._standing(position, sun, instants) if self.moved else (self.lit[row], self.dark[row])
         columns = len(row)
-        if bool(lit.all()):
+        if not self.moved and bool(lit.all()):
             return torch.ones_like(p["h0"]) if traced() else torch.ones(())
+        # where a transform hides who is at the edge, all are taken as if they were
+        edge = ~(lit | dark)
+        edge = edge.reshape(-1, columns).any(0) if readable(edge) else torch.ones(columns, dtype=torch.bool)
         weight = weight.expand(*weight.shape[:-1], columns)
         seen = partial(self._seen, p)
         found: list[tuple[Tensor, Tensor]] = []
-        for index, rule in _groups(instants, ~(lit | dark), self.crossed):
+        for index, rule in _groups(instants, edge, self.crossed):
             if rule is None:
                 light = seen(position[..., index, :], sun[..., index, :], index)
                 share = weight[..., index] / weight[..., index].sum(-2, keepdim=True)
@@ -363,12 +385,14 @@ class EarthShadow(Effect):
             mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
             found.append((index.flatten(), mean.mean(-2)))
         shape = torch.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])
+        shape = torch.broadcast_shapes(shape, lit.shape[:-1])
         factor = torch.where(dark, 0.0, p["h0"].new_ones(columns)).expand(*shape, columns)
         if not found:
             return factor
         index = torch.cat([one for one, _ in found])
         light = torch.cat([one.expand(*shape, -1) for _, one in found], -1)
-        return factor.index_copy(-1, index, light)
+        factor = factor.index_copy(-1, index, light)
+        return torch.where(lit, 1.0, torch.where(dark, 0.0, factor)) if self.moved else factor
 
     def _seen(self, p, position: Tensor, sun: Tensor, column: Tensor) -> Tensor:
         """Share of sunlight (..., Q, n) at places (Q, n, 3) of ``column`` (n,)."""

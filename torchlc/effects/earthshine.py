@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.sun_distance import AU_KM
-from torchlc.parameters import Quantity
+from torchlc.parameters import REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Light
+from torchlc.tensors.vectors import least_axis
 
 EARTH_RADIUS_KM = 6371.0
 LEAST, MOST = 12, 20
@@ -86,7 +87,7 @@ def _perpendicular(up: Tensor, to_sun: Tensor) -> Tensor:
     """Unit normal (..., 3) of the plane of two directions; any normal of the first where the two are
     parallel."""
     normal = torch.linalg.cross(up, to_sun)
-    other = torch.linalg.cross(up, torch.nn.functional.one_hot(up.abs().argmin(-1), 3).to(up))
+    other = torch.linalg.cross(up, least_axis(up))
     normal = torch.where((normal * normal).sum(-1, keepdim=True) > 1e-20, normal, other)
     return normal / torch.linalg.vector_norm(normal, dim=-1, keepdim=True)
 
@@ -102,6 +103,7 @@ class Earthshine(Effect):
     """
 
     name = "earthshine"
+    title = "light of the sunlit Earth"
     stage = "light"
     order = 3
     linear = True
@@ -109,6 +111,7 @@ class Earthshine(Effect):
         Quantity(
             "albedo", "", 0.0, 1.0, "the Earth's diffuse reflectance", off=0.0, typical=0.3,
             prior="normal", mean=0.3, sigma=0.1,
+            role=REFLECTANCE,
         ),
     )  # fmt: skip
 

@@ -53,6 +53,7 @@ class ExposureSmearing(Effect):
     """
 
     name = "exposure_smearing"
+    title = "light averaged over each exposure"
     stage = "clock"
     known = True
     spans_exposure = True

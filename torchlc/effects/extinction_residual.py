@@ -18,6 +18,7 @@ class ExtinctionResidual(Effect):
     """
 
     name = "extinction_residual"
+    title = "extinction that was corrected with a wrong coefficient"
     stage = "detector"
     divisible = True
     order = 2

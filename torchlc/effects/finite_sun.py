@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchlc.stages.effect import Effect, Light
+from torchlc.tensors.vectors import least_axis
 
 SUN_RADIUS_KM = 695_700.0
 LIMB_DARKENING = 0.6
@@ -58,6 +59,7 @@ class FiniteSun(Effect):
     """
 
     name = "finite_sun"
+    title = "the disc of the Sun, which is no point"
     stage = "light"
     known = True
     order = 1
@@ -91,8 +93,7 @@ def _spread(light: Light, points: Tensor, weights: Tensor, radius: Tensor) -> Li
     """Replace each source (L, Q, T) by the points of a disc of angular ``radius`` (Q, T) around it, (D L,
     Q, T)."""
     centre = light.direction
-    axis = torch.nn.functional.one_hot(centre.abs().argmin(-1), 3).to(centre)
-    first = torch.linalg.cross(centre, axis)
+    first = torch.linalg.cross(centre, least_axis(centre))
     first = first / torch.linalg.vector_norm(first, dim=-1, keepdim=True)
     second = torch.linalg.cross(centre, first)
     step = (

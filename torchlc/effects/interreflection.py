@@ -32,6 +32,7 @@ class Interreflection(Effect):
     """
 
     name = "interreflection"
+    title = "light that goes from part to part"
     stage = "scatter"
     at_middle = True
     unable = "no two parts have facets that face each other, and none has facets that face its own"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.geometry.rotation.attitude import TURNING
 from torchlc.stages.effect import Effect
 
 LIGHT_KM_S = 299_792.458
@@ -18,11 +19,12 @@ class LightTime(Effect):
     """
 
     name = "light_time"
+    title = "the time that light takes to the observer"
     stage = "orbit"
     known = True
 
     def missing(self, context):
-        if context.light_time_corrected or context.mode == "spin-pole":
+        if context.light_time_corrected or context.mode in TURNING:
             return "the times are already those at the object"
         if not context.track.supports("time_offset"):
             return "the recording gives no motion from which to step back by the light time"

@@ -28,7 +28,9 @@ class LobeTail(Effect):
     """
 
     name = "lobe_tail"
+    title = "more light far from the glint"
     stage = "material"
+    reshapes_lobe = True
     order = 0
     per = "material"
     unable = "the material is not of Ashikhmin and Shirley's model"

@@ -19,6 +19,7 @@ class NormalDispersion(Effect):
     """
 
     name = "normal_dispersion"
+    title = "surfaces that are not quite flat"
     stage = "material"
     order = 1
     per = "material"

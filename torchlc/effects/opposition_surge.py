@@ -16,6 +16,7 @@ class OppositionSurge(Effect):
     """
 
     name = "opposition_surge"
+    title = "more light where the Sun is behind the observer"
     stage = "material"
     order = 3
     per = "material"

@@ -19,6 +19,7 @@ class PanelCant(Effect):
     """
 
     name = "panel_cant"
+    title = "panels that are tilted out of their axis"
     stage = "pointing"
     quantities = (
         Quantity(

@@ -17,6 +17,7 @@ class PanelOffset(Effect):
     """
 
     name = "panel_offset"
+    title = "panels that point past the Sun"
     stage = "pointing"
     quantities = (
         Quantity(

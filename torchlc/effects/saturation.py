@@ -18,6 +18,7 @@ class Saturation(Effect):
     """
 
     name = "saturation"
+    title = "a detector that saturates"
     stage = "detector"
     order = 1
     quantities = (

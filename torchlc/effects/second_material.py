@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
-from torchlc.parameters import Quantity
+from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, SHARE, Quantity
 from torchlc.stages.effect import Effect
 
 
@@ -16,6 +16,7 @@ class SecondMaterial(Effect):
     """
 
     name = "second_material"
+    title = "a second material on part of a surface"
     stage = "material"
     order = 2
     per = "material"
@@ -23,7 +24,14 @@ class SecondMaterial(Effect):
     unable = "the material is not of Ashikhmin and Shirley's model"
     quantities = (
         Quantity(
-            "weight", "", 0.0, 1.0, "share of the area that is the second material", off=0.0, typical=0.2
+            "weight",
+            "",
+            0.0,
+            1.0,
+            "share of the area that is the second material",
+            off=0.0,
+            typical=0.2,
+            role=SHARE,
         ),
         Quantity(
             "n",
@@ -33,7 +41,7 @@ class SecondMaterial(Effect):
             "lobe exponent of the second material",
             typical=2000.0,
             prior="loguniform",
-            role="exponent",
+            role=EXPONENT,
         ),
         Quantity(
             "r_spec",
@@ -42,7 +50,7 @@ class SecondMaterial(Effect):
             1.0,
             "mirror-like reflectance of the second material",
             typical=0.3,
-            role="lobe reflectance",
+            role=LOBE_REFLECTANCE,
         ),
         Quantity(
             "r_diff",
@@ -51,7 +59,7 @@ class SecondMaterial(Effect):
             1.0,
             "diffuse reflectance of the second material",
             typical=0.2,
-            role="reflectance",
+            role=REFLECTANCE,
         ),
     )
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.occlusion import visible_fractions
 from torchlc.stages.effect import Effect
 from torchlc.tensors.autodiff_state import traced
-from torchlc.visibility import visible_fractions
 
 
 class SelfShadowing(Effect):
@@ -20,7 +20,9 @@ class SelfShadowing(Effect):
     """
 
     name = "self_shadowing"
+    title = "parts that shade and hide each other"
     stage = "surface"
+    joins_parts = True
     known = True
 
     def jumps(self, context):

@@ -19,6 +19,7 @@ class SpinRateOffset(Effect):
     """
 
     name = "spin_rate_offset"
+    title = "a rate of spin that differs from the scene's"
     stage = "spin"
     quantities = (
         Quantity(
@@ -31,7 +32,7 @@ class SpinRateOffset(Effect):
         return None if context.attitude.spins else "the attitude has no spin"
 
     def spin(self, values, p, context):
-        if context.mode == "spin-pole":
+        if "attitude.period" in values:
             period = values["attitude.period"]
             turns = 1 + period * p["rev_per_hour"]
             turns = torch.where(turns.abs() < SLOWEST, SLOWEST, turns)

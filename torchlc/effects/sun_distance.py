@@ -19,6 +19,7 @@ class SunDistance(Effect):
     """
 
     name = "sun_distance"
+    title = "the changing distance of the Sun"
     stage = "light"
     known = True
 

@@ -15,7 +15,9 @@ class TimeOffset(Effect):
     """
 
     name = "time_offset"
+    title = "time stamps that are off by a constant"
     stage = "clock"
+    shifts_clock = True
     divisible = True
     quantities = (
         Quantity(

@@ -18,6 +18,7 @@ class WingSplit(Effect):
     """
 
     name = "wing_split"
+    title = "wings that point to either side of the Sun"
     stage = "pointing"
     order = 1
     quantities = (

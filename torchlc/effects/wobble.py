@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from torchlc.effects.attitude_offset import rotation_of
+from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 
@@ -20,7 +20,9 @@ class Wobble(Effect):
     """
 
     name = "wobble"
+    title = "an attitude that swings periodically"
     stage = "attitude"
+    timed_by_rows = True
     turning = "swing"
     quantities = (
         Quantity("deg", "deg", 0.0, 5.0, "amplitude", off=0.0, typical=0.5, prior="halfnormal", sigma=1.0),

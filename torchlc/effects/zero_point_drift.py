@@ -26,6 +26,7 @@ class ZeroPointDrift(Effect):
     """
 
     name = "zero_point_drift"
+    title = "a zero point that drifts"
     stage = "detector"
     divisible = True
     order = 2

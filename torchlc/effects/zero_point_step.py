@@ -20,7 +20,9 @@ class ZeroPointStep(Effect):
     """
 
     name = "zero_point_step"
+    title = "a zero point that jumps at one moment"
     stage = "detector"
+    timed_by_rows = True
     order = 2
     scanned = "time"
     quantities = (

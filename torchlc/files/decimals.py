@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
-
 from torchlc.errors import InputError
 
 FAULTS = (
@@ -31,12 +29,10 @@ def decimal(text: str) -> float:
     return float(text)
 
 
-def decimals(texts: list[str]) -> np.ndarray:
-    """(N,) float64 of many texts; ValueError where one of them is no number."""
+def decimals(texts: list[str]) -> list[float]:
+    """As :func:`decimal`, of many texts; ValueError where one of them is no number."""
     joined = "".join(texts)
-    if joined.isascii() and "_" not in joined:
-        return np.array(list(map(float, texts)), dtype=np.float64)
-    return np.array(list(map(decimal, texts)), dtype=np.float64)
+    return list(map(float if joined.isascii() and "_" not in joined else decimal, texts))
 
 
 def advice(text: str) -> str | None:

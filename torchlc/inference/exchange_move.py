@@ -18,9 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import noise_columns
 from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
+from torchlc.noise.error_law import MAG_PER_LN
 
 WIDER = 1.2
 """The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
@@ -58,9 +59,7 @@ class Redraw:
             sigma = found.sigma.expand(found.delta.shape)
             if likelihood.fitted_errors:
                 sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
-            jitter = model.noise(theta).jitter
-            if jitter is not None:
-                sigma = torch.sqrt(sigma**2 + (jitter * found.scale) ** 2)
+            sigma = model.noise(theta).sigma(sigma, found.scale)
         self._last: tuple[Tensor, Tensor, Tensor] | None = None
         self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
 

@@ -21,9 +21,9 @@ from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.geometry.orbit import angle_between
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
-from torchlc.lightcurve.model import DARKEST, LightCurve
-from torchlc.naming import Origin
-from torchlc.parameters import LOBE_ROLES, Free, Prior
+from torchlc.lightcurve.model import LightCurve
+from torchlc.lightcurve.pipeline import DARKEST
+from torchlc.parameters import EXPONENT, FRESNEL, INDEX, LOBE_REFLECTANCE, REFLECTANCE, WIDTH, Free, Prior
 from torchlc.shapes import Band, Dome
 from torchlc.stages.effect import View
 
@@ -49,6 +49,10 @@ LOOKED_AT = 400
 FAINTEST_LOOKED_AT = 0.01
 """Share of the median row's light below which an exposure is not looked at."""
 FACETS_AT_ONCE = 2_000_000
+SCALES = frozenset({REFLECTANCE, LOBE_REFLECTANCE})
+"""Roles of numbers that are factors of light."""
+OF_LOBE = frozenset({EXPONENT, WIDTH, INDEX, LOBE_REFLECTANCE, FRESNEL})
+"""Roles of numbers of which a glint is needed to know them."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,12 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
     """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at
     natural values theta (P,).
     """
+    with torch.no_grad():
+        return bare_model(model).view(model.values(theta))
+
+
+def bare_model(model: LightCurve) -> LightCurve:
+    """The model without shadows, discs and exposures: only what moves or turns the object is left of its effects."""
     moving = [
         effect.entry
         for effect in model.effects
@@ -72,13 +82,11 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         and not effect.spans_exposure
         and effect.stage not in ("light", "surface", "scatter")
     ]
-    bare = LightCurve(
+    return LightCurve(
         model.scene,
         model.recording,
         assembly=assemble(model.scene, model.recording, moving, base=model.assembly),
     )
-    with torch.no_grad():
-        return bare.view(model.values(theta))
 
 
 def limits(model: LightCurve, theta: Tensor) -> list[str]:
@@ -215,8 +223,7 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
     closest, shares = glints(view), material_shares(likelihood.model, best)
     for i, name in enumerate(parameters.names):
         if not informed[name] and name not in scale_of:
-            origin = parameters.free[i].origin
-            reason = _reason(likelihood.model, origin, best, closest, shares) or _trade(
+            reason = _reason(likelihood.model, parameters.free[i], best, closest, shares) or _trade(
                 parameters.names, i, flat
             )
             warnings.append(f"{name} is set by its prior: {reason}")
@@ -260,8 +267,8 @@ def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
     names, free = likelihood.model.names, likelihood.model.parameter_set.free
     found = []
     kinds: tuple[Callable[[Free], bool], ...] = (
-        lambda free: free.quantity is not None and free.quantity.is_scale and free.origin.target is None,
-        lambda free: free.origin.role == "components",
+        lambda one: one.role in SCALES and one.origin.target is None,
+        lambda one: one.origin.role == "components",
     )
     for of_kind in kinds:
         index = [i for i, one in enumerate(free) if of_kind(one)]
@@ -288,14 +295,14 @@ def _scale_sentence(group: Sequence[str]) -> str:
 
 def _reason(
     model: LightCurve,
-    origin: Origin,
+    free: Free,
     best: Tensor,
     closest: Mapping[str, Glint | None],
     shares: Mapping[str, float],
 ) -> str | None:
     """Why a material's parameter is not informed, from the geometry; None if the geometry gives no reason."""
-    owner, short = origin.owner, origin.quantity
-    if origin.role != "materials":
+    owner = free.origin.owner
+    if free.origin.role != "materials":
         return None
     glint = closest.get(owner)
     if glint is None:
@@ -304,8 +311,7 @@ def _reason(
     kind = model.assembly.models[owner]
     values = model.assembly.material_values(owner, kind, model.values(best))
     width = math.degrees(math.sqrt(float(kind.lobe_variance(values))))
-    of_lobe = kind.quantity(short).role in LOBE_ROLES
-    if of_lobe and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
+    if free.role in OF_LOBE and math.isfinite(width) and glint.degrees > min(2 * width, FAR_GLINT_DEG):
         return f"no glint comes within {glint.degrees:.1f} deg of any {owner} facet"
     if share < 0.2:
         return f"what is made of {owner} never gives more than {100 * share:.2g} % of the light"

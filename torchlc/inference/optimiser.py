@@ -2,8 +2,8 @@
 of the best.
 
 The maximum is taken in flat coordinates (logarithms of log-scaled parameters), where flat priors add nothing:
-it is the least chi-square, peaked priors counted as further rows. Noise parameters (jitter, red noise,
-outliers) are fitted in turn with the rest.
+it is the least chi-square, peaked priors counted as further rows. The parameters of noise are fitted in turn with the
+rest.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from torchlc.inference.likelihood import Likelihood, Residuals, widened
-from torchlc.inference.orthant import POINTS
+from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
-from torchlc.stages.effect import Noise
+from torchlc.noise import Noise, Residuals
+from torchlc.noise.correlated import correlated_parts
+from torchlc.noise.orthant import POINTS
+from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE
 from torchlc.tensors.least_squares import Minimum, minimise
 
 DISTINCT_CHI2 = 10.0
@@ -27,9 +29,6 @@ NOISE_VALUES = 10_000_000
 """Elements of the covariances held at once while noise is fitted: 80 MB."""
 LEADERS = 6
 LONG_POLISH = 300
-FLAT_ENOUGH = 1e-6
-"""Share of chi-square that a step must gain to go on: 3e-4 for a few hundred rows, far below what the data
-can see."""
 Progress = Callable[[str, float], None]
 
 
@@ -103,7 +102,7 @@ def find_modes(
         return [_evaluated(likelihood)], [], None
     generator = torch.Generator().manual_seed(seed)
     draws = parameters.sample_prior(max(starts - 1, 0), generator)
-    draws = _crowded([one.role for one in parameters.free], draws, generator)
+    draws = _crowded(parameters.roles, draws, generator)
     points = torch.cat(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
@@ -186,18 +185,17 @@ def whitener(
     likelihood: Likelihood, at: Residuals, noise: Noise | None, *, fitted: bool = False
 ) -> Callable[[Residuals], Tensor]:
     """A function that turns residuals into rows of unit variance, with the noise and its scale taken at the
-    residuals ``at``. With ``fitted`` these are near the minimum: levels of errors that are fitted, which rows are
-    outliers, and how far rows are bright because those below a flux of 0 are not there, are taken from them; repeated,
-    this is expectation and maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1). Upper limits under red noise
-    count one by one here, each given the measured rows."""
-    sigma = at.sigma.expand(at.delta.shape)
+    residuals ``at``. With ``fitted`` these are near the minimum: levels of errors that are fitted, what weight the law of
+    errors gives to rows, and how far rows are bright because those below a flux of 0 are not there, are taken from them; repeated,
+    this is expectation and maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1). Upper limits among rows
+    that err together count one by one here, each given the measured rows."""
+    noise = Noise() if noise is None else noise
+    sigma = noise.sigma(at.sigma, at.scale).expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
-        red = noise is not None and noise.red is not None
-        sigma = (likelihood.white_levels if red else likelihood.fitted_levels)(at.delta)[likelihood.curve]
-    elif noise is not None:
-        sigma = widened(at, noise).expand(at.delta.shape)
-    if noise is not None and noise.red is not None and noise.tau is not None:
-        parts = likelihood.correlated_parts(at, sigma, noise)
+        levels = likelihood.white_levels if noise.processes else likelihood.fitted_levels
+        sigma = levels(at.delta)[likelihood.curve]
+    if noise.processes:
+        parts = correlated_parts(likelihood, at, sigma, noise)
         order = torch.argsort(torch.cat([part.rows for part in parts]))
         spread = [torch.sqrt(part.limits.square().sum(-1)) for part in parts]
 
@@ -211,8 +209,8 @@ def whitener(
         return correlated
 
     shift = torch.zeros_like(sigma)
-    if fitted and noise is not None and noise.outliers is not None and noise.width is not None:
-        sigma = lightened(at.delta, sigma, noise.outliers, noise.width)
+    if fitted:
+        sigma = noise.law.weighted(at.delta, sigma)
     if fitted and likelihood.selected is not None:
         shift = hazard(likelihood.above_zero(at, sigma))
 
@@ -220,16 +218,6 @@ def whitener(
         return likelihood.deviance_rows(found.delta / sigma + shift)
 
     return independent
-
-
-def lightened(delta: Tensor, sigma: Tensor, share: Tensor | float, width: Tensor | float) -> Tensor:
-    """Standard deviation (..., T) that a row of residual delta has in least squares where a share of the rows has
-    errors ``width`` times as large: by the probability that it is one of them."""
-    share, width = torch.as_tensor(share).to(delta), torch.as_tensor(width).to(delta)
-    square = (delta / sigma) ** 2
-    odds = torch.log(share) - torch.log1p(-share) - torch.log(width) + 0.5 * square * (1 - 1 / width**2)
-    member = torch.sigmoid(odds)
-    return sigma / torch.sqrt(1 - member + member / width**2)
 
 
 def hazard(k: Tensor) -> Tensor:
@@ -399,7 +387,7 @@ def _differences(
 
 def _crowded(roles: Sequence[str], draws: Tensor, generator: torch.Generator) -> Tensor:
     """Every other start has its lobe reflectances near 0, where the best minimum of a faint lobe lies."""
-    columns = [i for i, role in enumerate(roles) if role == "lobe reflectance"]
+    columns = [i for i, role in enumerate(roles) if role in (LOBE_REFLECTANCE, FRESNEL)]
     if columns and len(draws):
         shrink = torch.rand(len(draws), len(columns), generator=generator, dtype=draws.dtype) ** 3
         shrink[1::2] = 1.0

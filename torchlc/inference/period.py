@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchlc.errors import InputError
-from torchlc.inference.likelihood import MAG_PER_LN
+from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording
 
 if TYPE_CHECKING:

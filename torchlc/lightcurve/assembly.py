@@ -19,10 +19,11 @@ from torchlc.errors import InputError
 from torchlc.geometry.orbit import Track, make_track
 from torchlc.geometry.rotation.attitude import Attitude
 from torchlc.naming import Origin
-from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
+from torchlc.parameters import EXPONENT, WIDTH, Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
+from torchlc.scene.checks import PARAMETER_KEY
 from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
@@ -196,6 +197,18 @@ class Assembly:
         laws = {f"materials.{name}": law for name, law in self.models.items() if isinstance(law, nn.Module)}
         return {name: module for name, module in (effects | laws).items() if _has_state(module)}
 
+    def effect_of(self, name: str) -> Effect | None:
+        """The effect whose number this is, by its full name; None if it is the scene's."""
+        origin = self.origins[name]
+        if origin.role != "effects":
+            return None
+        return next((effect for effect in self.effects if effect.name == origin.owner), None)
+
+    @property
+    def parts_meet(self) -> bool:
+        """True if parts shadow or light each other, which every new geometry has to have worked out anew."""
+        return any(effect.joins_parts or effect.stage == "scatter" for effect in self.effects)
+
     def stage(self, name: str) -> list[Effect]:
         return [effect for effect in self.effects if effect.stage == name]
 
@@ -296,6 +309,7 @@ def assemble(
     }
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
+    _check_given(scene, context)
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
     for effect, learned in ((one, other) for one in chosen for other in (base.effects if base else ())):
         if type(effect) is type(learned) and effect.entry == learned.entry and learned.learns:
@@ -303,6 +317,8 @@ def assemble(
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
+    if effects is None:
+        warnings += _unused(scene, chosen)
     several = [one for effect in chosen if (one := effect.instants(context)) is not None]
     instants = several[0] if several else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
@@ -361,13 +377,13 @@ def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
         law = MODELS[material.model]
         for key, number in material.parameters.items():
             role = law.quantity(key).role
-            if role == "exponent":
+            if role == EXPONENT:
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
                     bounds.append(min(top, max(sharpest, number.value)))
                 else:
                     bounds.append(number)
-            elif role == "width":
+            elif role == WIDTH:
                 width = number.value if isinstance(number, SceneFree) else number
                 bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
         finest[name] = max(bounds)
@@ -465,7 +481,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             _check_axes(effect, scene, context)
             found.append(made(effect, parsed.per, parsed.width))
     for effect in found:
-        reason = effect.beside([other.name for other in found])
+        reason = effect.beside([other for other in found if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
     order = list(known)
@@ -476,7 +492,6 @@ def _prepared(
     effects: Sequence[Effect], scene: Scene, context: Context, pinned: Mapping[str, float]
 ) -> tuple[tuple[Effect, ...], Context]:
     """The effects made ready for these data, and the context that knows of them and of their numbers' bounds."""
-    given = scene.model.parameters
     bounds: dict[str, tuple[float, float]] = {}
 
     def bound(name: str, number: Number | None, quantity: Quantity) -> None:
@@ -499,9 +514,7 @@ def _prepared(
     for effect in effects:
         for quantity in effect.quantities:
             name = effect.full_name(quantity.name)
-            plain = effect.origin(quantity.name).full_name()
-            number = None if effect.by else given.get(plain, given.get(f"{effect.name}.{quantity.name}"))
-            bound(name, number, quantity)
+            bound(name, None if effect.by else _given_number(effect, quantity, scene), quantity)
     context = replace(context, bounds=bounds, effects=effects)
     # how finely exposures are divided depends on what the others do
     others = [effect if effect.spans_exposure else effect.prepared(context) for effect in effects]
@@ -537,6 +550,83 @@ def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
         key.partition("[")[2].rstrip("]") for key in scene.model.parameters if key.startswith(f"{cls.name}.")
     ]
     return [target for target in dict.fromkeys(marked) if target]
+
+
+def _check_given(scene: Scene, context: Context) -> None:
+    """InputError where [model.parameters] gives a number that its effect does not have, or not on that target."""
+    for key in scene.model.parameters:
+        match = PARAMETER_KEY.fullmatch(key)
+        if match is None:
+            continue
+        name, quantity, target = match["effect"], match["quantity"], match["target"]
+        place, known = f'model.parameters."{key}"', registry()
+        if name not in known:
+            found, expected = f"unknown effect {shown(name)}", f"one of {', '.join(registry())}"
+            raise InputError(scene.source, place, found, expected, did_you_mean(name, registry()))
+        numbers = [one.name for one in known[name].quantities]
+        if quantity not in numbers:
+            expected = f"one of {', '.join(numbers)}" if numbers else "no such key: the effect has no numbers"
+            hint = did_you_mean(quantity, numbers)
+            raise InputError(scene.source, place, f"{name} has no number {shown(quantity)}", expected, hint)
+        if target is None:
+            continue
+        targets = [one for one in known[name].targets(context) if one is not None]
+        if target not in targets:
+            expected = f"one of {', '.join(targets)}" if targets else f'"{name}.{quantity}", without brackets'
+            found, hint = f"{name} cannot be applied to {shown(target)}", did_you_mean(target, targets)
+            raise InputError(scene.source, place, found, expected, hint)
+
+
+def _keys(effect: Effect, quantity: Quantity) -> tuple[str, str]:
+    """How [model.parameters] may name a number of an effect: with its target, or for all targets at once."""
+    return effect.origin(quantity.name).full_name(), f"{effect.name}.{quantity.name}"
+
+
+def _given_number(effect: Effect, quantity: Quantity, scene: Scene) -> Number | None:
+    """What [model.parameters] says of an effect's number; InputError where its value is beyond the number's range."""
+    given = scene.model.parameters
+    key = next((key for key in _keys(effect, quantity) if key in given), None)
+    if key is None:
+        return None
+    number = given[key]
+    value = number.value if isinstance(number, SceneFree) else float(number)
+    if not quantity.low <= value <= quantity.high:
+        place = f'model.parameters."{key}"' + (".value" if isinstance(number, SceneFree) else "")
+        raise InputError(scene.source, place, f"{value:g}", _range(quantity))
+    return number
+
+
+def _cut(name: str, number: SceneFree, quantity: Quantity) -> list[str]:
+    """A sentence where a prior reaches beyond the range of its number."""
+    beyond = (number.low is not None and number.low < quantity.low) or (
+        number.high is not None and number.high > quantity.high
+    )
+    return [f"the prior of {name} is cut to {_range(quantity)}, the range of this number"] if beyond else []
+
+
+def _range(quantity: Quantity) -> str:
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    if quantity.high == math.inf:
+        return f"{quantity.low:g}{unit} or more"
+    return f"{quantity.low:g} to {quantity.high:g}{unit}"
+
+
+def _unused(scene: Scene, effects: Sequence[Effect]) -> list[str]:
+    """A sentence for each number of [model.parameters] that none of the model's effects has."""
+    names = {effect.name for effect in effects}
+    used = {key for effect in effects for one in effect.quantities for key in _keys(effect, one)}
+    warnings = []
+    for key in scene.model.parameters:
+        match = PARAMETER_KEY.fullmatch(key)
+        if match is None or key in used:
+            continue
+        why = (
+            f"{match['effect']} takes what it needs from the recording"
+            if match["effect"] in names
+            else f"{match['effect']} is not among the model's effects; a diagnosis takes it as a prior"
+        )
+        warnings.append(f"[model.parameters] {key} is not used: {why}")
+    return warnings
 
 
 def _sun_magnitude(scene: Scene, recording: Recording) -> tuple[np.ndarray, list[str]]:
@@ -588,7 +678,7 @@ def _parameters(
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical
             begin = 0.0 if start is None else start
-            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin, quantity))
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin, quantity.role))
         elif isinstance(number, SceneFree):
             if number.prior == "isotropic" and quantity.prior != "isotropic":
                 raise InputError(
@@ -621,7 +711,7 @@ def _parameters(
             if full in pinned:
                 fixed[full] = pinned[full]
             else:
-                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose, quantity))
+                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose, quantity.role))
 
     numbers = scene.numbers()
     for name, origin in scene.origins().items():
@@ -635,8 +725,8 @@ def _parameters(
         else:
             quantity = Quantity(short, "", -math.inf, math.inf, short)
         add(name, origin, numbers[name], quantity)
-    given = scene.model.parameters
-    add("zero_point", Origin("calibration", "", "zero_point"), given.get("zero_point", 0.0), ZERO_POINT)
+    zero_point = scene.model.parameters.get("zero_point", 0.0)
+    add("zero_point", Origin("calibration", "", "zero_point"), zero_point, ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:
             name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
@@ -647,7 +737,9 @@ def _parameters(
                 )
                 divide(name, origin, prior, centre, quantity, effect.by)
                 continue
-            number = given.get(origin.full_name(), given.get(f"{effect.name}.{quantity.name}"))
+            number = _given_number(effect, quantity, scene)
+            if isinstance(number, SceneFree):
+                warnings += _cut(name, number, quantity)
             whole = effect.brdf is not None or effect.stage == "material"
             if whole and isinstance(number, SceneFree) and number.per is not None:
                 of = "a part" if effect.brdf is not None else "of a material"

@@ -1,13 +1,17 @@
-"""The classes that a name may stand for: an effect, a law of reflection, a shape, a figure of the report.
+"""The classes that a name may stand for: an effect (noise among them), a law of reflection, a shape, a
+format of recordings, a figure of the report.
 
 A class enters by being defined, in the package, a script, a test or a notebook. Whoever lists the classes asks the
-registry at that moment, so that no list is older than the last definition.
+registry at that moment, so that no list is older than the last definition. :func:`import_modules` defines those of a
+folder of the package.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any, Generic, TypeVar
 
 PACKAGE = __name__.partition(".")[0]
@@ -19,7 +23,7 @@ class Replaced(UserWarning):
 
 
 class Registry(Mapping[str, Class], Generic[Class]):
-    """Classes of one ``kind`` by name, in the order in which they were defined."""
+    """Classes of one ``kind`` by name, in the order in which they were defined, the latest last."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -50,6 +54,7 @@ class Registry(Mapping[str, Class], Generic[Class]):
                 Replaced,
                 stacklevel=stacklevel,
             )
+        self._classes.pop(name, None)
         self._classes[name] = cls
 
     def pop(self, name: str) -> Class:
@@ -67,3 +72,9 @@ def _is_ours(cls: type) -> bool:
 
 def _full_name(cls: Any) -> str:
     return f"{cls.__module__}.{cls.__qualname__}"
+
+
+def import_modules(package: str, path: Iterable[str]) -> None:
+    """Import every module of a folder of the package, whose classes are known from then on."""
+    for module in iter_modules(path):
+        import_module(f"{package}.{module.name}")

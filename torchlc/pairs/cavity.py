@@ -17,12 +17,12 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf, Incidence, incidence
+from torchlc.occlusion import visible_fractions
+from torchlc.occlusion.rays import Traced
 from torchlc.pairs.double_reflection import NEAR, form_factor
 from torchlc.shapes import Facets
 from torchlc.shapes.part import like
 from torchlc.stages.effect import Context, View
-from torchlc.visibility import visible_fractions
-from torchlc.visibility.rays import Traced
 
 PATCHES = 96
 """Into how many patches a part is divided: halving them moves the light of a white bowl by 2e-3."""

@@ -16,16 +16,16 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Incidence, incidence
+from torchlc.occlusion.batched_rows import picked, rowwise
+from torchlc.occlusion.lines import blocked, planes
+from torchlc.occlusion.outline import Joints, outline
+from torchlc.occlusion.polygon_union import covered_area
 from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.shapes.plate import Plate
 from torchlc.stages.effect import Context, View
 from torchlc.tensors.autodiff_state import traced
-from torchlc.visibility.batched_rows import picked, rowwise
-from torchlc.visibility.lines import blocked, planes
-from torchlc.visibility.outline import Joints, outline
-from torchlc.visibility.polygon_union import covered_area
 
 POINTS, CELLS = 4, 4
 """Points across the first facet and cells across the second."""

@@ -1,6 +1,19 @@
 """Recordings: light curves as measured, read and checked."""
 
-from torchlc.readers.reader import load_recording
-from torchlc.readers.recording import Recording, counted, iso_times, left_out, seconds_since
+from torchlc.readers.format import Format, Head
+from torchlc.readers.measurements import counted, iso_times, left_out, seconds_since
+from torchlc.readers.recording import Recording, load_recording, recording_of
+from torchlc.readers.table import Header
 
-__all__ = ["Recording", "counted", "iso_times", "left_out", "load_recording", "seconds_since"]
+__all__ = [
+    "Format",
+    "Head",
+    "Header",
+    "Recording",
+    "counted",
+    "iso_times",
+    "left_out",
+    "load_recording",
+    "recording_of",
+    "seconds_since",
+]

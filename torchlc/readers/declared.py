@@ -1,8 +1,11 @@
-"""What a recording says about itself before its rows, and which of its columns a scene needs."""
+"""What a recording says about itself before its rows, what the user adds, and which of its columns a scene needs."""
 
 from __future__ import annotations
 
+import difflib
 import re
+import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,15 +13,15 @@ import astropy.units as u
 import numpy as np
 
 from torchlc.errors import InputError
+from torchlc.readers.roles import VECTORS, plain, stamp_of
 from torchlc.readers.table import METADATA, Header
+from torchlc.scene.reading import Reading
 from torchlc.scene.timestamps import MJD_ZERO, REDUCED_ZERO
 from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
 
-VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
-"""Field of a Recording and the prefix of its three columns."""
 UNITS = {"mag": u.mag, "mag_err": u.mag, "exptime": u.s, "alt": u.deg, "az": u.deg, "height": u.km}
 UNITS |= {f"{prefix}_{axis}": u.km for prefix in ("sun", "obs", "r") for axis in "xyz"}
 UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
@@ -64,58 +67,64 @@ FALSE_FRIENDS = (
     "flux_err",
 )
 """Columns of ours, never offered for another one that is missing."""
-TIMES_OF_OTHERS = (
-    (
-        r"jd([-_ ]?utc)?|date[-_ ]?obs|utc|date[-_ ]?time|date[-_ ]?utc",
-        "Rename {} to time if it is UTC at mid-exposure",
-    ),
-    (r"mjd([-_ ]?utc)?", "Rename {} to time and say time_format: mjd {}"),
-    (r"r?jd ?-? ?24000?00(\.0*)?", "Rename {} to time and say time_format: jd-2400000 {}"),
-    (
-        r"[hb]m?jd.*",
-        "{} holds times at the Sun, up to 8.3 minutes off: a column time needs UTC at the telescope",
-    ),
-)
-"""Names of columns of time elsewhere, and what to do about them; the first that is there is taken."""
 
 
 @dataclass(frozen=True)
 class Timing:
     """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (a key of
-    ZEROS, "iso", or "" where the cells decide), the ``mark`` of the exposure (start, mid, end) and what has
-    to be said of them.
+    ZEROS, "iso", or "" where the cells decide), the ``mark`` of the exposure (start, mid, end), the ``zone`` of a
+    civil time, and to where the way of light was reduced (``light_path``: heliocentric, barycentric or empty); and
+    what has to be said of them.
     """
 
     scale: str
     format: str
     mark: str
     notes: tuple[str, ...]
+    zone: str | None = None
+    light_path: str = ""
 
 
 def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
-    hint = did_you_mean(name, [other for other in header.names if other not in FALSE_FRIENDS])
+    others = [other for other in header.names if other and other not in FALSE_FRIENDS]
+    hint = did_you_mean(name, others)
     if len(header.names) == 1:
         hint = "The header holds one name only: is the delimiter a comma?"
-    elif name == "time" and _time_of_others(header):
-        hint = _time_of_others(header)
-    elif name == "time" and hint is None:
-        hint = "Columns are named time, mag and mag_err, or time, flux and flux_err: rename yours"
-    found = f"no column {name} among {', '.join(header.names)}"[:200]
-    return InputError(header.source, "header", found, expected, hint)
+    elif name in ("time", "mag", "flux"):
+        offered = ",".join(f"{role}={_quoted(other)}" for role, other in _offered(name, header).items())
+        hint = f"{hint or ''} Say which column is what, as in --columns {shlex.quote(offered)}".strip()
+    listed = ", ".join(other for other in header.names if other)
+    return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
 
 
-def metadata_hint(header: Header) -> str:
-    """Where a file of this kind says its metadata."""
-    return "in the metadata" if header.ecsv else "in a line above the header that begins with #"
+def _offered(name: str, header: Header) -> dict[str, str]:
+    """Our columns beside those of the file that come nearest to them, or come first, for an example."""
+    roles = [role for role in ("time", "flux" if name == "flux" else "mag") if role not in header.names]
+    left = [
+        other
+        for other in header.names
+        if other and other not in FALSE_FRIENDS and other not in ("time", "mag")
+    ]
+    offered: dict[str, str] = {}
+    for role in roles:
+        near = difflib.get_close_matches(role, [plain(other) for other in left], n=1, cutoff=0.6)
+        chosen = next(
+            (other for other in left if near and plain(other) == near[0]), left[0] if left else "NAME"
+        )
+        offered[role] = chosen
+        left = [other for other in left if other != chosen]
+    return offered
 
 
-def _time_of_others(header: Header) -> str | None:
-    for pattern, hint in TIMES_OF_OTHERS:
-        for name in header.names:
-            if re.fullmatch(pattern, name, re.IGNORECASE):
-                return hint.format(name, metadata_hint(header))
-    return None
+def _quoted(name: str) -> str:
+    return f'"{name}"' if "," in name else name
+
+
+def ways_to_say(header: Header, key: str, value: str) -> str:
+    """Where a user says what a file does not."""
+    place = "in the metadata" if header.ecsv else "in a line above the header that begins with #"
+    return f"{key}: {value} {place}, or --columns {key}={value}"
 
 
 def brightness(header: Header, use: str | None) -> str:
@@ -132,64 +141,113 @@ def brightness(header: Header, use: str | None) -> str:
     return "mag" if "mag" in header.names else "flux"
 
 
-def timing(header: Header) -> Timing:
-    """What header, description of ``time`` and metadata say of the time stamps; InputError where they cannot
-    be brought to the middle of the exposure in UTC or TDB, or contradict each other.
+def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing:
+    """What the user, the name and the description of ``time`` and the metadata say of the time stamps; InputError
+    where they cannot be brought to the middle of the exposure in UTC or TDB, or contradict each other.
+
+    ``located``: the direction of the object is known, so that a reduction to the Sun can be taken back.
     """
-    given = "time_scale" in header.meta
-    scale = str(header.meta.get("time_scale", "utc")).strip().lower()
+    stamp = stamp_of(header, reading)
+    given = reading.time_scale or header.meta.get("time_scale")
+    scale = str(given or stamp.scale or "utc").strip().lower()
     if scale not in SCALES:
-        hint = "A local time cannot be converted safely." if "local" in scale else None
+        hint = (
+            "A local time needs its zone: time_zone in [recording] of the scene."
+            if "local" in scale
+            else None
+        )
         raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai or tt", hint)
-    scale, mark, notes = SCALES[scale], "mid", list(header.notes)
-    for place, text in _statements(header):
+    scale, mark, notes = SCALES[scale], reading.time_mark or stamp.mark or "mid", list(header.notes)
+    known_scale = scale if given or stamp.scale else None
+    light_path = stamp.light_path
+    for place, text in _statements(header, reading):
         if AT_THE_SUN.search(text):
-            hint = "Give UTC at the telescope: the way of light to the Sun, up to 8.3 minutes, was taken off"
-            raise InputError(header.source, place, repr(text[:60]), "times at the observer", hint)
-        stated = _stated_scale(header, place, text, scale if given else None)
+            light_path = light_path or (
+                "barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric"
+            )
+        stated = scale if reading.time_scale else _stated_scale(header, reading, place, text, known_scale)
         if stated not in (None, scale):
             scale = stated
             notes.append(f"{place} says {text[:60]!r}: the times are taken as {stated.upper()}")
         for name, pattern in MARKS.items():
-            if pattern.search(text) and MIDDLE.search(text):
+            if reading.time_mark is not None or not pattern.search(text):
+                continue
+            if MIDDLE.search(text):
                 notes.append(f"{place} says {text[:60]!r}: the times are taken as mid-exposure")
-            elif pattern.search(text):
+            else:
                 mark = name
                 notes.append(f"{place} says {text[:60]!r}: half of exptime is {_moved(name)} every time")
+    light_path = _light_path(header, reading, light_path, located)
     notes += [
         f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}"
         for text in _remarks(header)
         if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK))
+        and not (reading.time_zone or reading.time_mark or reading.light_path)
     ]
-    if mark != "mid" and "exptime" not in header.names:
+    mark = "mid" if mark == "middle" else mark
+    if mark != "mid" and "exptime" not in header.names and reading.exptime is None:
         raise InputError(
             header.source,
             "column time",
             f"the {mark} of the exposures",
             "mid-exposure",
-            "Add a column exptime (s), by half of which the times are moved, or write the times of mid-exposure",
+            "Add a column exptime (s), by half of which the times are moved, or say --columns exptime=SECONDS; or "
+            "--columns time_mark=middle if they are times of mid-exposure",
         )
-    return Timing(scale, _time_format(header), mark, tuple(notes))
+    if mark != "mid" and not any("half of exptime" in note for note in notes):
+        notes.append(
+            f"times are those of the {mark} of exposures: half of exptime is {_moved(mark)} every time"
+        )
+    if reading.time_zone and scale != "utc":
+        raise InputError(
+            header.source, "time_zone", f"beside the time scale {scale}", "UTC with a zone, or a scale"
+        )
+    if reading.time_zone:
+        notes.append(f"the times are civil time of the zone {reading.time_zone}, and converted to UTC")
+    form = reading.time_format or _time_format(header) or stamp.format
+    return Timing(scale, form, mark, tuple(notes), reading.time_zone, light_path)
+
+
+def _light_path(header: Header, reading: Reading, stated: str, located: bool) -> str:
+    """To where the way of light was reduced; InputError where that cannot be taken back."""
+    path = stated if reading.light_path is None else reading.light_path
+    path = "" if path == "observer" else path
+    if path and not located:
+        name = header.theirs.get("time", "time")
+        said = next((text for _, text in _statements(header, reading) if AT_THE_SUN.search(text)), name)
+        raise InputError(
+            header.source,
+            "column time",
+            f"{said[:60]!r}",
+            "times at the observer",
+            f"Give UTC at the telescope: these are {path} times, and the way of light, up to 8.3 minutes, was taken off. "
+            "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
+            '--columns direction="120.5 -3.2"',
+        )
+    return path
 
 
 def _moved(mark: str) -> str:
     return "added to" if mark == "start" else "taken from"
 
 
-def _statements(header: Header) -> list[tuple[str, str]]:
-    """Place and text of what description and metadata say of the time stamps."""
-    found = [("the description of time", header.descriptions.get("time", ""))]
+def _statements(header: Header, reading: Reading) -> list[tuple[str, str]]:
+    """Place and text of what the name and description of ``time`` and the metadata say of the time stamps."""
+    place = "the description of time" if header.theirs.get("time", "time") == "time" else "the column of time"
+    statements = [(place, header.descriptions.get("time", ""))]
     for key, value in header.meta.items():
         if key in METADATA or not isinstance(value, str):
             continue
         if key.lower() in ("tz", "timezone", "time_zone"):
-            if not re.fullmatch(r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?", value.strip(), re.IGNORECASE):
-                raise InputError(
-                    header.source, f"metadata {key}", repr(value[:40]), "UTC", "Convert it first."
+            plainly_utc = r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?"
+            if reading.time_zone is None and not re.fullmatch(plainly_utc, value.strip(), re.IGNORECASE):
+                hint = (
+                    f"Convert it first, or say --columns time_zone={value.strip()[:40]} if that is what it is"
                 )
+                raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", hint)
         elif ABOUT_TIME.search(key):
-            found.append((f"metadata {key}", value))
-    return [(place, text) for place, text in found if text.strip()]
+            statements.append((f"metadata {key}", value))
+    return [(place, text) for place, text in statements if text.strip()]
 
 
 def _remarks(header: Header) -> list[str]:
@@ -201,10 +259,15 @@ def _remarks(header: Header) -> list[str]:
     ]
 
 
-def _stated_scale(header: Header, place: str, text: str, given: str | None) -> str | None:
+def _stated_scale(header: Header, reading: Reading, place: str, text: str, given: str | None) -> str | None:
     """The time scale that a statement names, None where it names none; ``given`` is that of time_scale."""
     if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
-        raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", "Convert it first.")
+        if reading.time_zone is not None:
+            return None
+        hint = (
+            "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+        )
+        raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
     if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
         named -= {"gps"}  # what keeps the clock, beside a scale that is told
@@ -216,7 +279,9 @@ def _stated_scale(header: Header, place: str, text: str, given: str | None) -> s
     if not named:
         return None
     said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
-    hint = "Convert the times to UTC, or say time_scale in the metadata (utc, tdb, tai, tt)"
+    hint = (
+        f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai or tt)"
+    )
     raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI or TT", hint)
 
 
@@ -350,3 +415,36 @@ def units_told(header: Header, kind: str) -> list[str]:
     if kind == "flux" and unit and "flux_err" in header.names and not header.units.get("flux_err"):
         return [f"flux_err has no unit and is taken in that of flux, {unit[:40]}"]
     return []
+
+
+FORMAT_WORDS = {
+    "jd": "Julian date",
+    "mjd": "modified Julian date, JD - 2400000.5",
+    "jd-2400000": "JD - 2400000",
+    "iso": "ISO",
+}
+MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
+
+
+def taken(
+    header: Header, reading: Reading, columns: Iterable[str], timing: Timing, time_format: str
+) -> list[str]:
+    """One line on what was taken for what; none where a file has our own names and nothing else is to be said."""
+    roles = dict.fromkeys(
+        "time" if name == "time" else name
+        for name in columns
+        if name in header.theirs and name in header.columns
+    )
+    renamed = any(header.theirs[name] != name for name in roles)
+    if not renamed and not header.format and header.decimal == "." and not reading.model_fields_set:
+        return []
+    told = []
+    for name in roles:
+        text = f"{header.theirs[name]} as {name}"
+        if name == "time":
+            scale = "civil time" if timing.zone else timing.scale.upper()
+            text += f" ({FORMAT_WORDS[time_format]}, {scale}, {timing.light_path or MARK_WORDS[timing.mark]})"
+        told.append(text)
+    form = f"read as {header.format}: " if header.format else "columns: "
+    comma = "; decimal commas" if header.decimal == "," else ""
+    return [form + ", ".join(told) + comma]

@@ -1,10 +1,9 @@
-"""Recording files, ECSV or CSV: every defect is one InputError, every row lost is counted."""
+"""Rows of a recording, checked: every defect is one InputError, every row lost is counted."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -12,21 +11,25 @@ from astropy.time import Time
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal
-from torchlc.files.reading import sha256_of, unchanged
 from torchlc.readers import declared, groups
-from torchlc.readers.layouts import LAYOUTS
-from torchlc.readers.recording import Recording, counted, no_usable_row, seconds_since
+from torchlc.readers.civil_time import to_utc
+from torchlc.readers.light_path import days_by_direction, days_by_vectors
+from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
+from torchlc.readers.roles import VECTORS
 from torchlc.readers.table import (
     BEYOND_MAG,
+    BrightnessReader,
     Header,
     LabelReader,
     read_columns,
     read_flags,
-    read_header,
     read_numbers,
     row_place,
+    with_point,
 )
+from torchlc.scene.reading import Reading
 from torchlc.scene.timestamps import (
+    ISO,
     JULIAN_DATE,
     REDUCED,
     UnreadableTime,
@@ -47,6 +50,15 @@ LEAST_ERROR, LARGEST_ERROR = 1e-12, 1e12
 """Of an error, of the size of what it belongs to (1 for magnitudes): beyond it, it is no measured error, and
 weights of its inverse square lose the other rows.
 """
+MARKERS = np.array(
+    [
+        float(f"-{whole}.{share}")
+        for whole in ("99", "999", "9999")
+        for share in ("0", "9", "99", "999", "9999")
+    ]
+)
+"""-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
+JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
@@ -57,72 +69,92 @@ LIMITS = {
     "az": (-360.0, 720.0),
     "height": (ABOVE_0, 1e9),
 }
-LIMITS |= {f"{prefix}_{axis}": (-1e15, 1e15) for prefix in declared.VECTORS.values() for axis in "xyz"}
+LIMITS |= {f"{prefix}_{axis}": (-1e15, 1e15) for prefix in VECTORS.values() for axis in "xyz"}
 """What a column may hold, in our units: beyond it a cell is a mistake or a marker for a missing value."""
 
 
-def load_recording(
-    path: str | Path, scene: Scene | None = None, *, use: str | None = None, min_rows: int = 1
-) -> Recording:
-    """Read an ECSV or CSV recording, or one of the other ``LAYOUTS``, and check it, against the scene's needs
-    when one is given.
+def read_measurements(
+    header: Header,
+    scene: Scene | None = None,
+    reading: Reading | None = None,
+    *,
+    use: str | None = None,
+    min_rows: int = 1,
+) -> Measurements:
+    """The measurements of a table whose header has been read, checked against the scene's needs when one is given.
 
     ``use`` picks "mag" or "flux" when both are there (default mag). Without a ``curve`` column each station
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    path = Path(path)
-    with unchanged(path):
-        recording = read_recording(read_header(path, LAYOUTS), scene, use=use, min_rows=min_rows)
-        return replace(recording, sha256=sha256_of(path))
-
-
-def read_recording(
-    header: Header, scene: Scene | None = None, *, use: str | None = None, min_rows: int = 1
-) -> Recording:
-    """The recording of a table whose header has been read; see :func:`load_recording`."""
-    return _Reader(header, scene, use).recording(min_rows)
+    return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
 
 
 class _Reader:
     """One recording on its way in: which columns are wanted, what they hold, and which rows survive."""
 
-    def __init__(self, header: Header, scene: Scene | None, use: str | None) -> None:
-        self.header, self.scene, self.source = header, scene, header.source
+    def __init__(self, header: Header, scene: Scene | None, reading: Reading, use: str | None) -> None:
+        self.header, self.scene, self.reading, self.source = header, scene, reading, header.source
         self.dropped: dict[str, int] = {}
         self.kind = declared.brightness(header, use)
-        self.timing = declared.timing(header)
+        self.timing = declared.timing(header, reading, located=self._is_located())
         self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
         self.time_format = self.timing.format
-        self.warnings = [*self.timing.notes, *declared.units_told(header, self.kind)]
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in ("station", "band", "curve") if name in header.names}
+        self.limits = BrightnessReader(self.kind)
+        self.units_told: list[str] = []
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
+        taken = declared.taken(header, reading, self.columns, self.timing, self.time_format)
+        self.warnings = [
+            *taken,
+            *self.timing.notes,
+            *declared.units_told(header, self.kind),
+            *self.units_told,
+        ]
+
+    def _is_located(self) -> bool:
+        """Is the direction to the object known without its orbit about the Earth?"""
+        if self.scene is not None and self.scene.orbit.vectors is None:
+            return False
+        vectors = all(f"{prefix}_{axis}" in self.header.names for prefix in ("sun", "obs") for axis in "xyz")
+        return vectors or self.reading.direction is not None
 
     def _read(self) -> dict[str, np.ndarray]:
         needed, optional = declared.numeric_columns(self.header, self.scene, self.kind)
         readers: dict[str, Any] = {"time": self._read_times, **self.labels}
         readers |= dict.fromkeys([*needed, *(name for group in optional for name in group)], read_numbers)
+        readers[self.kind] = self.limits
         if "upper_limit" in self.header.names:
             readers["upper_limit"] = read_flags
         columns = read_columns(self.header, readers)
         for group in optional:
             if not all(np.isfinite(columns[name]).any() for name in group):
-                self.warnings.append(f"no number in {', '.join(group)}, taken as absent")
+                self.units_told.append(f"no number in {', '.join(group)}, taken as absent")
                 columns = {name: column for name, column in columns.items() if name not in group}
+        if self.limits.limits.any():
+            flagged = columns.get("upper_limit", np.zeros(len(self.limits.limits), dtype=bool))
+            columns["upper_limit"] = flagged | self.limits.limits
+        if self.reading.exptime is not None and "exptime" not in columns:
+            columns["exptime"] = np.full(len(columns["time"]), self.reading.exptime)
+        numbers = {*needed, *(name for group in optional for name in group)}
         return {
-            name: declared.converted(self.header, name, column) if readers[name] is read_numbers else column
+            name: declared.converted(self.header, name, column)
+            if name in numbers and name in readers
+            else column
             for name, column in columns.items()
         }
 
     def _read_times(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
         """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
+        if header.decimal != ".":
+            cells = [with_point(cell, header.decimal) for cell in cells]
         if not self.time_format:
             self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
         try:
             if self.time_format == "iso":
-                days = julian_dates_of_iso(cells, self.timing.scale)
+                days = julian_dates_of_iso(self._iso(cells), self.timing.scale)
             else:
                 if not all(map(str.strip, cells)):
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
@@ -136,7 +168,24 @@ class _Reader:
             raise InputError(self.source, place, repr(error.found[:40]), error.expected, hint) from None
         if self.timing.scale != self.scale:
             days = in_utc(*days, self.timing.scale)
+        if self.timing.zone is not None:
+            try:
+                days = to_utc(*days, self.timing.zone)
+            except UnreadableTime as error:
+                place = row_place(start + error.index, name)
+                raise InputError(self.source, place, repr(error.found[:40]), error.expected) from None
         return np.stack(days, axis=-1)
+
+    def _iso(self, cells: list[str]) -> list[str]:
+        """Cells with dashes in the date; none may hold an offset of its own where the user tells the zone."""
+        if "/" in "".join(cells):
+            cells = [re.sub(r"^(\s*\d{4})/(\d\d)/(\d\d)", r"\1-\2-\3", cell) for cell in cells]
+        if self.timing.zone is not None:
+            for index, cell in enumerate(cells):
+                match = ISO.fullmatch(cell)
+                if match and match["zone"]:
+                    raise UnreadableTime(index, cell, f"no offset beside time_zone = {self.timing.zone}")
+        return cells
 
     def _time_hint(self, found: str) -> str | None:
         """What to do about a time that is no Julian date but may be one of a known kind."""
@@ -144,14 +193,20 @@ class _Reader:
             number = decimal(found)
         except ValueError:
             return advice(found)
-        if self.time_format != "jd" or not REDUCED[0] < number < REDUCED[1]:
-            return None
-        return f"Or say time_format: mjd, or time_format: jd-2400000, {declared.metadata_hint(self.header)}"
+        if self.header.decimal == "." and "," in found:
+            return "Write decimals with a point, or say --columns decimal=comma"
+        if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
+            mjd = declared.ways_to_say(self.header, "time_format", "mjd")
+            return f"Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: {mjd}"
+        if self.time_format in ("mjd", "jd-2400000") and number > JULIAN_DATES_FROM:
+            return f"A whole Julian date: {declared.ways_to_say(self.header, 'time_format', 'jd')}"
+        return None
 
-    def recording(self, min_rows: int) -> Recording:
+    def measurements(self, min_rows: int) -> Measurements:
         self._move_to_middle()
         self._drop_markers()
         self._drop_non_finite()
+        self._to_observer()
         self._check_limits()
         self._check_errors()
         self._sort()
@@ -165,7 +220,7 @@ class _Reader:
             raise InputError(self.source, None, found, f"at least {min_rows}")
         return self._assembled(first_time)
 
-    def _assembled(self, first_time: Time) -> Recording:
+    def _assembled(self, first_time: Time) -> Measurements:
         columns, time = self.columns, self._time()
         days = columns["time"].sum(-1)
         station, station_ids = self._stations()
@@ -175,16 +230,12 @@ class _Reader:
             night, night_ids = groups.local_nights(days, longitude, station, station_ids)
         else:
             night, night_ids = groups.nights_between_gaps(days)
-        vectors = {
-            name: np.stack([columns[f"{prefix}_{axis}"] for axis in "xyz"], axis=-1)
-            for name, prefix in declared.VECTORS.items()
-            if f"{prefix}_x" in columns
-        }
+        vectors = self._vectors()
         for name, vector in vectors.items():
             if name != "velocity" and not (np.abs(vector).max(-1) > SHORTEST_KM).all():
-                place = f"columns {declared.VECTORS[name]}_x, _y, _z"
+                place = f"columns {VECTORS[name]}_x, _y, _z"
                 raise InputError(self.source, place, "a vector of length 0", "a direction")
-        return Recording(
+        return Measurements(
             time=time,
             seconds=seconds_since(time, cast(Time, time[:1])),
             first_time=cast(Time, first_time[0]),
@@ -215,6 +266,35 @@ class _Reader:
             source=self.source,
         )
 
+    def _vectors(self) -> dict[str, np.ndarray]:
+        """Vectors (T, 3) by their field."""
+        return {
+            name: np.stack([self.columns[f"{prefix}_{axis}"] for axis in "xyz"], axis=-1)
+            for name, prefix in VECTORS.items()
+            if f"{prefix}_x" in self.columns
+        }
+
+    def _to_observer(self) -> None:
+        """Times that were reduced to the Sun or the barycentre become those of the observer."""
+        path, time = self.timing.light_path, self._time()
+        if not path:
+            return
+        if self.reading.direction is not None:
+            site = (
+                self.scene.stations[0] if self.scene is not None and len(self.scene.stations) == 1 else None
+            )
+            station = None if site is None else (site.latitude, site.longitude, site.height)
+            added = days_by_direction(time, path, self.reading.direction, station)
+        else:
+            vectors = self._vectors()
+            added = days_by_vectors(time, path, vectors["sun"], vectors["obs"], self.frame)
+        self.columns["time"][:, 1] -= added
+        low, high = added.min() * 1440.0, added.max() * 1440.0
+        self.warnings.append(
+            f"{path} times are brought back to the observer: {low:+.2f} to {high:+.2f} minutes of the way of light "
+            "are taken off"
+        )
+
     def _keep(self, mask: np.ndarray, reason: str) -> None:
         lost = int(np.size(mask) - np.count_nonzero(mask))
         if lost:
@@ -237,18 +317,30 @@ class _Reader:
         self.columns["time"][:, 1] += half_day if self.timing.mark == "start" else -half_day
 
     def _drop_markers(self) -> None:
-        """Rows whose magnitude or error is a number that stands for a missing one; an error of a limit is
+        """Rows whose brightness, error or exposure is a number that stands for a missing one; an error of a limit is
         left open instead.
         """
-        mag, error = self.columns.get("mag"), self.columns.get("mag_err")
+        value, error = self.columns[self.kind], self.columns.get(f"{self.kind}_err")
         limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
+        marked = np.zeros(len(self.rows), dtype=bool)
+        for name in (f"{self.kind}_err", "exptime"):  # which are never negative
+            column = self.columns.get(name)
+            if column is not None:
+                missing = np.isin(column, MARKERS)
+                column[missing & limit] = np.nan
+                marked |= missing & ~limit
+        if self.kind == "flux":
+            missing = np.isin(value, MARKERS)
+            if not ((value < 0) & ~missing).any():  # in a file of fluxes about 0, -99 may be one
+                marked |= missing
+            self._keep(~marked, "marked as missing")
+            return
+        beyond = np.isfinite(value) & (np.abs(value) > BEYOND_MAG)
         if error is not None:
             error[limit & (np.abs(error) > BEYOND_MAG)] = np.nan
-        beyond = np.zeros(len(self.rows), dtype=bool)
-        for column in (mag, error):
-            if column is not None:
-                beyond |= np.isfinite(column) & (np.abs(column) > BEYOND_MAG)
+            beyond |= np.isfinite(error) & (np.abs(error) > BEYOND_MAG)
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
+        self._keep(~marked[~beyond], "marked as missing")
 
     def _drop_non_finite(self) -> None:
         """Rows with a blank or infinite number go; an upper limit without an error takes the median."""

@@ -1,71 +1,35 @@
-"""A light curve as recorded: one checked array per quantity."""
+"""Recordings: read from files and from what others hold, shown, and given back."""
 
 from __future__ import annotations
 
 import html
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import astropy.units as u
 import numpy as np
-from astropy.time import Time
-from erfa import ErfaWarning
 
-from torchlc.errors import InputError
-from torchlc.readers.groups import compact
+from torchlc.files.reading import sha256_of, unchanged
+from torchlc.files.svg import scatter
+from torchlc.readers import exchange
+from torchlc.readers.formats import read_header
+from torchlc.readers.measurements import Measurements
+from torchlc.readers.reader import read_measurements
+from torchlc.readers.table import Header
+from torchlc.scene.reading import Reading, reading_of
 
 if TYPE_CHECKING:
+    import pandas
+    from astropy.table import Table
     from astropy.timeseries import TimeSeries
 
     from torchlc.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
-    """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
-
-    ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
-    are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
-    ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
-    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
-    ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
-    """
-
-    time: Time
-    seconds: np.ndarray
-    first_time: Time
-    kind: str
-    observed: np.ndarray
-    error: np.ndarray | None
-    station: np.ndarray
-    station_ids: tuple[str, ...]
-    curve: np.ndarray
-    curve_ids: tuple[str, ...]
-    night: np.ndarray
-    night_ids: tuple[str, ...]
-    upper_limit: np.ndarray
-    exptime: np.ndarray | None = None
-    band: np.ndarray | None = None
-    sun: np.ndarray | None = None
-    obs: np.ndarray | None = None
-    position: np.ndarray | None = None
-    velocity: np.ndarray | None = None
-    alt: np.ndarray | None = None
-    az: np.ndarray | None = None
-    height: np.ndarray | None = None
-    frame: str | None = None
-    light_time_corrected: bool = False
-    meta: Mapping[str, Any] = field(default_factory=dict)
-    dropped: Mapping[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    source: Path | None = None
-    sha256: str | None = None
-
-    def __len__(self) -> int:
-        return len(self.observed)
+class Recording(Measurements):
+    __doc__ = Measurements.__doc__
 
     def __repr__(self) -> str:
         first, last = (str(cast(Any, self.time[i]).isot)[:19] for i in (0, -1))
@@ -81,12 +45,12 @@ class Recording:
         return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
-
-    @property
-    def error_source(self) -> str:
-        """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
-        return "fitted" if self.error is None else "recording"
+        hours = self.seconds / 3600.0
+        up = self.kind == "flux"
+        first = str(cast(Any, self.time[0]).isot)[:16].replace("T", " ")
+        label = f"{self.kind} against hours from {first} {self.time.scale.upper()}"
+        picture = scatter(hours, self.observed, self.curve, label, upwards=up)
+        return f"<div>{picture}<pre>{html.escape(repr(self))}</pre></div>"
 
     @classmethod
     def from_timeseries(
@@ -97,79 +61,87 @@ class Recording:
         Columns have the names and units of a file, ``time`` first. Times in TDB or TCB become TDB, all others
         UTC; barycentric times are taken as they are.
         """
-        from torchlc.readers.exchange import from_timeseries
+        return recording_of(series, scene, use=use)
 
-        return from_timeseries(series, scene, use=use)
+    @classmethod
+    def from_table(
+        cls,
+        rows: Any,
+        scene: Scene | None = None,
+        *,
+        use: str | None = None,
+        columns: str | Mapping[str, Any] | None = None,
+    ) -> Recording:
+        """The recording that an astropy Table, a pandas DataFrame or a mapping of columns holds: arrays, quantities, and
+        instants as astropy's Time, checked as a file is.
+
+        ``columns`` says which is what where they have other names: "time=JD_UTC,mag=V", or a mapping.
+        """
+        return recording_of(rows, scene, use=use, columns=columns)
+
+    def to_table(self) -> Table:
+        """An astropy Table with every column and its unit; written as ECSV it is a recording again."""
+        return exchange.to_table(self)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A DataFrame of pandas with every column; ``time`` holds instants."""
+        return exchange.to_pandas(self)
 
     def to_timeseries(self) -> TimeSeries:
         """An astropy TimeSeries with every column and its unit; ``from_timeseries`` gives the same recording."""
-        from torchlc.readers.exchange import to_timeseries
-
-        return to_timeseries(self)
+        return exchange.to_timeseries(self)
 
     def to_lightkurve(self) -> Any:
         """A lightkurve LightCurve; magnitudes become flux over that of their median, and are kept beside it."""
-        from torchlc.readers.exchange import to_lightkurve
-
-        return to_lightkurve(self)
-
-    def keep(self, mask: np.ndarray, reason: str) -> Recording:
-        """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""
-        lost = int(np.size(mask) - np.count_nonzero(mask))
-        if not lost:
-            return self
-        dropped = {**self.dropped, reason: self.dropped.get(reason, 0) + lost}
-        if lost == len(self):
-            raise no_usable_row(self.source, dropped)
-        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped)
-
-    def _rows(self, index: np.ndarray) -> Recording:
-        arrays = {
-            name: value[index]
-            for name, value in vars(self).items()
-            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night")
-        }
-        curve, curve_ids = compact(self.curve[index], self.curve_ids)
-        night, night_ids = compact(self.night[index], self.night_ids)
-        time = cast(Time, self.time[index])
-        return replace(
-            self,
-            **arrays,
-            time=time,
-            seconds=seconds_since(time, cast(Time, time[:1])),
-            curve=curve,
-            curve_ids=curve_ids,
-            night=night,
-            night_ids=night_ids,
-        )
+        return exchange.to_lightkurve(self)
 
 
-def seconds_since(time: Time, origin: Time) -> np.ndarray:
-    """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
-        return np.asarray((time - origin).to_value(u.s))
+def load_recording(
+    path: str | Path,
+    scene: Scene | None = None,
+    *,
+    use: str | None = None,
+    columns: str | Mapping[str, Any] | Reading | None = None,
+    min_rows: int = 1,
+) -> Recording:
+    """Read a recording in any of the formats of :mod:`torchlc.readers.formats` and check it, against the scene's needs
+    when one is given.
+
+    ``use`` picks "mag" or "flux" when both are there (default mag). ``columns`` says which column is what, over the
+    scene's table [recording]. Without a ``curve`` column each station and band is one curve. A night is a station's
+    local noon to noon, named after its evening, or, without stations, what lies between gaps of more than 6 h.
+    """
+    path, reading = Path(path), _reading(scene, columns)
+    with unchanged(path):
+        recording = _recording(read_header(path, reading, scene), scene, reading, use, min_rows)
+        return replace(recording, sha256=sha256_of(path))
 
 
-def iso_times(recording: Recording) -> list[str]:
-    """Times of the T rows as ISO text to the microsecond, in the recording's scale."""
-    time: Any = recording.time.copy(format="isot")
-    time.precision = 6
-    return np.asarray(time.value, dtype=str).tolist()
+def recording_of(
+    rows: Any,
+    scene: Scene | None = None,
+    *,
+    use: str | None = None,
+    columns: str | Mapping[str, Any] | Reading | None = None,
+    min_rows: int = 1,
+) -> Recording:
+    """The recording that a path, a Recording or rows in memory hold; see :meth:`Recording.from_table`."""
+    if isinstance(rows, Recording):
+        return rows
+    if isinstance(rows, str | Path):
+        return load_recording(rows, scene, use=use, columns=columns, min_rows=min_rows)
+    reading = _reading(scene, columns)
+    header = exchange.header_of(rows, reading)
+    return replace(_recording(header, scene, reading, use, min_rows), source=None)
 
 
-def counted(dropped: Mapping[str, int]) -> str:
-    """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
-    return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+def _reading(scene: Scene | None, columns: str | Mapping[str, Any] | Reading | None) -> Reading:
+    """What scene and caller say of how a file is to be read; the caller's word counts."""
+    given = reading_of(columns)
+    return given if scene is None else scene.recording.with_given(given)
 
 
-def left_out(recording: Recording) -> list[str]:
-    """The warning that rows were dropped, with why; empty if none were."""
-    return [f"rows left out: {counted(recording.dropped)}"] if recording.dropped else []
-
-
-def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
-    """The error of a recording of which nothing is left; says why the rows went."""
-    return InputError(
-        source, None, f"no usable row ({counted(dropped)})", "at least one row with finite values"
-    )
+def _recording(
+    header: Header, scene: Scene | None, reading: Reading, use: str | None, min_rows: int
+) -> Recording:
+    return Recording(**vars(read_measurements(header, scene, reading, use=use, min_rows=min_rows)))

@@ -1,4 +1,4 @@
-"""Text tables, ECSV or CSV, read in chunks of bounded memory; every defect is one InputError."""
+"""Text tables read in chunks of bounded memory, whatever their format; every defect is one InputError."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import codecs
 import csv
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.table.meta import get_header_from_yaml
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal, decimals
-from torchlc.files.reading import readable_file
-from torchlc.readers.astropy_tables import described_table, read_table
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
@@ -26,12 +23,12 @@ MOST_LABEL = 200
 BLOCK_BYTES = 1 << 20
 MAX_HEADER_LINES = 10_000
 CHUNK_ROWS = 50_000
-BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked"})
+BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked", "indef"})
 TRUE, FALSE = frozenset({"true", "t", "yes", "1", "1.0"}), frozenset({"false", "f", "no", "0", "0.0"})
 BEYOND_MAG = 90.0
 """Magnitudes and their errors beyond it, such as 99.0 and -99.9, mark missing values: the Sun has -26.7."""
 FORMAT = "CSV with a header line, or ECSV"
-AS_A_LIMIT = "Write a limit as a number, and true in a column upper_limit."
+AS_A_LIMIT = "Write a magnitude's limit as in >18.5 and a flux's as in <0.1: fainter than this. Or write a number, and true in a column upper_limit."
 METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
 """What comment lines ``# key: value`` above the header of a CSV may say, as the metadata of an ECSV."""
 NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
@@ -42,9 +39,11 @@ NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
 class Header:
     """What a table says before its rows: column names, units, descriptions and metadata.
 
-    ``comments`` are the lines of a CSV above its header that say no metadata; ``notes`` is what has to be
-    told of how the file was read. ``rows`` yields the cells of each row where they are not simply the lines
-    of ``source``.
+    ``format`` is the format's name where it is not our own. ``comments`` are the lines above the header that say
+    no metadata; ``notes`` is what has to be told of how the file was read. ``skip`` counts the lines of the file
+    down to its header (0: there is none); lines that begin with one of ``marks`` are comments. ``decimal`` is the
+    decimal sign. ``columns`` holds the places of what :mod:`torchlc.readers.roles` took under our names, several
+    where cells are joined, and ``theirs`` the names that these have in the file. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
     """
 
     source: Path
@@ -57,72 +56,46 @@ class Header:
     comments: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rows: Callable[[], Iterator[list[str]]] | None = None
+    format: str = ""
+    skip: int = 0
+    marks: str = "#"
+    decimal: str = "."
+    columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    theirs: Mapping[str, str] = field(default_factory=dict)
+
+    def places(self, name: str) -> tuple[int, ...]:
+        """Where the cells of a column stand in a row."""
+        return self.columns.get(name) or (self.names.index(name),)
 
 
-Layout = Callable[[Path, Sequence[str], str], Header | None]
-"""Recognises a file by its comment lines and its first other line."""
 CellReader = Callable[[Header, str, list[str], int], np.ndarray]
 """Turns cells of one column (header, name, cells, index of the first row) into an array, first axis rows."""
 
 
-def read_header(path: Path, layouts: Sequence[Layout] = ()) -> Header:
-    """Check that ``path`` is a text table of a bearable length, and read what stands before its rows: in the
-    first of ``layouts`` that recognises it, else as ECSV or CSV.
-    """
-    lines = _count_lines(readable_file(path, FORMAT))
-    comments, first = _leading_lines(path)
-    if lines - len(comments) - 1 > MAX_ROWS:
-        raise _too_long(path)
-    if first is None:
-        raise InputError(path, None, "no rows", FORMAT)
-    header = _header(path, layouts, comments, first)
-    if encoding_of(path) != "utf-8-sig":
-        told = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
-        header = replace(header, notes=(told, *header.notes))
-    return header
-
-
-def _header(path: Path, layouts: Sequence[Layout], comments: list[str], first: str) -> Header:
-    if comments and comments[0].startswith("%ECSV"):
-        return _ecsv_header(path, comments, first)
-    for layout in layouts:
-        if (header := layout(path, comments, first)) is not None:
-            return header
-    delimiter = max(",;\t", key=first.count)
-    names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
-    _check_names(path, names)
-    meta, others = metadata_of_comments(comments)
-    return Header(path, names, delimiter, ecsv=False, meta=meta, comments=tuple(others))
-
-
-def metadata_of_comments(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """What comment lines say as ``key: value`` with a key of ``METADATA``, and the other lines."""
-    meta, others = {}, []
-    for line in comments:
-        key, _, value = (part.strip() for part in line.replace("=", ":", 1).partition(":"))
-        if key.lower() in METADATA and value:
-            meta[key.lower()] = value
-        elif line.strip():
-            others.append(line.strip())
-    return meta, others
-
-
 def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str, np.ndarray]:
     """The named columns, each turned from text by its reader a chunk of rows at a time; first axis T."""
-    where = {name: header.names.index(name) for name in readers}
+    where = {name: header.places(name) for name in readers}
     pieces: dict[str, list[np.ndarray]] = {name: [] for name in readers}
     count = 0
     for rows in _chunks(header):
         _check_widths(header, rows, count)
         for name, read in readers.items():
-            column = where[name]
-            pieces[name].append(read(header, name, [row[column] for row in rows], count))
+            first, *others = where[name]
+            cells = [row[first] for row in rows]
+            if others:
+                cells = ["T".join(row[place].strip() for place in where[name]) for row in rows]
+            pieces[name].append(read(header, name, cells, count))
         count += len(rows)
         if count > MAX_ROWS:
-            raise _too_long(header.source)
+            raise too_long(header.source)
     if not count:
         raise InputError(header.source, None, "no rows below the header", "at least one row")
     return {name: np.concatenate(pieces.pop(name)) for name in readers}
+
+
+def first_row(header: Header) -> list[str]:
+    """Cells of the first row; none where there is no row."""
+    return next(lines_as_cells(header) if header.rows is None else header.rows(), [])
 
 
 def row_place(index: int, column: str) -> str:
@@ -130,7 +103,7 @@ def row_place(index: int, column: str) -> str:
     return f"row {index + 1}, column {column}"
 
 
-def _count_lines(path: Path) -> int:
+def count_lines(path: Path) -> int:
     """Lines that are not blank, without decoding them; stops where there are too many."""
     lines, start, last = 0, b"", b""
     with path.open("rb") as stream:
@@ -141,7 +114,7 @@ def _count_lines(path: Path) -> int:
                 raise InputError(path, f"line {lines + 1}", f"longer than {MAX_LINE} characters", FORMAT)
             lines += newlines - block.count(b"\n\n") - block.count(b"\n\r\n")
             if lines > MAX_ROWS + MAX_HEADER_LINES:
-                raise _too_long(path)
+                raise too_long(path)
             last = block[-1:]
     if not start:
         raise InputError(path, None, "the file is empty", FORMAT)
@@ -150,7 +123,7 @@ def _count_lines(path: Path) -> int:
     return lines + (last != b"\n")
 
 
-def _too_long(path: Path) -> InputError:
+def too_long(path: Path) -> InputError:
     return InputError(
         path, None, f"more than {MAX_ROWS:,} rows", f"at most {MAX_ROWS:,}", "Split or average it."
     )
@@ -192,77 +165,40 @@ def lines_of(path: Path) -> Iterator[str]:
             yield line
 
 
-def _leading_lines(path: Path) -> tuple[list[str], str | None]:
-    comments: list[str] = []
-    for line in lines_of(path):
-        if line.startswith("#"):
-            comments.append(line[1:].rstrip("\r\n").removeprefix(" "))
-            if len(comments) > MAX_HEADER_LINES:
-                raise InputError(path, None, f"more than {MAX_HEADER_LINES} comment lines", FORMAT)
-        elif line.strip():
-            return comments, line.strip("\r\n")
-    return comments, None
-
-
-def _ecsv_header(path: Path, comments: Sequence[str], first: str) -> Header:
-    try:
-        header = get_header_from_yaml([line for line in comments[1:] if line.strip()])
-        declared = {str(column["name"]): column for column in header["datatype"]}
-        meta = dict(header.get("meta") or {})
-        delimiter = header.get("delimiter", " ")
-    except Exception as error:  # the YAML loader builds astropy objects on request and can raise anything
-        raise InputError(
-            path, "header", f"unreadable ECSV header: {error}"[:300], "ECSV as astropy writes it"
-        ) from None
-    if delimiter not in (" ", ","):
-        raise InputError(path, "header", f"delimiter {delimiter!r}", "a space or a comma")
-    names = tuple(next(csv.reader([first.strip()], delimiter=delimiter, skipinitialspace=True)))
-    _check_names(path, names)
-    if list(names) != list(declared):
-        raise InputError(
-            path, "header", f"columns {', '.join(names)}"[:200], f"as declared: {', '.join(declared)}"[:200]
-        )
-    if meta.get("__serialized_columns__"):
-        return Header(**described_table(path, read_table(path, list(lines_of(path)))))
-    return Header(
-        source=path,
-        names=names,
-        delimiter=delimiter,
-        ecsv=True,
-        units={name: str(column["unit"]) for name, column in declared.items() if column.get("unit")},
-        descriptions={name: str(column.get("description") or "") for name, column in declared.items()},
-        meta=meta,
-    )
-
-
-def _check_names(path: Path, names: Sequence[str]) -> None:
+def check_names(path: Path, names: Sequence[str]) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) < 1000 else ["..."]
     if repeated:
         raise InputError(path, "header", f"column {repeated[0]!r} appears twice", "distinct column names")
 
 
 def _chunks(header: Header) -> Iterator[list[list[str]]]:
-    cells = _csv_rows(header) if header.rows is None else header.rows()
+    cells = lines_as_cells(header) if header.rows is None else header.rows()
     while rows := list(islice(cells, CHUNK_ROWS)):
         yield rows
 
 
-def _csv_rows(header: Header) -> Iterator[list[str]]:
-    lines = lines_of(header.source)
-    if header.ecsv and header.delimiter == " ":
-        kept = (line.strip() for line in lines if line[0] != "#" and not line.isspace())
-    else:
-        kept = (line for line in lines if line[0] != "#" and not line.isspace())
-    reader = csv.reader(kept, delimiter=header.delimiter, skipinitialspace=header.ecsv)
+def lines_as_cells(header: Header) -> Iterator[list[str]]:
+    """Cells of the lines below the header."""
+    lines = (
+        line
+        for number, line in enumerate(lines_of(header.source), 1)
+        if number > header.skip and line[0] not in header.marks and not line.isspace()
+    )
+    if header.delimiter == " ":
+        lines = (line.replace("\t", " ").strip() for line in lines)
+    blanks = header.ecsv or header.delimiter == " "
+    reader = csv.reader(lines, delimiter=header.delimiter, skipinitialspace=blanks)
     try:
-        next(reader)
         yield from reader
     except csv.Error as error:
-        raise InputError(header.source, f"line {reader.line_num}", str(error), FORMAT) from None
+        place = f"line {header.skip + reader.line_num}"
+        raise InputError(header.source, place, str(error), FORMAT) from None
 
 
 def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
-    width = len(header.names)
+    width = len(header.names) - sum(
+        len(places) > 1 for places in header.columns.values()
+    )  # joined ones come last
     if set(map(len, rows)) != {width}:
         index = next(i for i, row in enumerate(rows) if len(row) != width)
         found = f"{len(rows[index])} values"
@@ -271,8 +207,10 @@ def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
 
 def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
     """(T,) float64; a blank cell is not-a-number."""
+    if header.decimal != ".":
+        cells = [with_point(cell, header.decimal) for cell in cells]
     try:
-        return decimals(cells)
+        return np.array(decimals(cells), dtype=np.float64)
     except ValueError:
         pass
     numbers = np.empty(len(cells))
@@ -286,6 +224,35 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan
     return numbers
+
+
+def with_point(cell: str, sign: str) -> str:
+    """A number written with another decimal ``sign``, with a point; a cell that holds both is left as it is."""
+    return cell if "." in cell else cell.replace(sign, ".", 1)
+
+
+class BrightnessReader:
+    """Reads magnitudes or fluxes (T,); those behind a mark of a limit are noted in ``limits`` (T,).
+
+    A magnitude's limit is written ">18.5": fainter than this. A flux's is written "<0.1".
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._mark = ">" if kind == "mag" else "<"
+        self._pieces: list[np.ndarray] = []
+
+    @property
+    def limits(self) -> np.ndarray:
+        return np.concatenate(self._pieces)
+
+    def __call__(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
+        if self._mark not in "".join(cells):
+            self._pieces.append(np.zeros(len(cells), dtype=bool))
+            return read_numbers(header, name, cells, start)
+        marked = [cell.lstrip().startswith(self._mark) for cell in cells]
+        plain = [cell.lstrip()[1:] if limit else cell for cell, limit in zip(cells, marked, strict=True)]
+        self._pieces.append(np.array(marked))
+        return read_numbers(header, name, plain, start)
 
 
 def read_flags(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchlc.diagnosis.result import Diagnosis
-from torchlc.diagnosis.words import NOISE, candidate, chance, changes, improvement, material_value, words
+from torchlc.diagnosis.words import candidate, chance, changes, improvement, material_value, words
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, RESULT_FILES, OutputDirectory
 from torchlc.report.figures import Drawn, by_section, draw_all, png
@@ -54,10 +54,10 @@ def render_diagnosis(
 
 def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[str, Any]:
     """What the template's part for a diagnosis shows."""
-    content = diagnosis.content
+    content, kinds = diagnosis.content, diagnosis.scorer.kinds
     where = content["where"] or {"intervals": [], "components": [], "coordinate": None}
     tried = [row for row in content["candidates"] if row["delta_log_evidence"] is not None]
-    physics = [row for row in tried if row["effect"] not in NOISE]
+    physics = [row for row in tried if row["effect"] not in kinds]
     return {
         "verdict": content["verdict"],
         "words": words(content, diagnosis.added),
@@ -70,7 +70,7 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
         "components": where["components"],
         "coordinate": where["coordinate"],
         "candidates": [candidate(row) for row in physics[:MOST_CANDIDATES]],
-        "noise": [candidate(row) for row in tried if row["effect"] in NOISE],
+        "noise": [candidate(row) for row in tried if row["effect"] in kinds],
         "sets": [
             {
                 **candidate(

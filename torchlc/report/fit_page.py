@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
 from torchlc.inference.sampler import GOOD_RHAT
 from torchlc.materials.known import OTHER
+from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Free
 from torchlc.readers import counted
 from torchlc.report.figures import Drawn, by_section, draw_all, png
 from torchlc.report.page import environment, origin
 from torchlc.results.fit_result import FitResult
-from torchlc.stages.effect import first_sentence
+from torchlc.stages.effect import Entry, first_sentence
 from torchlc.version import __version__
 
 MANY_ROWS = 30
@@ -29,6 +31,15 @@ SECTIONS = ("curve", "object", "posterior", "chain")
 """Sections of the page that figures may close; other figures have sections of their own."""
 GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
+
+
+def without_cluster() -> AbstractContextManager[Any]:
+    """Work done here: xarray asks dask for its scheduler when it writes, and the client of a cluster may have gone."""
+    try:
+        import dask.config
+    except ImportError:
+        return nullcontext()
+    return dask.config.set(scheduler="synchronous")
 
 
 def write_fit(
@@ -45,7 +56,8 @@ def write_fit(
     directory.write_json("fit.json", result.to_json())
     if result.posterior is not None:
         data = result.to_arviz()
-        directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
+        with without_cluster():
+            directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
     drawn = draw_all("fit", result)
     for number, (kind, figure) in enumerate(drawn):
         directory.write_bytes(f"{kind.name}.png", png(figure))
@@ -82,7 +94,9 @@ def render_fit(
             chain_words=_chain_words(result),
             sampled=result.posterior is not None,
             pictures=by_section(result, drawn, SECTIONS),
-            effects=[(one.name, first_sentence(type(one))) for one in _distinct_effects(result)],
+            effects=[
+                (f"{one.name}: {one.title}", first_sentence(type(one))) for one in _distinct_effects(result)
+            ],
             facts=_facts(result),
             made={"inputs": {}, "versions": {}, "command": None, "seed": result.seed}
             | dict(result.provenance),
@@ -133,17 +147,19 @@ def _quality(result: FitResult) -> str:
     size = f"{result.rms_mag:.3f} mag" if magnitudes else f"{100 * result.rms_relative:.2g} % of the flux"
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
-    elif "jitter" not in {effect.name for effect in result.model.effects}:
+    elif not (widening := [one for one in result.model.effects if isinstance(one, NoiseKind) and one.widens]):
         judged = f"chi-square is {result.fit.chi2:.0f} for {result.fit.dof} degrees of freedom"
         judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
-    elif "jitter" in (result.model.scene.model.effects or ()):
-        judged = "the scene's jitter is part of the errors"
+    elif {one.name for one in widening} <= {
+        Entry.parse(entry).name for entry in result.model.scene.model.effects or ()
+    }:
+        judged = f"the scene's {' and '.join(one.name for one in widening)} is part of the errors"
     else:
         quoted = recording.error if magnitudes else 100 * recording.error / np.abs(recording.observed)
         return (
             f"The model does not fit: it is off by {size} (root mean square of {len(recording)} rows), where the "
             f"recording quotes errors of {np.median(quoted):.2g} {'mag' if magnitudes else '%'}. To go on, they were "
-            f"widened by a jitter; torchlc diagnose looks for what the model lacks. {trust}"
+            f"widened by a {widening[-1].name}; torchlc diagnose looks for what the model lacks. {trust}"
         )
     return f"The model follows {len(recording)} rows to {size} (root mean square); {judged}. {trust}"
 

@@ -22,10 +22,11 @@ LEAST_PROBABILITY = 1e-3
 
 
 def effects_listing() -> list[dict[str, Any]]:
-    """Every effect in the order of its stage: name, one sentence, parameters."""
+    """Every effect in the order of its stage: name, title, one sentence, parameters."""
     return [
         {
             "name": name,
+            "title": effect.title,
             "sentence": first_sentence(effect),
             "stage": effect.stage,
             "default": effect.known,
@@ -59,7 +60,7 @@ def effects_lines() -> list[str]:
     for effect in effects_listing():
         target = f" [{effect['per']}]" if effect["per"] else ""
         usual = " (in every model unless its scene lists effects)" if effect["default"] else ""
-        lines.append(f"{effect['name']}{target}{usual}: {effect['sentence']}")
+        lines.append(f"{effect['name']}{target}{usual}: {effect['title']}. {effect['sentence']}")
         for one in effect["parameters"]:
             low, high = (("" if bound is None else f"{bound:g}") for bound in (one["low"], one["high"]))
             unit = f" {one['unit']}" if one["unit"] else ""

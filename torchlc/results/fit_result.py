@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -20,16 +20,20 @@ from torch import Tensor
 from torchlc.digits import stated
 from torchlc.files.writing import without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
-from torchlc.inference.likelihood import MAG_PER_LN, Likelihood, widened
+from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
 from torchlc.inference.sampler import Posterior
 from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
+from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, left_out
+from torchlc.results.tables import parameter_table
+from torchlc.scene import Scene
 from torchlc.stages.effect import View
 
 if TYPE_CHECKING:
     import arviz
+    import pandas
     from astropy.table import Table
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -71,6 +75,17 @@ class FitResult:
     @property
     def recording(self) -> Recording:
         return self.model.recording
+
+    @property
+    def fitted_scene(self) -> Scene:
+        """The scene with the effects that were in the model, and the epoch of its spin written out."""
+        scene = self.model.scene
+        entries = [effect.entry for effect in self.model.effects]
+        scene = scene.model_copy(
+            update={"model": scene.model.model_copy(update={"effects": list(dict.fromkeys(entries))})}
+        )
+        scene.model.model_fields_set.add("effects")
+        return scene.with_spin_epoch(str(cast(Any, self.recording.first_time).utc.isot))
 
     @property
     def names(self) -> list[str]:
@@ -133,7 +148,7 @@ class FitResult:
             found = self.likelihood.residuals(self.fit.theta)
             if self.likelihood.fitted_errors:
                 return self.likelihood.fitted_levels(found.delta)[self.likelihood.curve].numpy()
-            sigma = widened(found, self.model.noise(self.fit.theta))
+            sigma = self.model.noise(self.fit.theta).sigma(found.sigma, found.scale)
             return sigma.expand(found.delta.shape).numpy()
 
     @property
@@ -340,11 +355,11 @@ class FitResult:
 
     def to_table(self) -> Table:
         """One row a parameter: name, map, median, sd, q05, q95, rhat, ess, unit, informed."""
-        from astropy.table import Table
+        return parameter_table(self.parameters())
 
-        rows = [{"name": name, **row} for name, row in self.parameters().items()]
-        names = ["name", "map", "median", "sd", "q05", "q95", "rhat", "ess", "unit", "informed"]
-        return Table({key: [math.nan if row[key] is None else row[key] for row in rows] for key in names})
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas."""
+        return self.to_table().to_pandas()
 
     def to_arviz(self) -> arviz.InferenceData:
         """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",
@@ -368,6 +383,7 @@ class FitResult:
                 attrs={
                     "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
                     "seed": self.seed,
+                    "scene": self.fitted_scene.to_toml(),
                 },
             )
         for variable, name in names.items():

@@ -19,13 +19,15 @@ from torch import Tensor
 from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import without_nan, write_whole
 from torchlc.inference.identifiability import bare_view, limits
-from torchlc.inference.likelihood import MAG_PER_LN, matern32
 from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.draw import draw
+from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, iso_times, left_out
 from torchlc.readers.exchange import carried, told
 from torchlc.scene import Scene
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 DEFAULT_AIR_KM = 20.0
@@ -76,6 +78,10 @@ class SimulatedCurve:
         columns |= {name: masked(values, rows, name) for name, values in self.columns.items()}
         columns |= {f"share {name}": masked(values, rows, "") for name, values in self.shares.items()}
         return Table(columns | carried(recording), meta={"object": self.name, **told(recording)})
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The same as a DataFrame of pandas; what is unknown is missing."""
+        return self.to_table().to_pandas()
 
     def write(self, path: str | Path) -> Path:
         """Write as ECSV, whole or not at all."""
@@ -214,8 +220,8 @@ def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:
         if track.supports("position") and state.position is not None:
             air = theta.new_tensor([DEFAULT_AIR_KM])
             for effect in model.effects:
-                if effect.name == "earth_shadow":
-                    air = model.assembly.own(effect, model.values(theta))["h0"]
+                if effect.opaque_air:
+                    air = model.assembly.own(effect, model.values(theta))[effect.opaque_air]
             eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air)
         found = {
             "range_km": track.range_km,
@@ -228,23 +234,8 @@ def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:
 
 
 def _errors(model: LightCurve, theta: Tensor, sigma: float, seed: int) -> np.ndarray:
-    """Random errors (T,), mag: ``sigma`` normal, widened by jitter, with outliers and red noise."""
-    generator = np.random.default_rng(seed)
-    rows = model.assembly.T
+    """Random errors (T,), mag: of rows that quote ``sigma``, with what the model's noise effects add."""
+    context = model.assembly.context
     with torch.no_grad():
-        noise = model.noise(theta)
-    jitter = 0.0 if noise.jitter is None else noise.jitter.numpy()
-    delta = generator.normal(size=rows) * np.sqrt(sigma**2 + jitter**2)
-    if noise.outliers is not None and noise.width is not None:
-        struck = generator.random(rows) < noise.outliers.numpy()
-        delta = delta * np.where(struck, noise.width.numpy(), 1.0)
-    if noise.red is not None and noise.tau is not None:
-        context = model.assembly.context
-        for one in np.unique(context.curve.numpy()):
-            index = np.flatnonzero(context.curve.numpy() == one)
-            seconds = context.seconds[index]
-            gap_min = (seconds[:, None] - seconds[None]).abs() / 60
-            covariance = matern32(gap_min, noise.tau).numpy() + 1e-9 * np.eye(len(index))
-            drawn = np.linalg.cholesky(covariance) @ generator.normal(size=len(index))
-            delta[index] += noise.red.expand(rows).numpy()[index] * drawn
-    return delta
+        quoted = torch.full((model.assembly.T,), sigma, dtype=theta.dtype, device=theta.device)
+        return draw(model.noise(theta), quoted, context.curve, np.random.default_rng(seed)).numpy()

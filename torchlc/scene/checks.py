@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 from pydantic_core import PydanticCustomError
 
@@ -17,17 +17,18 @@ from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
 from torchlc.scene.parts import Material
 from torchlc.scene.problems import shown
+from torchlc.scene.tables import SceneTables
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.suggest import did_you_mean
 
-if TYPE_CHECKING:
-    from torchlc.scene.scene import Scene
-
+Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
-PARAMETER_KEY = re.compile(r"(?P<effect>[a-z][a-z0-9_]*)\.[a-z][a-z0-9_]*(\[(?P<target>[^\[\]]+)\])?")
+PARAMETER_KEY = re.compile(
+    r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
+)
 
 
-def checked(scene: Scene, *, trust: bool, known_effects: Collection[str] | None) -> Scene:
+def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None) -> Tables:
     """``scene`` with its materials completed; InputError where its tables contradict each other."""
     check = _Checks(scene, trust)
     check.unique("stations", "id", [station.id for station in scene.stations])
@@ -52,7 +53,7 @@ def key_text(key: str) -> str:
 
 
 class _Checks:
-    def __init__(self, scene: Scene, trust: bool) -> None:
+    def __init__(self, scene: SceneTables, trust: bool) -> None:
         self.scene, self.trust = scene, trust
 
     def error(self, place: str, found: str, expected: str | None, hint: str | None = None) -> InputError:

@@ -6,7 +6,14 @@ import datetime
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializeAsAny,
+    field_validator,
+    model_validator,
+)
 
 from torchlc.files.numbers import (
     Constant,
@@ -25,6 +32,9 @@ from torchlc.scene.timestamps import ISO, UnreadableTime, instant
 from torchlc.scene.tle import checked_lines
 from torchlc.shapes import SHAPES, Component
 from torchlc.suggest import did_you_mean
+
+ROUNDING = 1e-9
+"""By which the moments of a flat body may miss the sum of the other two."""
 
 
 def _iso_text(value: Any) -> Any:
@@ -83,42 +93,89 @@ class Station(Table):
     height: Annotated[Real, between(-1000, 100_000)]
 
 
+Latitude = Annotated[Number, between(-90, 90)]
+
+
 class Attitude(Table):
-    """How the object is turned: angles in degrees, spin_rate in rev/h, period in h."""
+    """How the object is turned: angles in degrees, spin_rate in rev/h, period in h, period_rate in ms a day.
+
+    ``inertia`` holds the moments about the first two principal axes over that about the third.
+    """
 
     SPIN: ClassVar = ("spin_axis", "spin_rate", "spin_phase", "spin_epoch")
+    TURN: ClassVar = ("pole", "period", "phase", "epoch")
     MODE_KEYS: ClassVar[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
         "nadir": ((), SPIN),
         "yaw-steering": ((), SPIN),
         "sun": ((), SPIN),
         "inertial": ((), ("x_angle", *SPIN)),
         "quaternions": (("file",), ()),
-        "spin-pole": (("pole", "period", "phase", "epoch"), ()),
+        "spin-pole": (TURN, ("period_rate", "tilt")),
+        "rigid-body": ((*TURN, "nutation", "inertia"), ("polhode_phase", "period_rate", "tilt")),
     }
     """Mode: keys it needs, keys it may have."""
+    ALWAYS: ClassVar = ("spin_rate", "spin_phase", "x_angle", "period", "phase", "nutation", "polhode_phase")
+    """Numbers that a mode has, whether the scene gives them or not, if the mode knows them."""
 
-    mode: Literal["nadir", "yaw-steering", "sun", "inertial", "quaternions", "spin-pole"]
+    mode: Literal["nadir", "yaw-steering", "sun", "inertial", "quaternions", "spin-pole", "rigid-body"]
     spin_axis: Direction | None = None
     spin_rate: Number = 0.0
     spin_phase: Number = 0.0
     spin_epoch: Epoch | None = None
     x_angle: Number = 0.0
-    pole: tuple[Number, Annotated[Number, between(-90, 90)]] | None = None
+    pole: tuple[Number, Latitude] | None = None
     period: Positive | None = None
     phase: Number = 0.0
     epoch: Epoch | None = None
+    period_rate: Number = 0.0
+    tilt: tuple[Number, Number, Number] | None = None
+    nutation: Annotated[Number, between(0, 90)] | None = None
+    polhode_phase: Number = 0.0
+    inertia: tuple[Positive, Positive] | None = None
     file: str | None = None
 
     def numbers(self) -> dict[str, float | Free]:
         """The numbers of this mode by the end of their full name, e.g. "spin_rate"."""
         needed, allowed = self.MODE_KEYS[self.mode]
-        keys = ("spin_rate", "spin_phase", "x_angle", "period", "phase")
         numbers: dict[str, float | Free] = {
-            key: getattr(self, key) for key in keys if key in needed + allowed
+            key: getattr(self, key) for key in self.ALWAYS if key in needed + allowed
         }
         if self.pole is not None:
             numbers["pole_lon"], numbers["pole_lat"] = self.pole
+        if "period_rate" in self.model_fields_set:
+            numbers["period_rate"] = self.period_rate
+        if self.inertia is not None:
+            numbers |= {f"inertia_{axis}": one for axis, one in zip("xy", self.inertia, strict=True)}
+        if self.tilt is not None:
+            numbers |= {f"tilt_{axis}": one for axis, one in zip("xyz", self.tilt, strict=True)}
         return numbers
+
+    @property
+    def spins_from_first_row(self) -> bool:
+        """Is there a spin whose phase is that at the first row of a recording?"""
+        return self.spin_axis is not None and self.spin_epoch is None
+
+    @field_validator("inertia")
+    @classmethod
+    def _is_a_body(cls, inertia: tuple[float | Free, float | Free] | None) -> Any:
+        """No moment may exceed the sum of the other two, wherever within their bounds the numbers go."""
+        if inertia is None:
+            return None
+        ends = []
+        for one in inertia:
+            low, high = (one.low, one.high) if isinstance(one, Free) else (one, one)
+            if low is None or high is None:
+                raise problem("no bounds", "low and high: moments of inertia of a body have them")
+            ends.append((low, high))
+        (x_low, x_high), (y_low, y_high) = ends
+        worst = min(x_low + y_low - 1, 1 + y_low - x_high, 1 + x_low - y_high)
+        if worst < -ROUNDING:
+            raise problem(
+                f"{x_low:g} to {x_high:g} and {y_low:g} to {y_high:g}, with 1 for the third",
+                "moments of which none exceeds the sum of the other two: low_x + low_y >= 1, high_x <= 1 + low_y, "
+                "high_y <= 1 + low_x",
+            )
+        return inertia
 
     @model_validator(mode="after")
     def _keys_suit_the_mode(self) -> Attitude:

@@ -18,6 +18,7 @@ from torchlc.suggest import did_you_mean
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
+MOST_MISSING = 20
 EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -41,11 +42,24 @@ def of_toml(source: str | Path | None, error: tomllib.TOMLDecodeError) -> InputE
 
 
 def of_validation(source: str | Path | None, error: ValidationError) -> InputError:
-    """The first problem, unknown keys before all others: a misspelt key is also a missing one."""
+    """The first problem, unknown keys before all others: a misspelt key is also a missing one. Keys that are missing
+    are told all at once.
+    """
     details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "unknown_key")
-    place, found, expected, hint = _sentence(details[0])
-    if len(details) > 1:
-        hint = f"{hint or ''} ({len(details) - 1} more to mend)".strip()
+    sentences = [_sentence(detail) for detail in details]
+    place, found, expected, hint = sentences[0]
+    absent = [where for where, what, _, _ in sentences if what == "missing" and where is not None]
+    if found == "missing" and len(absent) > 1:
+        rest = [where for where in absent if where != place]
+        listed = ", ".join(rest[:MOST_MISSING]) + (
+            f" and {len(rest) - MOST_MISSING} more" if len(rest) > MOST_MISSING else ""
+        )
+        hint = f"{hint or ''} Missing too: {listed}".strip()
+    elif absent and found != "missing":
+        hint = f"{hint or ''} Missing: {', '.join(absent[:MOST_MISSING])}".strip()
+    others = len(details) - 1 - len(absent) + (found == "missing")
+    if others:
+        hint = f"{hint or ''} ({others} more to mend)".strip()
     return InputError(source, place, found, expected, hint)
 
 

@@ -4,81 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import html
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import ValidationError
 
 from torchlc.errors import InputError
-from torchlc.files.numbers import Free, Name, Table, Title
+from torchlc.files.numbers import Table
 from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
-from torchlc.naming import Origin, full_names
 from torchlc.scene.checks import checked
-from torchlc.scene.parts import Attitude, ComponentOfAnyShape, Material, Model, Orbit, Station
 from torchlc.scene.problems import of_toml, of_validation
+from torchlc.scene.tables import SceneTables
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
 MAX_TOML_BYTES = 1 << 20
 
 
-class Scene(Table):
+class Scene(SceneTables):
     """The checked content of one scene file; see docs/formats for the meaning of every key."""
-
-    format: Literal["torchlc-scene/1"]
-    name: Title
-    orbit: Orbit
-    stations: list[Station] = Field(default_factory=list)
-    attitude: Attitude
-    components: Annotated[list[ComponentOfAnyShape], Field(min_length=1, max_length=1000)]
-    materials: dict[Name, Material]
-    model: Model = Model()
-
-    _directory: Path | None = PrivateAttr(None)
-    _source: str | Path | None = PrivateAttr(None)
-    _warnings: list[str] = PrivateAttr(default_factory=list)
-    _sha256: str | None = PrivateAttr(None)
-    _hashes: dict[str, str] = PrivateAttr(default_factory=dict)
-
-    def __repr__(self) -> str:
-        orbit = next(key for key in type(self.orbit).model_fields if getattr(self.orbit, key))
-        free = [name for name, number in self.numbers().items() if isinstance(number, Free)]
-        free += [name for name, number in self.model.parameters.items() if isinstance(number, Free)]
-        effects = "known physics" if self.model.effects is None else ", ".join(self.model.effects) or "none"
-        lines = [
-            f"Scene: {self.name}",
-            f"  orbit       {orbit}",
-            f"  stations    {', '.join(station.id for station in self.stations) or 'none'}",
-            f"  attitude    {self.attitude.mode}",
-            f"  components  {', '.join(f'{one.name} ({one.shape})' for one in self.components)}",
-            f"  materials   {', '.join(f'{name} ({one.model})' for name, one in self.materials.items())}",
-            f"  effects     {effects}",
-            f"  free        {', '.join(free) or 'nothing'}",
-        ]
-        return "\n".join([*lines, *(f"  ! {text}" for text in self.warnings)])
-
-    def __str__(self) -> str:
-        return repr(self)
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
-
-    @property
-    def directory(self) -> Path | None:
-        """Where relative file names start."""
-        return self._directory
-
-    @property
-    def source(self) -> str | Path | None:
-        """The file this scene was read from."""
-        return self._source
-
-    @property
-    def warnings(self) -> list[str]:
-        """What was accepted but deserves to be known."""
-        return self._warnings
 
     @classmethod
     def from_toml(
@@ -124,39 +69,15 @@ class Scene(Table):
             parameters["band_sun_magnitude"] = self.model.band_sun_magnitude
         tables.append(toml_table("model", {"effects": self.model.effects}))
         tables.append(toml_table("model.parameters", parameters))
+        if self.recording.model_fields_set:
+            tables.append(toml_table("recording", _given(self.recording)))
         return "\n".join(tables)
 
-    def numbers(self) -> dict[str, float | Free]:
-        """Numbers of materials, attitude and components by full name, e.g. "panel.n", "body.size_x"."""
-        values = self._values()
-        return {name: values[origin] for name, origin in full_names(values).items()}
-
-    def origins(self) -> dict[str, Origin]:
-        """Whose each of :meth:`numbers` is."""
-        return full_names(self._values())
-
-    def _values(self) -> dict[Origin, float | Free]:
-        values: dict[Origin, float | Free] = {}
-        for name, material in self.materials.items():
-            values |= {Origin("materials", name, key): number for key, number in material.parameters.items()}
-        attitude = self.attitude.numbers()
-        values |= {Origin("attitude", "attitude", key): number for key, number in attitude.items()}
-        for component in self.components:
-            sizes = component.numbers()
-            values |= {Origin("components", component.name, key): number for key, number in sizes.items()}
-        return values
-
-    def files(self) -> dict[str, str]:
-        """Names of the files that the scene needs, by their place in it."""
-        named = {"attitude.file": self.attitude.file}
-        named |= {f"orbit.{key}": getattr(self.orbit, key) for key in ("tle_file", "oem_file")}
-        for index, component in enumerate(self.components):
-            named |= {f"components[{index}].{key}": name for key, name in component.files().items()}
-        return {place: name for place, name in named.items() if name is not None}
-
-    def file_path(self, name: str) -> Path:
-        """The path of a file that the scene names."""
-        return (self._directory or Path()) / name
+    def with_spin_epoch(self, epoch: str) -> Scene:
+        """This scene with ``epoch``, ISO text, for that of a spin which would count from a recording's first row."""
+        if not self.attitude.spins_from_first_row:
+            return self
+        return self.model_copy(update={"attitude": self.attitude.model_copy(update={"spin_epoch": epoch})})
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
 from torchlc.files.numbers import problem
 from torchlc.files.reading import readable_file
+from torchlc.suggest import did_you_mean
 
 PLACEHOLDER = "xxxxx"
 LENGTH = 69
@@ -52,6 +53,10 @@ MAX_ELEMENT_BYTES = 50_000_000
 JD_OF_2000 = 2451544.5
 LIKE_ELEMENTS = re.compile(r"(?<![\w.])[12]\s{1,2}(?:x{5}|[ \dA-Za-z][ \d]{4})[A-Za-z]?\s")
 """A line number and a catalogue number, the placeholder of papers included."""
+ALPHA_5 = "ABCDEFGHJKLMNPQRSTUVWXYZ"
+"""First signs of catalogue numbers from 100000 on, without I and O."""
+MOST_LISTED = 200
+"""Objects that a message lists."""
 LONGEST_NAME = 30
 """Characters of a line that may be a name: NORAD's have 24."""
 
@@ -69,9 +74,84 @@ class Elements:
         days = np.datetime64(f"{year + (1900 if year >= 57 else 2000)}-01-01") - np.datetime64("2000-01-01")
         return JD_OF_2000 + int(days.astype(int)) + day - 1.0
 
+    @property
+    def number(self) -> str:
+        """The catalogue number as it stands in the lines, without outer blanks and zeros."""
+        return self.lines[0][2:7].strip().lstrip("0") or "0"
+
+    @property
+    def whole_number(self) -> str:
+        """The catalogue number in digits alone: a first letter of the Alpha-5 scheme stands for 10 to 33."""
+        text = self.number
+        if len(text) == 5 and text[0] in ALPHA_5 and text[1:].isdigit():
+            return f"{10 + ALPHA_5.index(text[0])}{text[1:]}"
+        return text
+
+    @property
+    def label(self) -> str:
+        return f"{self.number} {self.name}" if self.name else self.number
+
 
 def read_elements(path: str | Path) -> list[Elements]:
-    """Every two-line element set of a file, names above them kept; all checked, all of one object.
+    """Every two-line element set of a file, as :func:`read_catalogue` has it, all of one object."""
+    return sets_of_object(path, read_catalogue(path), None)
+
+
+def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | None) -> list[Elements]:
+    """The sets of the object of that number, name or part of a name; InputError where that is not one object."""
+    objects = {one.lines[0][2:7]: one for one in sets}
+    if wanted is None:
+        if len(objects) == 1:
+            return list(sets)
+        some = min(objects.values(), key=lambda one: one.lines[0][2:7])
+        hint = f"Say which: --object {some.number}, by its number, its name or a part of its name"
+        raise InputError(
+            path,
+            None,
+            f"elements of {len(objects)} objects ({_listed(objects.values())})",
+            "elements of one object",
+            hint,
+        )
+    sought = wanted.strip().casefold()
+    digits = sought.lstrip("0") or "0"
+    chosen = [
+        number
+        for number, one in objects.items()
+        if digits in (one.number.casefold(), one.whole_number) or sought == (one.name or "").casefold()
+    ]
+    named = {one.lines[0][2:7] for one in sets if sought and sought in (one.name or "").casefold()}
+    chosen = chosen or sorted(named)
+    if not chosen:
+        names = [one.name for one in objects.values() if one.name]
+        known = [*names, *(one.number for one in objects.values())]
+        raise InputError(
+            path,
+            "--object",
+            f"no object {wanted[:60]!r}",
+            f"one of {_listed(objects.values())}",
+            did_you_mean(wanted, known),
+        )
+    if len(chosen) > 1:
+        found = f"{len(chosen)} objects for {wanted[:60]!r} ({_listed(objects[number] for number in chosen)})"
+        raise InputError(
+            path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}"
+        )
+    return [one for one in sets if one.lines[0][2:7] == chosen[0]]
+
+
+def _listed(objects: Iterable[Elements]) -> str:
+    """Number and name of objects, in order of their numbers."""
+    ordered = sorted(objects, key=lambda one: one.lines[0][2:7])
+    more = (
+        f" and {len(ordered) - MOST_LISTED} more: a part of a name finds them"
+        if len(ordered) > MOST_LISTED
+        else ""
+    )
+    return ", ".join(one.label for one in ordered[:MOST_LISTED]) + more
+
+
+def read_catalogue(path: str | Path) -> list[Elements]:
+    """Every two-line element set of a file, of one object or many, names above them kept; all checked.
 
     A line of elements that lacks the other of its set is an error: no set is passed over.
     """
@@ -105,12 +185,6 @@ def read_elements(path: str | Path) -> list[Elements]:
         raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", hint)
     if lacking:
         raise InputError(path, *lacking, "both lines of each set, one below the other")
-    numbers = sorted({one.lines[0][2:7] for one in found})
-    if len(numbers) > 1:
-        listed = ", ".join(numbers[:8])
-        raise InputError(
-            path, None, f"elements of {len(numbers)} objects ({listed})", "elements of one object"
-        )
     return found
 
 

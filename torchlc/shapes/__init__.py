@@ -7,17 +7,14 @@ the body frame.
 
 from __future__ import annotations
 
-from importlib import import_module
-from pkgutil import iter_modules
-
+from torchlc.naming import import_modules
 from torchlc.shapes.component import Component, Side, Tracks
 from torchlc.shapes.curved import Band, Dome, Plane, Surface
 from torchlc.shapes.object import Shape
 from torchlc.shapes.part import SHAPES, Facets, Hull, Part, Surroundings
 from torchlc.shapes.tracking import tracking_pose
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+import_modules(__name__, __path__)
 
 __all__ = [
     "SHAPES",

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.tensors.vectors import dot
+from torchlc.tensors.vectors import dot, least_axis
 
 NEAREST = 1e-3
 """Angle, rad, within which points are evenly spread: the width of the sharpest lobe, 1/sqrt(1e6)."""
@@ -342,7 +342,7 @@ def _level(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _directed(direction: Tensor, first: Tensor) -> Tensor:
     """A vector (..., 3) normal to a unit one as a unit vector; any one normal to it where it has no length."""
-    other = torch.linalg.cross(first, torch.nn.functional.one_hot(first.abs().argmin(-1), 3).to(first))
+    other = torch.linalg.cross(first, least_axis(first))
     direction = torch.where((dot(direction, direction) > PARALLEL)[..., None], direction, other)
     return direction / dot(direction, direction).clamp(min=PARALLEL).sqrt()[..., None]
 

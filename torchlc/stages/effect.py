@@ -17,7 +17,7 @@ stage          what passes through
 ``scatter``    further sunlight that needs the whole geometry, added per component
 ``material``   lobe and diffuse light of a patch as functions of its material
 ``detector``   :class:`Brightness`: total flux and component shares
-``noise``      :class:`Noise`: variance, correlation and tails of the residuals
+``noise``      :class:`Noise`: variance, law and correlation of the residuals
 =============  ===========================================================================================
 
 Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of
@@ -31,15 +31,16 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
+from torchlc.stages.noise import Noise
+from torchlc.tensors.autodiff_state import apart
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -85,11 +86,14 @@ class Instants:
     @property
     def middle(self) -> Tensor:
         """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
-        order = np.lexsort((self.place.abs().numpy(), self.row.numpy()))
-        rows, first = np.unique(self.row.numpy()[order], return_index=True)
-        found = torch.zeros(int(rows[-1]) + 1 if self.rows is None else self.rows, dtype=torch.long)
-        found[torch.as_tensor(rows)] = torch.as_tensor(order[first])
-        return found
+        with apart():
+            order = torch.argsort(self.place.abs(), stable=True)
+            order = order[torch.argsort(self.row[order], stable=True)]
+            row = self.row[order]
+            first = torch.ones_like(row, dtype=torch.bool)
+            first[1:] = row[1:] != row[:-1]
+            rows = int(row[-1]) + 1 if self.rows is None else self.rows
+            return row.new_zeros(rows).index_copy(0, row[first], order[first])
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""
@@ -272,19 +276,6 @@ class Brightness:
     components: Sequence[str]
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Added to the quoted variance: ``jitter`` mag (..., 1 or T); a process of standard deviation ``red`` mag
-    and time scale ``tau`` min; a share ``outliers`` of rows with errors ``width`` times as large. Each (...,
-    1) or None."""
-
-    jitter: Tensor | None = None
-    red: Tensor | None = None
-    tau: Tensor | None = None
-    outliers: Tensor | None = None
-    width: Tensor | None = None
-
-
 class Memory:
     """Costly geometric results by the bytes of what they came from, the oldest given up beyond LARGEST_MEMORY
     bytes."""
@@ -458,8 +449,8 @@ EFFECTS: Registry[type[Effect]] = Registry("effect")
 
 
 class Effect(nn.Module):
-    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``stage``, ``quantities``
-    and override the method of their stage; ``per`` gives each material or component its own set of
+    """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
+    words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
@@ -471,12 +462,19 @@ class Effect(nn.Module):
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
     targets cannot be one; ``spans_exposure`` marks the clock whose ``instants`` divide exposures; ``at_middle`` a
-    scatter that is worked out for mid-exposure alone.
+    scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` a material that gives lobes another form, so that no
+    table of theirs serves it; ``joins_parts`` a surface that every other part has a hand in, and so costs much for a new
+    geometry; ``shifts_clock`` a clock whose first quantity is an offset, s, the same for all instants of a row;
+    ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
+    the quantity that is the height, km, of the air that takes sunlight away; ``timed_by_rows`` marks numbers that mean
+    something for one recording alone, for they count time from its rows; ``prior_odds`` is how probable the effect is,
+    before a recording is seen, over one of which nothing is known.
 
     An effect may learn: what ``__init__`` sets as ``nn.Parameter`` or ``nn.Module`` (a small network) is a part of the
     light curve that has the effect, for an optimiser of its own; fits and samplers leave it as it is."""
 
     name: ClassVar[str]
+    title: ClassVar[str]
     stage: ClassVar[str]
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
@@ -495,14 +493,25 @@ class Effect(nn.Module):
     width: float | None = None
     spans_exposure: ClassVar[bool] = False
     at_middle: ClassVar[bool] = False
+    adds_area: ClassVar[bool] = False
+    opaque_air: ClassVar[str] = ""
     taken: frozenset[str] = frozenset()
+    reshapes_lobe: ClassVar[bool] = False
+    joins_parts: ClassVar[bool] = False
+    shifts_clock: ClassVar[bool] = False
+    timed_by_rows: ClassVar[bool] = False
+    prior_odds: ClassVar[float] = 1.0
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init_subclass__(cls, **keywords: Any) -> None:
+        """A class that gives itself a name and no title is called by its name."""
         super().__init_subclass__(**keywords)
-        if "name" in cls.__dict__ and getattr(cls, "stage", None) not in STAGES:
-            stage = getattr(cls, "stage", None)
-            raise TypeError(f"effect {cls.name!r}: stage {stage!r}; expected one of {', '.join(STAGES)}")
+        if "name" in vars(cls):
+            if getattr(cls, "stage", None) not in STAGES:
+                stage = getattr(cls, "stage", None)
+                raise TypeError(f"effect {cls.name!r}: stage {stage!r}; expected one of {', '.join(STAGES)}")
+            if "title" not in vars(cls):
+                cls.title = cls.name.replace("_", " ")
         EFFECTS.declared(cls, "name")
 
     def __init__(self, target: str | None = None) -> None:
@@ -549,8 +558,8 @@ class Effect(nn.Module):
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
 
-    def beside(self, others: Sequence[str]) -> str | None:
-        """Why the effect cannot be applied together with these others, names, in words; None if it can."""
+    def beside(self, others: Sequence[Effect]) -> str | None:
+        """Why the effect cannot be applied together with these others, in words; None if it can."""
         return None
 
     def standard(self, context: Context) -> bool:
@@ -562,7 +571,7 @@ class Effect(nn.Module):
         the true one; None if nothing does."""
         return None
 
-    def prepared(self, context: Context) -> Effect:
+    def prepared(self, context: Context) -> Self:
         """The effect made ready for these data: ``quantities`` that only they bound, or settle, and how many
         ``nodes`` they need."""
         return self

@@ -15,3 +15,10 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 def unit(vector: Tensor) -> Tensor:
     """Directions (..., 3) of vectors (..., 3)."""
     return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+
+
+def least_axis(vector: Tensor) -> Tensor:
+    """The coordinate axis (..., 3) that is farthest from each vector (..., 3); under torch.func.vmap too, where
+    ``one_hot`` would look at the numbers."""
+    axes = torch.arange(3, device=vector.device)
+    return (vector.abs().argmin(-1, keepdim=True) == axes).to(vector)

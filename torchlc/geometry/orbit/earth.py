@@ -5,9 +5,9 @@ Numpy and astropy's ERFA, from bundled tables only: nothing here reaches for the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import astropy.units as u
 import erfa
@@ -64,8 +64,26 @@ def orientation(time: Time) -> Orientation:
     """Earth orientation at ``time`` (T,): IAU 2006/2000A with the bundled UT1 and polar motion.
 
     TEME, by the IAU 1982 sidereal time, reaches the celestial frame through the terrestrial one, as in
-    Vallado et al. (2006), AIAA 2006-6753, and in astropy.
+    Vallado et al. (2006), AIAA 2006-6753, and in astropy. Rows of one instant, as of many objects, share the work.
     """
+    instants, row = _distinct(time)
+    found = _orientation(instants)
+    return replace(
+        found,
+        gcrs_from_itrs=found.gcrs_from_itrs[row],
+        gcrs_from_teme=found.gcrs_from_teme[row],
+        axis=found.axis[row],
+    )
+
+
+def _distinct(time: Time) -> tuple[Time, np.ndarray]:
+    """The different instants among ``time`` (T,), and which of them each row is, (T,)."""
+    days = np.stack([np.asarray(time.jd1), np.asarray(time.jd2)], axis=-1)
+    _, first, row = np.unique(days, axis=0, return_index=True, return_inverse=True)
+    return cast(Time, time[first]), row.reshape(-1)
+
+
+def _orientation(time: Time) -> Orientation:
     tt, utc = julian_dates(time, "tt"), julian_dates(time, "utc")
     ut1_minus_utc, xp, yp, known = _earth_orientation_parameters(utc)
     ut1 = utc[0], utc[1] + ut1_minus_utc / DAY_S
@@ -108,6 +126,12 @@ def sun_of_earth(time: Time) -> tuple[np.ndarray, np.ndarray]:
 
     Aberration of the Earth's motion is included, that of an object about the Earth (at most 5") is neglected.
     """
+    instants, row = _distinct(time)
+    position, velocity = _sun_of_earth(instants)
+    return position[row], velocity[row]
+
+
+def _sun_of_earth(time: Time) -> tuple[np.ndarray, np.ndarray]:
     heliocentric, barycentric = erfa.epv00(*julian_dates(time, "tdb"))
     distance_au = np.linalg.norm(heliocentric["p"], axis=-1)
     beta = barycentric["v"] * (AU_KM / DAY_S / LIGHT_KM_S)

@@ -30,6 +30,15 @@ by some hundredths a year. SGP4's own failures are off by factors.
 REACHED = ", which the light curve or an offset in time may reach"
 
 
+def along_track_error_deg(age_days: float) -> tuple[float, float]:
+    """Likely least and largest error along the track, deg, of elements of this age.
+
+    Rule, without manoeuvres: 0.02 deg up to 3 days, then 0.01 to 0.1 deg more a day.
+    """
+    beyond = max(age_days - 3.0, 0.0)
+    return min(0.02 + 0.01 * beyond, 180.0), min(0.02 + 0.1 * beyond, 180.0)
+
+
 class ElementSet:
     """One satellite: its two lines, checked, and SGP4 on them."""
 
@@ -127,14 +136,11 @@ class ElementSet:
         return float(np.abs(self._days(time)).max())
 
     def age_warning(self, time: Time) -> tuple[str, ...]:
-        """A sentence when the elements are old.
-
-        Rule, without manoeuvres: 0.02 deg along the track up to 3 days, then 0.01 to 0.1 deg more a day.
-        """
+        """A sentence when the elements are old."""
         age = self.age_days(time)
         if age <= FRESH_DAYS:
             return ()
-        low, high = (min(0.02 + rate * (age - 3.0), 180.0) for rate in (0.01, 0.1))
+        low, high = along_track_error_deg(age)
         return (
             f"the TLE is {age:.0f} days from the recording: an along-track error of {low:.1g} to {high:.2g} "
             "deg is likely (0.02 deg, plus 0.01 to 0.1 deg a day beyond 3 days); find elements of the date, "

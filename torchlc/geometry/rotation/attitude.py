@@ -14,10 +14,17 @@ import torch
 from torch import Tensor, nn
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit import State
 from torchlc.geometry.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
-from torchlc.geometry.rotation.matrices import frame_turned_about_y, frame_turned_about_z, rotation_about
+from torchlc.geometry.rotation.matrices import (
+    frame_turned_about_y,
+    frame_turned_about_z,
+    rotation_about,
+    rotation_of,
+)
 from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
+from torchlc.geometry.rotation.rigid_body import free_rotation
 from torchlc.readers import seconds_since
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.tensors.autodiff_state import transformed
@@ -29,6 +36,13 @@ if TYPE_CHECKING:
 
 ALIGNED = 1e-12
 """Square of the sine below which two directions do not define a plane."""
+TURNING = ("spin-pole", "rigid-body")
+"""Modes of a body that turns about a direction in space by itself, with a period."""
+MS_A_DAY = 1e-3 / 86400.0
+SLIGHT = 1e-4
+"""Relative change of the period up to which the turns are taken by a series: its first term left out is 1e-17."""
+SHORTEST = 1e-6
+"""Share of the period at the epoch below which a period that falls is held: it would reach 0."""
 
 
 def nadir(position: Tensor, velocity: Tensor) -> Tensor:
@@ -61,9 +75,26 @@ def spin_pole(longitude_deg: Tensor, latitude_deg: Tensor, turn: Tensor) -> Tens
     """Body from inertial, Rz(turn) Ry(90 deg - latitude) Rz(longitude), each turning the frame; ``turn`` in
     revolutions, the angles in degrees.
     """
+    return frame_turned_about_z(2 * torch.pi * turn) @ _about_pole(longitude_deg, latitude_deg)
+
+
+def _about_pole(longitude_deg: Tensor, latitude_deg: Tensor) -> Tensor:
+    """Ry(90 deg - latitude) Rz(longitude): from inertial to the frame whose z is a pole."""
     longitude, colatitude = torch.deg2rad(longitude_deg), torch.deg2rad(90.0 - latitude_deg)
-    spin = frame_turned_about_z(2 * torch.pi * turn)
-    return spin @ frame_turned_about_y(colatitude) @ frame_turned_about_z(longitude)
+    return frame_turned_about_y(colatitude) @ frame_turned_about_z(longitude)
+
+
+def turns(elapsed_s: Tensor, period_s: Tensor, rate: Tensor | None = None) -> Tensor:
+    """Turns in ``elapsed_s`` of a body whose period is ``period_s`` + ``rate`` times the time elapsed: ln(1 + rate t / P) /
+    rate. ``rate``, s/s, may be 0. A period that falls is held at SHORTEST of its start: without a torque it would not."""
+    steady = elapsed_s / period_s
+    if rate is None:
+        return steady
+    x = (rate * steady).clamp(min=SHORTEST - 1.0)
+    slight = x.abs() < SLIGHT
+    larger = torch.where(slight, 1.0, x)
+    series = 1 - x / 2 + x**2 / 3 - x**3 / 4
+    return steady * torch.where(slight, series, torch.log1p(larger) / larger)
 
 
 def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
@@ -88,19 +119,18 @@ class Attitude(nn.Module):
         super().__init__()
         attitude = scene.attitude
         self.mode = attitude.mode
-        self.numbers = {
-            f"attitude.{key}": getattr(number, "value", number) for key, number in attitude.numbers().items()
-        }
+        self.numbers = {f"attitude.{key}": value_of(number) for key, number in attitude.numbers().items()}
         self._spinning = attitude.spin_axis is not None
         if attitude.spin_axis is not None:
             axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
             self.register_buffer("spin_axis", axis / torch.linalg.norm(axis), persistent=False)
-        self._spin_epoch_s = _seconds_of_epoch(scene, recording, "spin_epoch")
-        self._retarded = self.mode == "spin-pole" and not recording.light_time_corrected
+        self._spin_epoch_s = epoch_seconds(scene, recording, "spin_epoch")
+        self._retarded = self.mode in TURNING and not recording.light_time_corrected
         if self.mode in ("nadir", "yaw-steering"):
             _check_geometry(scene, recording, needs_velocity=self.mode == "nadir")
-        elif self.mode == "spin-pole":
-            self._epoch_s = _seconds_of_epoch(scene, recording, "epoch")
+        elif self.mode in TURNING:
+            self._epoch_s = epoch_seconds(scene, recording, "epoch")
+            _check_rate(scene, recording.seconds - self._epoch_s, self.numbers)
             frame = icrs_from_ecliptic() if scene.orbit.vectors == "ecliptic" else np.eye(3)
             self.register_buffer("frame", torch.from_numpy(frame), persistent=False)
         elif self.mode == "quaternions":
@@ -109,15 +139,15 @@ class Attitude(nn.Module):
     @property
     def spins(self) -> bool:
         """Whether there is a rate of spin, be it 0."""
-        return self._spinning or self.mode == "spin-pole"
+        return self._spinning or self.mode in TURNING
 
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
         against (..., T); a name that is absent has the scene's value.
         """
         time = state.time
-        if self.mode == "spin-pole":
-            return self._spin_pole(state, values)
+        if self.mode in TURNING:
+            return self._turning(state, values)
         if self.mode == "quaternions":
             return self.slerp(time)
         if self.mode == "nadir":
@@ -140,21 +170,71 @@ class Attitude(nn.Module):
         angle = torch.deg2rad(phase) + 2 * torch.pi * rate * (time - self._spin_epoch_s) / 3600.0
         return rotation_about(self.spin_axis.expand(*angle.shape, 3), angle)
 
-    def _spin_pole(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
+    def _turning(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         time = state.time
         if self._retarded:
             time = time - torch.linalg.norm(state.observer, dim=-1) / LIGHT_KM_S
+        number = {
+            name: self._value(name, values, time) for name in self.numbers if name.startswith("attitude.")
+        }
         phase, period, longitude, latitude = (
-            self._value(f"attitude.{name}", values, time)
-            for name in ("phase", "period", "pole_lon", "pole_lat")
+            number[f"attitude.{name}"] for name in ("phase", "period", "pole_lon", "pole_lat")
         )
-        turn = phase / 360.0 + (time - self._epoch_s) / (3600.0 * period)
-        body_from_frame = spin_pole(*torch.broadcast_tensors(longitude, latitude, turn))
-        return self.frame @ body_from_frame.transpose(-1, -2)
+        rate = number.get("attitude.period_rate")
+        turn = turns(time - self._epoch_s, 3600.0 * period, None if rate is None else MS_A_DAY * rate)
+        if self.mode == "spin-pole":
+            body_from_frame = spin_pole(*torch.broadcast_tensors(longitude, latitude, phase / 360.0 + turn))
+            rotation = self.frame @ body_from_frame.transpose(-1, -2)
+        else:
+            about = _about_pole(*torch.broadcast_tensors(longitude, latitude)).transpose(-1, -2)
+            rotation = self.frame @ about @ _free(turn, number)
+        if "attitude.tilt_x" in number:
+            tilt = torch.broadcast_tensors(*(number[f"attitude.tilt_{axis}"] for axis in "xyz"))
+            rotation = rotation @ rotation_of(torch.deg2rad(torch.stack(tilt, -1)))
+        return rotation
 
     def _value(self, name: str, values: Mapping[str, Tensor], like: Tensor) -> Tensor:
         value = values[name] if name in values else self.numbers[name]
         return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+
+
+def _free(turn: Tensor, number: Mapping[str, Tensor]) -> Tensor:
+    """Principal axes to the frame with z along the angular momentum, (..., T, 3, 3), after ``turn`` (..., T) mean turns
+    of the long axis; numbers (..., 1), or (..., T) where rows have their own.
+
+    The phase is that of :func:`free_rotation`, but counted from the x axis where z has the largest moment, so that
+    without nutation this is uniform spin, whichever of x and y has the smaller one.
+    """
+    phase, polhode, nutation, x, y = (
+        number[f"attitude.{name}"]
+        for name in ("phase", "polhode_phase", "nutation", "inertia_x", "inertia_y")
+    )
+    x, y, nutation = torch.broadcast_tensors(x, y, torch.deg2rad(nutation))
+    moments = torch.stack([x, y, torch.ones_like(x)], -1)
+    quarter = 0.25 * ((y < x) & (x < 1)).to(turn)
+    phase, polhode, one = phase / 360.0 + quarter, polhode / 360.0, torch.ones_like(turn[..., :1])
+    if nutation.ndim and nutation.shape[-1] > 1:  # every row its own state
+        phase, polhode, turn = (part[..., None] for part in torch.broadcast_tensors(phase, polhode, turn))
+        return free_rotation(turn, moments, nutation[..., None], one[..., None], phase, polhode)[..., 0, :, :]
+    if nutation.ndim:
+        moments = moments[..., 0, :]
+    else:
+        nutation = nutation[None]
+    return free_rotation(turn, moments, nutation, one, phase, polhode)
+
+
+def _check_rate(scene: Scene, elapsed: np.ndarray, numbers: Mapping[str, float]) -> None:
+    """InputError if the scene's period falls to 0 within the recording."""
+    rate = MS_A_DAY * numbers.get("attitude.period_rate", 0.0)
+    period = 3600.0 * numbers["attitude.period"]
+    least = float((1 + rate * elapsed / period).min())
+    if least <= SHORTEST:
+        raise InputError(
+            scene.source,
+            "attitude.period_rate",
+            f"{numbers['attitude.period_rate']:g} ms a day: a period of {period:g} s at the epoch is 0 at a row of the recording",
+            "a rate, or an epoch nearer to the rows, with which the period stays above 0",
+        )
 
 
 def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool) -> None:
@@ -171,7 +251,7 @@ def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool)
         )
 
 
-def _seconds_of_epoch(scene: Scene, recording: Recording, key: str) -> float:
+def epoch_seconds(scene: Scene, recording: Recording, key: str) -> float:
     """Seconds from the recording's row 0 to an epoch of the scene, by default the first time of the file."""
     epoch = getattr(scene.attitude, key)
     first: Any = recording.time[0]

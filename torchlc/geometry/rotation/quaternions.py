@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from torchlc.errors import InputError
 from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.readers import Recording, seconds_since
-from torchlc.readers.table import Header, read_columns, read_header, read_numbers, row_place
+from torchlc.readers.formats import read_header
+from torchlc.readers.table import Header, read_columns, read_numbers, row_place
 from torchlc.scene.timestamps import JULIAN_DATE, UnreadableTime, julian_dates_of_iso, julian_dates_of_numbers
 
 COMPONENTS = ("q0", "q1", "q2", "q3")

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchlc.geometry.rotation.matrices import frame_turned_about_z
 from torchlc.tensors.autodiff_state import transformed
 
 NODES = 128
@@ -82,7 +83,7 @@ def free_rotation(
     direction = _direction(motion, x)
     wander = _series(motion.harmonics, x) - _series(motion.harmonics, polhode_turns.expand_as(x))
     phi = 2 * math.pi * (phase_turns + motion.phi * turns) + wander
-    return _turn_about_z(phi) @ _to_z(direction) @ motion.basis
+    return frame_turned_about_z(-phi) @ _to_z(direction) @ motion.basis
 
 
 def frequencies(moments: Tensor, nutation_rad: Tensor, period_s: Tensor) -> FreeRotation:
@@ -161,7 +162,7 @@ def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
 def _basis(order: Tensor, sam: Tensor) -> Tensor:
     """Axes of the mode in the body, as rows: (small, middle, large) in SAM, (middle, large, small) in LAM, the middle
     one turned round where the order of the axes is left-handed."""
-    axes = torch.nn.functional.one_hot(order, 3).to(torch.float64)
+    axes = (order[..., None] == torch.arange(3, device=order.device)).to(torch.float64)
     hand = torch.linalg.det(axes)[..., None]
     axes = torch.stack([axes[..., 0, :], axes[..., 1, :] * hand, axes[..., 2, :]], -2)
     return torch.where(sam[..., None, None], axes[..., None, :, :], axes[..., None, [1, 2, 0], :])
@@ -224,9 +225,3 @@ def _to_z(direction: Tensor) -> Tensor:
     xy = -x * y * inverse
     rows = [1 - x * x * inverse, xy, -x, xy, 1 - y * y * inverse, -y, x, y, z]
     return torch.stack(rows, -1).unflatten(-1, (3, 3))
-
-
-def _turn_about_z(angle: Tensor) -> Tensor:
-    """Rotation (..., 3, 3) of vectors about z."""
-    cos, sin, zero, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
-    return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).unflatten(-1, (3, 3))

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from torchlc.figures.curves import curve_size, draw_curves
-from torchlc.report.figures.contract import ReportFigure
+from torchlc.report.figures.curve import Curve
 
 
-class DiagnosisCurve(ReportFigure):
+class DiagnosisCurve(Curve):
     """Recording, the scene's model refitted, and the model with what it lacked."""
 
-    name = "curve"
     page = "diagnosis"
     section = "missing"
-    order = 0
-
-    def size(self, result):
-        return curve_size(result.recording)
-
-    def draw(self, result, figure):
-        draw_curves(result.comparison, figure)
 
     def alt(self, result):
         stretches = len((result.content["where"] or {"intervals": ()})["intervals"])

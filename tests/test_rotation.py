@@ -1,0 +1,154 @@
+"""From recordings to a rotation state: a body that the test lets spin, found from its light alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import torchlc
+from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
+from torchlc.cli import run
+from torchlc.errors import InputError
+from torchlc.inference.rotation.connect import connections
+from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative
+from torchlc.inference.rotation.refine import Local
+from torchlc.scene import Scene
+
+PERIOD_S, POLE, PHASE = 61.7, (143.0, 36.0), 77.0
+STARTS = ("2020-10-10T21:30:00", "2020-10-11T22:40:00")
+ROWS, CADENCE = 90, 8.0
+
+
+def text(attitude: str) -> str:
+    return f"""
+format = "torchlc-scene/1"
+name = "dead"
+[orbit]
+tle = ["{ORBIT_3[0]}", "{ORBIT_3[1]}"]
+[[stations]]
+id = "weihai"
+latitude = {LATITUDE}
+longitude = {LONGITUDE}
+height = {HEIGHT}
+[attitude]
+mode = "spin-pole"
+epoch = "{STARTS[0]}"
+{attitude}
+[[components]]
+name = "body"
+shape = "box"
+size = [1.2, 1.9, 2.6]
+centre = [0, 0, 0]
+material = "body"
+[materials.body]
+n = {{ value = 20.0, low = 1.0, high = 1000.0, prior = "loguniform" }}
+r_spec = {{ value = 0.2, low = 0.0, high = 1.0 }}
+r_diff = {{ value = 0.35, low = 0.0, high = 1.0 }}
+[model]
+effects = ["sun_distance"]
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+
+
+UNKNOWN = (
+    "pole = [{ value = 0, low = -360, high = 360 }, { value = 0, prior = 'isotropic' }]\n"
+    "period = { value = 0.0171, low = 0.0166, high = 0.0177 }\nphase = { value = 0, low = -360, high = 360 }"
+)
+TRUE = f"pole = [{POLE[0]}, {POLE[1]}]\nperiod = {PERIOD_S / 3600!r}\nphase = {PHASE}"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """The scene of who knows nothing, and the recordings of two passes a day apart with errors of 0.05 mag."""
+    folder = tmp_path_factory.mktemp("rotation")
+    (folder / "scene.toml").write_text(text(UNKNOWN))
+    paths = []
+    for number, start in enumerate(STARTS):
+        curve = torchlc.simulate(
+            Scene.from_toml(text(TRUE)), start=start, hours=ROWS * CADENCE / 3600, cadence=CADENCE, noise=0.05, seed=number
+        )  # fmt: skip
+        paths.append(folder / f"pass{number}.ecsv")
+        curve.write(paths[-1])
+    return folder / "scene.toml", paths
+
+
+def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_path: Path) -> None:
+    """The pole within 3 deg among the modes within 10 in chi-square, the period to 1e-3; a written scene is read again."""
+    scene, paths = files
+    result = torchlc.rotation(scene, *paths, out=tmp_path / "out")
+    lon, lat = np.radians(POLE)
+    true = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    found = json.loads((tmp_path / "out" / "rotation.json").read_text())
+    assert found["schema"] == "torchlc-rotation/1" and found["passes"] == 2
+    near = [one for one in found["modes"] if one["chi2"] < found["modes"][0]["chi2"] + 10]
+    ways = np.radians([one["pole_icrs"] for one in near])
+    poles = np.stack([np.cos(ways[:, 1]) * np.cos(ways[:, 0]), np.cos(ways[:, 1]) * np.sin(ways[:, 0]), np.sin(ways[:, 1])], 1)  # fmt: skip
+    apart = np.degrees(np.arccos(np.clip(poles @ true, -1, 1)))
+    assert apart.min() < 3.0
+    best = near[int(apart.argmin())]
+    assert best["period_s"] == pytest.approx(PERIOD_S, rel=1e-3)
+    assert found["modes"][0]["chi2"] < found["dof"] + 5 * np.sqrt(2 * found["dof"])
+    assert sum(one["probability"] for one in found["modes"]) == pytest.approx(1.0)
+    written = torchlc.load(tmp_path / "out" / "scene.toml")
+    assert written.attitude.numbers()["period"].value == pytest.approx(
+        found["modes"][0]["period_s"] / 3600, rel=1e-12
+    )
+    assert len(result.to_table()) == len(found["modes"])
+
+
+def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.CaptureFixture[str]) -> None:
+    scene, paths = files
+    with pytest.raises(InputError, match="no recording"):
+        torchlc.rotation(scene)
+    assert run(["rotation", str(scene), str(paths[0]), "--shortest", "90", "--longest", "30"]) == 2
+    assert "a range of periods" in capsys.readouterr().err
+
+
+def test_a_count_of_turns_joins_passes_as_arithmetic_says() -> None:
+    """Passes at 0, 1000.3 and 5003.7 s of a body of 10.01 s: the phases follow from division; the count is found although
+    the frequency is off by 2e-5, and without symmetry no other count is nearer."""
+    middle = torch.tensor([0.0, 1000.3, 5003.7], dtype=torch.float64)
+    empty = torch.zeros(0, dtype=torch.float64)
+    span = torch.full((3,), 50.0, dtype=torch.float64)
+    rows = Rows(empty, empty, empty, empty, empty, empty, empty, middle, span, False)
+    turns = 0.2 + middle / 10.01
+    sd = torch.tensor([2e-5, 1e-3, 1e-3, 1e-3], dtype=torch.float64)
+    local = Local(
+        torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), 1 / 10.01 + 2e-5, turns % 1.0,
+        torch.zeros(3), empty, empty, 0.0, torch.diag(sd**2),
+    )  # fmt: skip
+    found = connections(rows, local, 1, changing=False, bounds=(0.05, 0.2))
+    whole = torch.floor(turns).long()
+    best = found.found[0]
+    reference = best.counts[0]
+    assert found.complete
+    assert [one - reference for one in best.counts] == (whole - whole[0]).tolist()
+    assert best.frequency == pytest.approx(1 / 10.01, rel=1e-6)
+
+
+def test_least_squares_without_negative_numbers_is_scipys() -> None:
+    from scipy.optimize import nnls
+
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        columns, target = rng.random((30, 3)), rng.normal(size=30)
+        ours = non_negative(torch.from_numpy(columns.T @ columns), torch.from_numpy(columns.T @ target))
+        np.testing.assert_allclose(ours, nnls(columns, target)[0], atol=1e-3)
+
+
+def test_poles_are_even_and_their_frames_right_handed() -> None:
+    poles = directions(500)
+    assert float(poles.mean(0).norm()) < 5e-3
+    nearest = (poles @ poles.T - 2 * torch.eye(500, dtype=torch.float64)).amax(-1)
+    # hexagons of 1/500 of the sphere would be 9.76 deg apart, and nothing can be farther from all others
+    apart = np.degrees(np.arccos(nearest.numpy()))
+    assert apart.min() > 7.5 and apart.max() < 9.8
+    frames = frame_of(poles)
+    torch.testing.assert_close(torch.linalg.det(frames), torch.ones(500, dtype=torch.float64))
+    torch.testing.assert_close(frames[:, 2], poles)

@@ -1,0 +1,64 @@
+"""How a body turns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from torchlc.cli.app import app
+from torchlc.cli.options import (
+    Json,
+    Quiet,
+    SceneFile,
+    Seed,
+    Threads,
+    Trust,
+    Use,
+    number,
+)
+from torchlc.cli.printing import command_line, use_threads, warn
+from torchlc.terminal import printable, progress_bar, show_json
+
+
+@app.command(epilog="Example: torchlc rotation scene.toml night1.ecsv night2.ecsv -o out")
+def rotation(
+    context: typer.Context,
+    scene: SceneFile,
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="OBS...", help="Recordings (ECSV or CSV).", show_default=False)
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False),
+    ] = None,
+    shortest: Annotated[
+        float | None, number("Shortest turn, s; default: the scene's bound.", show_default=False)
+    ] = None,
+    longest: Annotated[
+        float | None, number("Longest turn, s; default: the scene's bound.", show_default=False)
+    ] = None,
+    use: Use = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+    threads: Threads = None,
+    json: Json = False,
+    trust: Trust = False,
+) -> None:
+    """Find how a body turns: pole, period and phase, all that fits; rotation.json, scene.toml and figures."""
+    use_threads(threads)
+    from torchlc import api
+
+    with progress_bar(not (quiet or json)) as progress:
+        result = api.rotation(
+            scene, *recordings, shortest=shortest, longest=longest, seed=seed, out=out, use=use, trust=trust,
+            progress=progress, command=command_line(context),
+        )  # fmt: skip
+    if json:
+        show_json(result.to_json())
+    elif not quiet:
+        print("\n".join(map(printable, result.lines())))
+        warn(result.warnings)
+        if out is not None:
+            print(f"written: {out / 'rotation.json'}, scene.toml and figures")

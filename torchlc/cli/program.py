@@ -1,0 +1,39 @@
+"""One command from its arguments to its exit code."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+
+import typer
+
+from torchlc.cli import commands  # noqa: F401 - importing them registers them
+from torchlc.cli.app import app
+from torchlc.terminal import exit_code
+
+
+def after_interrupt(arguments: list[str]) -> str:
+    """How to go on after Ctrl-C."""
+    match arguments[:1]:
+        case ["fit"]:
+            again = arguments if "--resume" in arguments else [*arguments, "--resume"]
+            return f"; continue with: torchlc {shlex.join(again)}"
+        case ["campaign"]:
+            return f"; continue with: torchlc {shlex.join(arguments)}"
+        case ["diagnose" | "demo"]:
+            return f"; begin again with: torchlc {shlex.join(arguments)}"
+    return ""
+
+
+def run(arguments: list[str]) -> int:
+    """The command with its arguments, in this process; returns the exit code."""
+    command = typer.main.get_command(app)
+    return exit_code(
+        lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False, obj=arguments),
+        after_interrupt(arguments),
+    )
+
+
+def main() -> None:
+    """Entry point of the ``torchlc`` command."""
+    sys.exit(run(sys.argv[1:]))

@@ -1,0 +1,75 @@
+"""Figures of a rotation search: periodogram, poles on the sky, folded curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from torchlc.figures.style import BEFORE, DATA, MODEL, style
+
+
+def periodogram(path: Path, period_s: np.ndarray, power: np.ndarray, marks_s: Sequence[float]) -> None:
+    """Share of the variance (N,) that two harmonics of a period of light (N,) explain; ``marks_s`` are turns found."""
+    from matplotlib.figure import Figure
+
+    with _styled():
+        figure = Figure(figsize=(7, 3.2), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot(period_s, power, color=DATA, lw=0.8)
+        for mark in marks_s:
+            axes.axvline(mark, color=MODEL, lw=1)
+        axes.set(xscale="log", xlabel="period, s", ylabel="share of variance", ylim=(0, 1))
+        figure.savefig(path, dpi=150, format="png", facecolor="white")
+
+
+def poles(path: Path, directions: np.ndarray, misfit: np.ndarray, modes: np.ndarray) -> None:
+    """Misfits (D,) of the grid at unit vectors (D, 3), and the modes (M, 3), best first: right ascension, declination."""
+    from matplotlib.figure import Figure
+
+    with _styled():
+        figure = Figure(figsize=(7, 3.8), layout="constrained")
+        axes = figure.add_subplot()
+        ra, dec = _angles(directions)
+        shown = axes.scatter(ra, dec, c=np.log10(np.maximum(misfit, 1e-300)), cmap="viridis_r", s=28)
+        figure.colorbar(shown, ax=axes, label="log10 misfit of the grid")
+        ra, dec = _angles(modes)
+        axes.scatter(ra, dec, marker="x", s=80, color=MODEL)
+        for number, (x, y) in enumerate(zip(ra, dec, strict=True)):
+            axes.annotate(str(number + 1), (x, y), xytext=(5, 5), textcoords="offset points", color=MODEL)
+        axes.set(xlim=(360, 0), ylim=(-90, 90), xlabel="right ascension, deg", ylabel="declination, deg")
+        figure.savefig(path, dpi=150, format="png", facecolor="white")
+
+
+def folded(
+    path: Path, phase: np.ndarray, observed: np.ndarray, model: np.ndarray, number: np.ndarray
+) -> None:
+    """Magnitudes (T,) and the best model's over the phase of a turn (T,), a panel for each pass ``number`` (T,)."""
+    from matplotlib.figure import Figure
+
+    passes = np.unique(number)[:8]
+    with _styled():
+        figure = Figure(figsize=(7, 1.2 + 1.9 * len(passes)), layout="constrained")
+        for row, axes in enumerate(np.atleast_1d(np.asarray(figure.subplots(len(passes), sharex=True)))):
+            here = number == passes[row]
+            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3)
+            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2)
+            axes.invert_yaxis()
+            axes.set_ylabel(f"pass {row + 1}, mag")
+            if row == len(passes) - 1:
+                axes.set_xlabel("phase of a turn")
+        figure.savefig(path, dpi=150, format="png", facecolor="white")
+
+
+def _styled():
+    import matplotlib
+
+    return matplotlib.rc_context(style())
+
+
+def _angles(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return (
+        np.degrees(np.arctan2(directions[:, 1], directions[:, 0])) % 360,
+        np.degrees(np.arcsin(np.clip(directions[:, 2], -1, 1))),
+    )

@@ -1,0 +1,122 @@
+"""Light of a body as flat facets without shadows: what grids over thousands of attitudes can afford.
+
+Facets that face the same way and are of one material are one, so a convex body is its areas by direction (its extended
+Gaussian image). Light is linear in the reflectances: a diffuse one and one a lobe for each material. Neglects shadows of
+parts on others, parts that follow the Sun, and Fresnel's factor at grazing angles: tenths of a magnitude, which the
+model itself, at the end of a search, has all of. Letters: ... poses, F facets, M materials, K columns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchlc.brdf.base import Incidence, coupled_diffuse, lambert
+from torchlc.lightcurve.assembly import Assembly
+from torchlc.tensors.vectors import unit
+
+SAME_WAY = 1e-6
+"""Distance of unit normals that count as one."""
+MOST_FACETS = 400
+"""Directions beyond which normals are gathered on a coarser grid."""
+LOBES = ("n", "n_u", "alpha", "m")
+"""Numbers that say that a law has a lobe."""
+
+
+@dataclass(frozen=True)
+class FacetLight:
+    """normal (F, 3) in the body; area (F, M) of each material, m2; which materials have a lobe."""
+
+    normal: Tensor
+    area: Tensor
+    names: tuple[str, ...]
+    lobed: tuple[bool, ...]
+    coupled: tuple[bool, ...]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, assembly: Assembly) -> FacetLight:
+        """The light of an assembled scene, at the starting values of sizes."""
+        normals, areas, materials, notes = [], [], [], []
+        for part, facets in zip(assembly.shape.parts, assembly.context.rest, strict=True):
+            normals.append(facets.normal.detach())
+            areas.append(facets.area.detach())
+            materials += part.materials
+            if part.tracks_axis is not None:
+                notes.append(f"{part.name} follows the Sun: the search for poles takes it at rest")
+        names = tuple(dict.fromkeys(materials))
+        normal = torch.cat(normals)
+        places = _directions(normal)
+        area = normal.new_zeros(int(places.max()) + 1, len(names))
+        of = torch.tensor([names.index(name) for name in materials])
+        area.index_put_((places, of), torch.cat(areas), accumulate=True)
+        mean = normal.new_zeros(len(area), 3).index_add(0, places, normal * torch.cat(areas)[:, None])
+        models = assembly.models
+        lobed = tuple(any(quantity.name in LOBES for quantity in models[name].quantities) for name in names)
+        coupled = tuple("r_diff" in models[name].simplex for name in names)
+        return cls(unit(mean), area, names, lobed, coupled, tuple(notes))
+
+    def turned(self, rotation: Tensor) -> FacetLight:
+        """The body turned by a rotation (3, 3)."""
+        return replace(self, normal=self.normal @ rotation.T)
+
+    @property
+    def columns(self) -> int:
+        """Reflectances: diffuse ones, then those of the lobes."""
+        return len(self.names) + sum(self.lobed)
+
+    def light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
+        """Light (..., K) at unit directions (..., 3) in the body, times the square of the range, for one of each
+        reflectance; ``exponent`` (..., L) of the materials with a lobe."""
+        cos_i, cos_r = to_sun @ self.normal.T, to_observer @ self.normal.T
+        bisector = to_sun + to_observer
+        length = torch.linalg.vector_norm(bisector, dim=-1, keepdim=True).clamp(min=1e-9)
+        half = bisector / length
+        log_half = torch.log((half @ self.normal.T).clamp(min=1e-6))
+        seen = ((cos_i > 0) & (cos_r > 0)).to(cos_i)
+        angles = Incidence(cos_i, cos_r, length / 2, log_half, torch.zeros_like(log_half))
+        plain, joined = (lambert(angles), None) if not any(self.coupled) else (None, coupled_diffuse(angles))
+        if not all(self.coupled) and plain is None:
+            plain = lambert(angles)
+        found = []
+        for k, coupled in enumerate(self.coupled):
+            shape = joined if coupled else plain
+            assert shape is not None
+            found.append((shape * seen) @ self.area[:, k])
+        base = torch.minimum(cos_i, cos_r) * seen / (4 * math.pi * length)
+        number = 0
+        for k, lobed in enumerate(self.lobed):
+            if not lobed:
+                continue
+            n = exponent[..., number, None]
+            found.append((base * (n + 1) * torch.exp((n * log_half).clamp(min=-80.0))) @ self.area[:, k])
+            number += 1
+        return torch.stack(found, -1)
+
+    def symmetry(self, axis: Tensor) -> int:
+        """The largest m up to 12 for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""
+        from torchlc.geometry.rotation.matrices import rotation_about
+
+        generator = torch.Generator().manual_seed(0)
+        ways = unit(torch.randn(2, 40, 3, generator=generator, dtype=axis.dtype))
+        exponent = axis.new_full((40, sum(self.lobed)), 3.0)
+        start = self.light(ways[0], ways[1], exponent)
+        for m in range(12, 1, -1):
+            turn = rotation_about(axis, axis.new_tensor(2 * math.pi / m))
+            moved = self.turned(turn).light(ways[0], ways[1], exponent)
+            if bool(((moved - start).abs() <= 1e-3 * start.abs().amax(0)).all()):
+                return m
+        return 1
+
+
+def _directions(normal: Tensor) -> Tensor:
+    """For each of the normals (F, 3) the number of its direction."""
+    step = SAME_WAY
+    while True:
+        _, places = torch.unique(torch.round(normal / step), dim=0, return_inverse=True)
+        if int(places.max()) < MOST_FACETS:
+            return places
+        step = max(4 * step, 1e-2)

@@ -1,0 +1,98 @@
+"""The measured rows of recordings as passes: stretches in which a phase can be followed, with their geometry."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.geometry.orbit.earth import LIGHT_KM_S
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.lightcurve.model import LightCurve
+from torchlc.tensors.vectors import unit
+
+LONGEST_GAP = 600.0
+"""Seconds without a row that end a pass, if it was not much longer itself."""
+GAP_SHARE = 0.3
+AU_KM = 149_597_870.7
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Measured rows (T,): ``seconds`` at the body (light time taken off) since the recording's first row; unit
+    directions in GCRS; ``flux`` times the square of the range in m2 and ``error`` of its logarithm; the number of
+    each row's pass, of which ``middle`` (N,) and ``span`` (N,) are seconds. ``scaled``: a gain of its own a pass."""
+
+    index: Tensor
+    seconds: Tensor
+    to_sun: Tensor
+    to_observer: Tensor
+    flux: Tensor
+    error: Tensor
+    number: Tensor
+    middle: Tensor
+    span: Tensor
+    scaled: bool
+
+    @property
+    def passes(self) -> int:
+        return len(self.middle)
+
+    def of(self, one: int) -> Tensor:
+        """Rows of a pass."""
+        return torch.nonzero(self.number == one)[:, 0]
+
+
+def rows_of(model: LightCurve) -> Rows:
+    """The measured rows of a model's recording."""
+    likelihood = Likelihood(model)
+    assembly, recording = model.assembly, model.recording
+    state = assembly.track.at(0.0, 0.0, 0.0)
+    index = torch.nonzero(likelihood.measured)[:, 0]
+    distance = torch.linalg.vector_norm(state.observer, dim=-1).expand(len(recording))[index]
+    late = 0.0 if recording.light_time_corrected else distance / LIGHT_KM_S
+    seconds = state.time[index] - late
+    sun = state.sun.expand(len(recording), 3)[index]
+    near = (torch.linalg.vector_norm(sun, dim=-1) / AU_KM) ** 2 if "sun_distance" in {
+        effect.name for effect in assembly.effects
+    } else 1.0  # fmt: skip
+    scaled = likelihood.kind == "flux"
+    observed = likelihood.observed[index]
+    if scaled:
+        flux, error = observed, likelihood.error[index] / observed.abs().clamp(min=1e-12)
+    else:
+        zero = float(model.values(model.parameter_set.start()).get("zero_point", torch.tensor(0.0)))
+        sun_magnitude = assembly.sun_magnitude.expand(len(recording))[index]
+        flux = 10 ** (-0.4 * (observed - sun_magnitude - zero))
+        error = likelihood.error[index] / MAG_PER_LN
+    number = _passes(seconds.numpy())
+    count = int(number.max()) + 1
+    each = [seconds[number == one] for one in range(count)]
+    return Rows(
+        index,
+        seconds,
+        unit(sun),
+        unit(state.observer.expand(len(recording), 3)[index]),
+        flux * (1e3 * distance) ** 2 * near,
+        error,
+        number,
+        torch.stack([(one.max() + one.min()) / 2 for one in each]),
+        torch.stack([one.max() - one.min() for one in each]),
+        scaled,
+    )
+
+
+def _passes(seconds: np.ndarray) -> Tensor:
+    """The number of each row's pass."""
+    order = np.argsort(seconds, kind="stable")
+    number = np.zeros(len(seconds), dtype=int)
+    current, start = 0, seconds[order[0]]
+    for before, here in itertools.pairwise(order):
+        gap = seconds[here] - seconds[before]
+        if gap > LONGEST_GAP and gap > GAP_SHARE * (seconds[before] - start):
+            current, start = current + 1, seconds[here]
+        number[here] = current
+    return torch.from_numpy(number)

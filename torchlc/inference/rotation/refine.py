@@ -1,0 +1,173 @@
+"""Places of the grid made better by least squares, with the light of facets and the reflectances profiled.
+
+Each pass has its phase and all share one frequency, so nothing is said here of turns between passes. Letters: S starts,
+N passes, T rows, P coordinates, L lobes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.geometry.rotation.matrices import rotation_of
+from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.pole_grid import GridState, frame_of, non_negative
+from torchlc.tensors.least_squares import minimise
+from torchlc.tensors.vectors import unit
+
+START_N = 40.0
+LEAST_N, MOST_N = 2.0, 2000.0
+AT_ONCE = 1_500_000
+"""Pairs of facet and row worked out together."""
+FAINT = math.log(100.0)
+"""ln of the ratio to the datum beyond which a dark model counts no more."""
+MOST_TILT = math.radians(30.0)
+
+
+@dataclass(frozen=True)
+class Local:
+    """A least squares solution: unit ``pole`` (3,), ``phases`` (N,) in turns at the passes' middles, ``frequency``,
+    ``tilt`` (3,) rad, exponents (L,), reflectances (K,); ``chi2`` with the floor of errors; ``covariance`` of frequency
+    and phases (N + 1,)."""
+
+    pole: Tensor
+    frequency: float
+    phases: Tensor
+    tilt: Tensor
+    exponents: Tensor
+    weights: Tensor
+    chi2: float
+    covariance: Tensor
+
+
+class Refiner:
+    """Least squares of many starts at once; ``floor`` is the relative error that the light of facets has."""
+
+    def __init__(self, rows: Rows, body: FacetLight, floor: float, *, tilted: bool) -> None:
+        self.rows, self.body, self.tilted = rows, body, tilted
+        self.lobes = sum(body.lobed)
+        self.sigma = torch.sqrt(rows.error**2 + floor**2)
+        self.longest = float(rows.span.max().clamp(min=1e-3))
+        self.positive = rows.flux > 0
+        self.log_flux = torch.log(torch.where(self.positive, rows.flux, 1.0))
+
+    def refined(
+        self, starts: Sequence[GridState], tilts: Sequence[Tensor], iterations: int = 25
+    ) -> list[Local]:
+        """One solution a start, the best first."""
+        poles = torch.stack([one.pole for one in starts])
+        begin = torch.stack(
+            [
+                torch.cat(
+                    [
+                        torch.zeros(3, dtype=torch.float64),
+                        torch.tensor(one.phases, dtype=torch.float64),
+                        torch.full((self.lobes,), math.log(START_N), dtype=torch.float64),
+                        *([tilt] if self.tilted else []),
+                    ]
+                )
+                for one, tilt in zip(starts, tilts, strict=True)
+            ]
+        )
+        base = torch.tensor([one.frequency for one in starts], dtype=torch.float64)
+        found = []
+        for k in range(len(starts)):
+
+            def residual(y: Tensor, k: int = k) -> Tensor:
+                return self._residual(y, poles[k], float(base[k]))[0]
+
+            low, high = self._bounds(begin[k])
+            best = minimise(residual, begin[k : k + 1], low, high, iterations=iterations, tolerance=1e-4)
+            found.append(
+                self._local(best.y[0], poles[k], float(base[k]), float(best.cost[0]), best.jacobian[0])
+            )
+        return sorted(found, key=lambda one: one.chi2)
+
+    def _bounds(self, begin: Tensor) -> tuple[Tensor, Tensor]:
+        low, high = torch.full_like(begin, -math.inf), torch.full_like(begin, math.inf)
+        phases = 3 + self.rows.passes
+        low[:2], high[:2] = -2.0, 2.0
+        low[2], high[2] = -3.0, 3.0
+        low[phases : phases + self.lobes] = math.log(LEAST_N)
+        high[phases : phases + self.lobes] = math.log(MOST_N)
+        if self.tilted:
+            low[phases + self.lobes :], high[phases + self.lobes :] = -MOST_TILT, MOST_TILT
+        return low, high
+
+    def _split(self, y: Tensor, pole: Tensor, frequency: float) -> tuple[Tensor, ...]:
+        """Pole (B, 3), frequency (B,), phases (B, N), exponents (B, L), tilt (B, 3) of coordinates (B, P)."""
+        frame = frame_of(pole)
+        moved = unit(pole + y[:, :1] * frame[0] + y[:, 1:2] * frame[1])
+        phases = 3 + self.rows.passes
+        tilt = y[:, phases + self.lobes :] if self.tilted else torch.zeros_like(y[:, :3])
+        exponent = torch.exp(y[:, phases : phases + self.lobes])
+        return moved, frequency + y[:, 2] / self.longest, y[:, 3:phases], exponent, tilt
+
+    def _residual(self, y: Tensor, pole: Tensor, frequency: float) -> tuple[Tensor, Tensor]:
+        """Residuals (B, T) in units of their errors, and reflectances (B, K)."""
+        size = max(1, AT_ONCE // (len(self.body.normal) * len(self.rows.flux)))
+        pieces = [self._piece(*self._split(cut, pole, frequency)) for cut in y.split(size)]
+        return torch.cat([one for one, _ in pieces]), torch.cat([one for _, one in pieces])
+
+    def _piece(
+        self, pole: Tensor, frequency: Tensor, phases: Tensor, exponent: Tensor, tilt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        rows = self.rows
+        elapsed = rows.seconds - rows.middle[rows.number]
+        angle = 2 * math.pi * (phases[:, rows.number] + frequency[:, None] * elapsed)
+        frame = frame_of(pole)
+        turn = rotation_of(tilt).mT if self.tilted else None
+        cos, sin = torch.cos(angle), torch.sin(angle)
+
+        def in_body(way: Tensor) -> Tensor:
+            x, y, z = torch.einsum("bij,tj->bti", frame, way).unbind(-1)
+            seen = torch.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
+            return seen if turn is None else torch.einsum("bij,btj->bti", turn, seen)
+
+        light = self.body.light(in_body(rows.to_sun), in_body(rows.to_observer), exponent[:, None])
+        return self.compared(light)
+
+    def compared(self, light: Tensor) -> tuple[Tensor, Tensor]:
+        """Residuals (B, T) and reflectances (B, K) of columns of light (B, T, K)."""
+        rows = self.rows
+        weight = 1 / (self.sigma * rows.flux.abs())
+        weights = torch.zeros_like(light[:, 0])
+        model = torch.zeros_like(light[..., 0])
+        for turn in range(2):  # the second about the first, so that it is one of magnitudes
+            about = (
+                weight if turn == 0 else weight * (rows.flux.abs() / torch.maximum(model, rows.flux.abs()))
+            )
+            columns = light * about[..., None]
+            target = (rows.flux * about)[..., None].expand(*columns.shape[:-1], 1)
+            weights = non_negative(columns.mT @ columns, (columns.mT @ target)[..., 0])
+            model = (light @ weights[..., None])[..., 0]
+        if rows.scaled:
+            for one in range(rows.passes):
+                here = rows.of(one)
+                part, data = model[:, here] * weight[here], rows.flux[here] * weight[here]
+                gain = (part * data).sum(-1) / part.square().sum(-1).clamp(min=1e-30)
+                model = model.index_copy(1, here, model[:, here] * gain[:, None])
+        bright = model > rows.flux.abs() * math.exp(-FAINT)
+        ratio = torch.log(torch.where(bright & self.positive, model, 1.0)) - self.log_flux
+        below = (model / rows.flux.abs().clamp(min=1e-300)) * math.exp(FAINT) - 1 - FAINT
+        return torch.where(bright & self.positive, ratio, below.clamp(max=FAINT)) / self.sigma, weights
+
+    def _local(self, y: Tensor, pole: Tensor, frequency: float, cost: float, jacobian: Tensor) -> Local:
+        with torch.no_grad():
+            moved, turning, phases, exponent, tilt = self._split(y[None], pole, frequency)
+            _, weights = self._residual(y[None], pole, frequency)
+        normal = jacobian.T @ jacobian
+        scale = torch.sqrt(torch.diagonal(normal).clamp(min=1e-12))
+        inverse = torch.linalg.pinv(normal / scale[:, None] / scale, hermitian=True) / scale[:, None] / scale
+        kept = slice(2, 3 + self.rows.passes)
+        covariance = inverse[kept, kept].clone()
+        covariance[0] /= self.longest
+        covariance[:, 0] /= self.longest
+        return Local(
+            moved[0], float(turning[0]), phases[0], tilt[0], exponent[0], weights[0], cost, covariance
+        )

@@ -1,0 +1,152 @@
+"""A free geometry, worked out anew for every theta."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE, Evaluator
+from torchlc.lightcurve.pipeline import Pipeline
+from torchlc.lightcurve.tables import Key, Tables, members, moves, sorted_patches, surface_of
+from torchlc.stages.effect import Brightness, Surface
+from torchlc.tensors.autodiff_state import apart, transformed
+
+RECENT_TABLES = 48
+"""Compact tables of past geometries that are kept."""
+MOST_GRIDDED = 64
+"""Facets and instants together up to which a batch of geometries is worked out on one grid of all pairs, and
+beyond which only the pairs that are lit and seen are."""
+GRID_AT_ONCE = 2**20
+"""Pairs of facet and instant of all geometries that are worked out at once."""
+
+
+class ExactGeometry(Evaluator):
+    """Tables for every theta. A batch of small objects is one grid of all pairs of facet and instant; of larger ones rows
+    of theta that share their geometry share a table; under a transform each stands alone."""
+
+    way = "anew"
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        super().__init__(pipeline)
+        self._recent: dict[tuple[bool, bytes], Tables] = {}
+        self._still: dict[bool, dict[Key, Surface | None]] = {}
+
+    def light(self, theta: Tensor, shares: bool) -> Brightness:
+        flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
+        found = self._sharing(flat, shares)
+        if found is None and theta.ndim == 1:
+            return self._single(theta, shares)
+        if found is None:
+            size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
+
+            def one(row: Tensor) -> tuple[Tensor, ...]:
+                result = self._single(row, shares)
+                return (result.flux,) if result.shares is None else (result.flux, result.shares)
+
+            flux, *kept = torch.vmap(one, chunk_size=size)(flat)
+            found = Brightness(flux, kept[0] if kept else None, self.assembly.components)
+        return self.joined([found], theta)
+
+    def _sharing(self, flat: Tensor, shares: bool) -> Brightness | None:
+        """Rows of theta (B, P) together, with tables that they have in common; None where each stands alone."""
+        if transformed():
+            return None
+        if self.gridded:
+            return self._together(flat, shares)
+        return None if torch.is_grad_enabled() else self._grouped(flat, shares)
+
+    @cached_property
+    def gridded(self) -> bool:
+        """True if geometries of a batch are worked out together: few facets, of given sizes, and nothing
+        that needs the geometry apart from the facets' angles."""
+        a = self.assembly
+        sized = "size" in a.moving.values()
+        return a.pairs <= MOST_GRIDDED * a.T and not sized and not a.stage("scatter")
+
+    def _together(self, flat: Tensor, shares: bool) -> Brightness:
+        """Rows of theta (B, P), the geometry of each worked out once, or as often as gradients ask for it."""
+        detail = shares or self.assembly.needs_shares
+        pieces = []
+        for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs)):
+            distinct, member = rows, None
+            if not torch.is_grad_enabled():
+                distinct, member = self._geometries(rows)
+            view = self.pipeline.view(self.values(distinct), len(distinct))
+            still = self.still_surfaces(detail)
+            tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
+            if member is not None and len(distinct) > 1:
+                tables = members(tables, member, still.values())
+            pieces.append(self.shone(tables, rows, shares))
+        return self.joined(pieces, flat)
+
+    def _geometries(self, rows: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Rows of theta (D, P) with different geometries, and which of them each of ``rows`` (B, P) shares, (B,);
+        None if D is B."""
+        moving = rows[:, self.assembly.geometry_columns]
+        distinct, member = torch.unique(moving, dim=0, return_inverse=True)
+        if len(distinct) == len(rows):
+            return rows, None
+        place = torch.arange(len(rows), device=rows.device)
+        return rows[member.new_empty(len(distinct)).index_copy(0, member, place)], member
+
+    def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
+        """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
+        almost none do and a few fit into one vectorised call. Recent tables are kept: an optimiser comes back
+        to the point it stepped from."""
+        distinct, member = self._geometries(flat)
+        many = self.assembly.pairs > VALUES_AT_ONCE
+        if len(distinct) > 0.6 * len(flat) and not self.assembly.parts_meet and not many:
+            return None
+        if member is None:
+            member = torch.arange(len(flat), device=flat.device)
+        detail = shares or self.assembly.needs_shares
+        flux = flat.new_empty(len(flat), self.assembly.T)
+        kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
+        for index, one in enumerate(distinct):
+            rows = torch.nonzero(member == index)[:, 0]
+            key = (detail, one[self.assembly.geometry_columns].numpy().tobytes())
+            if key not in self._recent:
+                values = self.values(one)
+                self._recent[key] = self.pipeline.make_tables(
+                    self.pipeline.view(values), detail, compact=True
+                )
+                if len(self._recent) > RECENT_TABLES:
+                    self._recent.pop(next(iter(self._recent)))
+            piece = self.chunked(flat[rows], self._recent[key], shares)
+            flux[rows] = piece.flux
+            if kept is not None and piece.shares is not None:
+                kept[rows] = piece.shares
+        return Brightness(flux, kept, self.assembly.components)
+
+    def _single(self, theta: Tensor, shares: bool) -> Brightness:
+        values = self.values(theta)
+        detail = shares or self.assembly.needs_shares
+        still = self.still_surfaces(detail) if self.gridded else None
+        tables = self.pipeline.make_tables(self.pipeline.view(values), detail, compact=False, still=still)
+        return self.pipeline.shine(tables, values, shares)
+
+    def still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
+        """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
+        of theta have in common."""
+        if detail not in self._still:
+            with apart():
+                theta = self.parameters.start()
+                alone = self.pipeline.view(self.values(theta))
+                both = self.pipeline.view(self.values(theta.expand(2, -1)), 2)
+                moving = {key for key, one, patches in sorted_patches(both, detail) if moves(one, patches)}
+                made = {
+                    key: surface_of(key, one, patches, True, self.assembly.apart)
+                    for key, one, patches in sorted_patches(alone, detail)
+                    if key not in moving
+                }
+            self._still[detail] = {key: one and self.condensed(one) for key, one in made.items()}
+        return self._still[detail]
+
+    def kept_surfaces(self, detail: bool) -> list[Surface | None]:
+        return list(self.still_surfaces(detail).values()) if self.gridded else []
+
+    def forget(self) -> None:
+        """Drops the tables of recent geometries, which an optimiser at work comes back to."""
+        self._recent.clear()

@@ -1,0 +1,28 @@
+"""Random errors of a noise model, as a simulation adds them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.stages.noise import Noise
+
+RIDGE = 1e-9
+"""Added to the unit diagonal of a correlation, so that rows at one instant have a Cholesky factor: 3e-5 of the sd."""
+
+
+def draw(noise: Noise, quoted: Tensor, curve: Tensor, random: np.random.Generator) -> Tensor:
+    """Errors (T,), mag, of rows of quoted error (T,) and ``curve`` (T,): each row's own, of its law, and those that the
+    rows of a curve share."""
+    sigma = noise.sigma(quoted, torch.ones_like(quoted))
+    normal = torch.as_tensor(random.normal(size=len(quoted))).to(quoted)
+    delta = noise.law.deviates(normal, random) * sigma
+    for process in noise.processes:
+        for one in torch.unique(curve):
+            rows = torch.nonzero(curve == one)[:, 0]
+            correlation = process.correlation(rows)
+            factor = torch.linalg.cholesky(correlation + RIDGE * torch.eye(len(rows)).to(correlation))
+            shared = factor @ torch.as_tensor(random.normal(size=len(rows))).to(quoted)
+            delta[rows] += process.sd.expand(len(quoted))[rows] * shared
+    return delta

@@ -1,0 +1,134 @@
+"""The rows of a recording as noise sees them: residuals, curves, upper limits, and what the quoted errors mean.
+
+Letters: T rows, C curves, (...) any batch axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.noise.error_law import MAG_PER_LN, error_powers
+from torchlc.readers import Recording
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Datum minus model, (..., T), with the standard deviation of each row, (..., T) or (T,), in the
+    recording's own unit (mag or relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit;
+    ``gain`` (..., number of curves) for flux; ``prediction`` (..., T) of the datum.
+
+    Of a magnitude with a power beta of its curve's errors, ``delta`` is 1.0857 ((F_model / F)^beta - 1) / beta,
+    which is datum minus prediction to first order.
+    """
+
+    delta: Tensor
+    sigma: Tensor
+    scale: Tensor
+    gain: Tensor | None
+    prediction: Tensor
+
+
+class Rows:
+    """What noise needs to know of a recording's rows, whatever the model.
+
+    ``noise_level`` (C,) is the starting noise of curves without errors, in the recording's unit; ``seconds`` (T,) the
+    stamps; tensors are of dtype and device of ``like``.
+    """
+
+    def __init__(self, recording: Recording, curve: Tensor, like: Tensor) -> None:
+        self.source = recording.source
+        self.flux = recording.kind == "flux"
+        self.observed = torch.as_tensor(recording.observed).to(like)
+        self.curve = curve
+        self.curves = len(recording.curve_ids)
+        self.limit = torch.as_tensor(recording.upper_limit)
+        self.measured = ~self.limit
+        self.censored = bool(self.limit.any())
+        self.fainter = 1.0 if self.flux else -1.0
+        """Sign of a fainter object in the recording's unit."""
+        self.count = torch.bincount(self.curve[self.measured], minlength=self.curves).to(like)
+        self.fitted_errors = recording.error is None
+        self.noise_level = _successive(recording, self.curves).to(like)
+        self.error = (
+            self.noise_level[self.curve]
+            if recording.error is None
+            else torch.as_tensor(recording.error).to(like)
+        )
+        self.gains = int((self.count > 0).sum()) if self.flux else 0
+        self.power = self._power(recording)
+        whole = self.by_curve(self.limit.to(like))[self.curve] == 0
+        self.selected = None if self.power is None else whole & (self.power > 0)
+
+    @property
+    def rows(self) -> int:
+        return len(self.observed)
+
+    def _power(self, recording: Recording) -> Tensor | None:
+        """Power of each row's errors, (T,); None where all are 0."""
+        if recording.error is None or self.flux:
+            return None
+        flux = 10 ** (-0.4 * recording.observed)
+        powers = error_powers(flux, recording.error, recording.curve, ~recording.upper_limit)
+        return torch.as_tensor(powers).to(self.observed) if powers.any() else None
+
+    def by_curve(self, rows: Tensor) -> Tensor:
+        """Sums over the rows of each curve, (..., C), of (..., T)."""
+        if self.curves == 1:
+            return rows.sum(-1, keepdim=True)
+        zero = rows.new_zeros(*rows.shape[:-1], self.curves)
+        return zero.index_add(-1, self.curve, rows)
+
+    def squares(self, delta: Tensor) -> Tensor:
+        """Sum of squares of each curve's measured rows, (..., C), of residuals (..., T)."""
+        return self.by_curve(torch.where(self.limit, 0.0, delta) ** 2 if self.censored else delta**2)
+
+    def white_levels(self, delta: Tensor) -> Tensor:
+        """Noise level of each curve, (..., curves), from the steps between successive residuals delta (...,
+        T) of measured rows, which errors that neighbours share hardly change: their root mean square over sqrt 2."""
+        order = torch.argsort(self.curve, stable=True)
+        order = order[self.measured[order]]
+        step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
+        step = torch.zeros_like(delta).index_copy(-1, order[1:], step)
+        level = torch.sqrt(self.by_curve(step**2) / (2 * (self.count - 1).clamp(min=1.0)))
+        return torch.maximum(level, 1e-3 * self.noise_level)
+
+    def log_below(self, u: Tensor) -> Tensor:
+        """ln of the probability of each upper limit, (..., T), at residuals over their standard deviation u (...,
+        T), limit minus model: that normal noise is above u in magnitudes, below it in flux; 0 for measured rows."""
+        fainter = self.fainter * torch.where(self.limit, u, 0.0)
+        return torch.where(self.limit, torch.special.log_ndtr(fainter), 0.0)
+
+    def normalised(self, found: Residuals) -> Tensor:
+        """Residuals over their errors, (..., T); for an upper limit the square root of its deviance."""
+        return self.deviance_rows(found.delta / found.sigma)
+
+    def deviance_rows(self, u: Tensor) -> Tensor:
+        """u (..., T) with sqrt(-2 ln P) in place of upper limits, whose sum of squares is -2 ln density."""
+        if not self.censored:
+            return u
+        return torch.where(self.limit, torch.sqrt((-2 * self.log_below(u)).clamp(min=1e-300)), u)
+
+    def above_zero(self, found: Residuals, sigma: Tensor) -> Tensor:
+        """Standard deviations (..., T) by which the model is above a flux of 0 in curves of which rows are there
+        only if their flux is above 0; 100, as good as infinite, in others."""
+        assert self.power is not None and self.selected is not None  # asked of such curves only
+        power = torch.where(self.selected, self.power, 1.0)
+        return torch.where(self.selected, MAG_PER_LN * found.scale / (power * sigma), 100.0)
+
+
+def _successive(recording: Recording, curves: int) -> Tensor:
+    """1.4826 median |successive difference| / sqrt 2 of each curve's measured rows, (curves,); at least 1e-4 mag or
+    1e-4 of the mean."""
+    level = np.empty(curves)
+    for one in range(curves):
+        rows = recording.curve == one
+        measured = rows & ~recording.upper_limit
+        values = recording.observed[measured if measured.any() else rows]
+        steps = np.abs(np.diff(values)) if measured.any() else values[:0]
+        floor = 1e-4 if recording.kind == "mag" else 1e-4 * abs(float(np.mean(values))) + 1e-300
+        level[one] = max(1.4826 * float(np.median(steps)) / np.sqrt(2) if len(steps) else floor, floor)
+    return torch.as_tensor(level)

@@ -1,0 +1,190 @@
+"""Joint visibility of facets among convex parts, exact.
+
+Round parts hide others as prisms or polyhedra (`torchlc.shapes`). Of parts in contact, a plate flat on a box
+hides what is below it, as if it lay on top; plates that overlap in one plane hide each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchlc.occlusion.batched_rows import picked
+from torchlc.occlusion.outline import Joints, facing, outline
+from torchlc.occlusion.polygon_union import covered_area, settled
+from torchlc.shapes import Part
+from torchlc.shapes.part import like
+
+GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
+TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
+VALUES_AT_ONCE = 3_000_000  # (row, facet, corner of a hull) triples, which bounds the memory
+TENSORS_PER_PART = 5
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A part in N rows; what is the same in all of them may have one row.
+
+    pose (N, 3, 3); vertices (N, F, V, 3), normal, u (N, F, 3) at rest; of its hull, posed, corners (N, H, 3)
+    and which faces (N, 2, L) are turned to the Sun and to the observer.
+    """
+
+    part: Part
+    joints: Joints
+    pose: Tensor
+    vertices: Tensor
+    normal: Tensor
+    u: Tensor
+    corners: Tensor
+    faces: Tensor
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The planes of P facets, origin at the facet's middle, one axis along its u.
+
+    row (P,); origin, normal (P, 3); axes (P, 2, 3); facet (P, V, 2) in the plane; slope (P, 2, 2): for the
+    directions to Sun and observer, how far a point moves in the plane per height on its way down along the
+    direction.
+    """
+
+    row: Tensor
+    origin: Tensor
+    normal: Tensor
+    axes: Tensor
+    facet: Tensor
+    slope: Tensor
+
+    @classmethod
+    def of(cls, target: Posed, row: Tensor, facet: Tensor, directions: Tensor) -> Planes:
+        pose, pivot = picked(target.pose, row), like(target.part.pivot, target.pose)
+
+        def own(tensor: Tensor) -> Tensor:
+            return tensor[row if len(tensor) > 1 else torch.zeros_like(row), facet]
+
+        vertices = (own(target.vertices) - pivot) @ pose.mT + pivot
+        normal = (pose @ own(target.normal)[..., None])[..., 0]
+        u = (pose @ own(target.u)[..., None])[..., 0]
+        axes = torch.stack([u, torch.linalg.cross(normal, u, dim=-1)], dim=1)
+        origin = vertices.mean(dim=1)
+        ahead = directions[row]
+        slope = (ahead @ axes.mT) / (ahead @ normal[..., None])
+        return cls(row, origin, normal, axes, (vertices - origin[:, None]) @ axes.mT, slope)
+
+    def project(self, item: Tensor, side: int, corners: Tensor) -> tuple[Tensor, Tensor]:
+        """Corners (I, H, 3) moved along a direction into planes ``item`` (I,): (I, H, 2), heights (I, H)."""
+        offset = corners - self.origin[item][:, None]
+        height = (offset @ self.normal[item][..., None])[..., 0]
+        return offset @ self.axes[item].mT - height[..., None] * self.slope[item, side][:, None], height
+
+
+def polygon_fractions(parts: Sequence[Part], *tensors: Tensor) -> tuple[Tensor, ...]:
+    """Fractions (N, F) of each part; tensors: to_sun, to_observer (N, 3), then five a part as in `Posed`."""
+    corners = max(tensor.shape[1] for tensor in tensors[1 + TENSORS_PER_PART :: TENSORS_PER_PART])
+    step = max(1, VALUES_AT_ONCE // (corners * max(len(part.faces) for part in parts)))
+    pieces = [
+        _rows_fractions(
+            parts, *(tensor[start : start + step] if len(tensor) > 1 else tensor for tensor in tensors)
+        )
+        for start in range(0, len(tensors[0]), step)
+    ]
+    return tuple(torch.cat(piece) for piece in zip(*pieces, strict=True))
+
+
+def _rows_fractions(
+    parts: Sequence[Part], to_sun: Tensor, to_observer: Tensor, *tensors: Tensor
+) -> list[Tensor]:
+    directions = torch.stack([to_sun, to_observer], dim=1)
+    posed = []
+    for k, part in enumerate(parts):
+        pose, vertices, normal, u, corners = tensors[TENSORS_PER_PART * k : TENSORS_PER_PART * (k + 1)]
+        pivot = like(part.pivot, pose)
+        assert part.hull is not None
+        joints = Joints.of(part.hull, pose.device)
+        corners = (corners - pivot) @ pose.mT + pivot
+        faces = facing(corners.detach(), joints, directions.detach())
+        posed.append(Posed(part, joints, pose, vertices, normal, u, corners, faces))
+    return [_part_fractions(own, [other for other in posed if other is not own], directions) for own in posed]
+
+
+def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) -> Tensor:
+    """Fractions (N, F) of one part; directions (N, 2, 3), to the Sun and to the observer."""
+    normal = (target.normal @ target.pose.mT).detach()
+    upright = (normal @ directions.detach().mT > GRAZING).all(dim=-1)
+    fractions = normal.new_ones(upright.shape)
+    row, facet = upright.nonzero(as_tuple=True)
+    reach = _in_reach(target, others, row, facet, directions)
+    close = reach.any(dim=-1)
+    row, facet, reach = row[close], facet[close], reach[close]
+    if not len(row):
+        return fractions
+    planes = Planes.of(target, row, facet, directions)
+    start, end, present = _outlines(planes, reach, others)
+    if not present.any():
+        return fractions
+    clear, within = settled(planes.facet, start, end, present)
+    fractions[row[within], facet[within]] = 0.0
+    partly = ~clear & ~within
+    polygon = planes.facet[partly]
+    after = polygon.roll(-1, dims=1)
+    whole = 0.5 * (polygon[..., 0] * after[..., 1] - polygon[..., 1] * after[..., 0]).sum(dim=-1)
+    covered = covered_area(polygon, start[partly], end[partly], present[partly]) / whole
+    return fractions.index_put((row[partly], facet[partly]), 1.0 - covered.clamp(0.0, 1.0))
+
+
+@torch.no_grad()
+def _in_reach(
+    target: Posed, others: Sequence[Posed], row: Tensor, facet: Tensor, directions: Tensor
+) -> Tensor:
+    """Which others (P, 2 others) may hide the Sun (even) or observer (odd) from P facets turned to both.
+
+    The bounding sphere of a facet, moved along the direction, has to meet that of the other.
+    """
+    pivot = like(target.part.pivot, directions)
+    at_rest = target.vertices.mean(dim=2)
+    radius = (target.vertices - at_rest[:, :, None]).norm(dim=-1).amax(dim=-1)
+    middle = ((at_rest - pivot) @ target.pose.mT + pivot).expand(len(directions), -1, -1)[row, facet]
+    radius = radius.expand(len(directions), -1)[row, facet]
+    reach = []
+    for other in others:
+        centre = other.corners.mean(dim=1)
+        size = (other.corners - centre[:, None]).norm(dim=-1).amax(dim=-1)
+        offset = picked(centre, row) - middle
+        squared = offset.square().sum(dim=-1)
+        both = picked(size, row) + radius
+        for side in range(2):
+            along = (offset * directions[row, side]).sum(dim=-1)
+            reach.append((squared - along**2 < both**2) & (along > -both))
+    return torch.stack(reach, dim=-1)
+
+
+def _outlines(planes: Planes, reach: Tensor, others: Sequence[Posed]) -> tuple[Tensor, Tensor, Tensor]:
+    """Start, end (P, K, M, 2), presence (P, K, M) of the edges of the K outlines that may touch a facet."""
+    low, high = planes.facet.detach().amin(dim=1), planes.facet.detach().amax(dim=1)
+    touching = TOUCHING * (high - low).amax(dim=-1)
+    rank = torch.zeros_like(planes.row)
+    found = []
+    for k, other in enumerate(others):
+        for side in range(2):
+            (item,) = reach[:, 2 * k + side].nonzero(as_tuple=True)
+            flat, height = planes.project(item, side, picked(other.corners, planes.row[item]))
+            height = height + (touching if other.part.thin else -touching)[item, None]
+            outside = (flat.amax(dim=1) < low[item]) | (flat.amin(dim=1) > high[item])
+            near = (height > 0).any(dim=-1) & ~outside.any(dim=-1)
+            item, flat, height = item[near], flat[near], height[near]
+            faces = picked(other.faces, planes.row[item])[:, side]
+            start, end, present = outline(flat, height, faces, other.joints)
+            found.append((item, rank[item], start, end, present))
+            rank[item] += 1
+    shape = (len(planes.row), int(rank.max()), max(present.shape[1] for *_, present in found))
+    start, end = planes.facet.new_zeros(*shape, 2), planes.facet.new_zeros(*shape, 2)
+    present = torch.zeros(shape, dtype=torch.bool, device=rank.device)
+    for item, slot, first, second, there in found:
+        edge = torch.arange(there.shape[1], device=rank.device)
+        where = (item[:, None], slot[:, None], edge[None, :])
+        start, end = start.index_put(where, first), end.index_put(where, second)
+        present = present.index_put(where, there)
+    return start, end, present

@@ -1,0 +1,206 @@
+"""When a flat face mirrors the Sun to the observer, and how sure that is.
+
+Letters: D draws, F flat facets, T rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.inference.identifiability import bare_model
+from torchlc.lightcurve.model import LightCurve
+from torchlc.shapes import Band, Dome
+from torchlc.stages.effect import Patch, View
+from torchlc.tensors.vectors import unit
+
+NEAR_WIDTHS = 2.0
+"""Lobe widths from the mirror direction within which a face glints: the lobe is at exp(-2) of its top."""
+SHARP_DEG = 5.0
+"""Lobes wider than this make no glint, but a broad maximum."""
+LEAST_PROBABILITY = 0.05
+MOST_GEOMETRIES = 24
+ABOUT_MIRROR = "phong-mirror"
+"""The law whose lobe is about the mirror direction, not about the facet's normal."""
+MESH_FACETS = 200
+"""Flat facets of one mesh beyond which its glints are not looked for."""
+
+
+@dataclass(frozen=True)
+class Glint:
+    """A face's mirror direction passes the observer: ``seconds`` after the start of the span, the closest approach in
+    ``degrees`` between the face's normal and the bisector of Sun and observer, with ``width_deg``, the lobe's width on
+    the same scale, medians over the draws. ``probability`` is the share of draws in which the bisector comes
+    within NEAR_WIDTHS widths; ``time_sd_s`` holds the draws and the error of the elements; ``duration_s`` the time within.
+    """
+
+    component: str
+    face: str
+    seconds: float
+    time_sd_s: float
+    degrees: float
+    width_deg: float
+    duration_s: float
+    probability: float
+
+
+def facet_angles(model: LightCurve, theta: Tensor) -> tuple[list[tuple[str, str, str]], np.ndarray, bool]:
+    """Component, face and material of every flat facet, and the angle (D, F, T), deg, between its normal and the bisector of
+    Sun and observer; infinite where it is not turned to both. D is 1 where all draws theta (D, P) share one
+    geometry. And whether a mesh was passed over.
+    """
+    bare = bare_model(model)
+    draws = theta[:MOST_GEOMETRIES] if model.geometry_free else theta[:1]
+    names: list[tuple[str, str, str]] = []
+    angles, passed_over = [], False
+    with torch.no_grad():
+        for one in draws:
+            view = bare.view(model.values(one))
+            flat = [patch for patch in view.patches if not isinstance(patch.surface, Band | Dome)]
+            small = [patch for patch in flat if len(patch.faces) <= MESH_FACETS]
+            passed_over = len(small) < len(flat)
+            names = [(p.component, face, p.material) for p in small for face in p.faces]
+            angles.append(torch.cat([_angles(view, patch) for patch in small]).numpy() if small else None)
+    kept = [one for one in angles if one is not None]
+    rows = len(model.recording)
+    return names, np.stack(kept) if kept else np.zeros((1, 0, rows)), passed_over
+
+
+def _angles(view: View, patch: Patch) -> Tensor:
+    """(F, T), deg, of one patch."""
+    normal = patch.normal if patch.normal.ndim == 2 else patch.normal[0]
+    turned = normal[:, None] if patch.pose is None else torch.einsum("tij,fj->fti", patch.pose[0], normal)
+    sun, observer = view.to_sun[0], view.to_observer[0]
+    bisector = unit(sun + observer)
+    facing = torch.minimum((turned * sun).sum(-1), (turned * observer).sum(-1)) > 0
+    across = torch.linalg.cross(turned.expand(-1, len(sun), 3), bisector.expand(len(normal), -1, -1))
+    angle = torch.atan2(torch.linalg.vector_norm(across, dim=-1), (turned * bisector).sum(-1))
+    return torch.where(facing, torch.rad2deg(angle), math.inf)
+
+
+def lobe_widths_deg(model: LightCurve, theta: Tensor, material: str) -> np.ndarray | None:
+    """Angle (D,), deg, from the top of a material's lobe at which it has fallen to exp(-1/2), on the scale of the normal's
+    tilt: 1/sqrt(n) for cos^n, alpha/sqrt(2) or m/sqrt(2) for a distribution of slopes; None without a lobe.
+
+    Exponents apart along u and v count by the smaller. A lobe about the mirror direction (phong-mirror) moves twice as fast
+    as the normal, and counts half.
+    """
+    a = model.assembly
+    brdf = a.models[material]
+    own = a.material_values(material, brdf, model.values(theta))
+    exponents = [own[name] for name in ("n", "n_u", "n_v") if name in own]
+    slopes = [own[name] for name in ("alpha", "m") if name in own]
+    if exponents:
+        least = torch.stack(torch.broadcast_tensors(*exponents)).amin(0)
+        width = torch.rsqrt(least.clamp(min=1e-6))
+        width = 0.5 * width if model.scene.materials[material].model == ABOUT_MIRROR else width
+    elif slopes:
+        width = slopes[0] / math.sqrt(2)
+    else:
+        return None
+    found = torch.rad2deg(width).detach().numpy()
+    return np.broadcast_to(found, (len(theta),))
+
+
+def find_glints(
+    names: list[tuple[str, str, str]],
+    angles: np.ndarray,
+    widths: dict[str, np.ndarray | None],
+    seconds: np.ndarray,
+    orbit_sd_s: float,
+) -> list[Glint]:
+    """Glints of one pass: ``angles`` (D or 1, F, T) at its lit rows, ``seconds`` (T,); ``widths`` (D,) by material;
+    ``orbit_sd_s``, how far off in time the elements may be."""
+    found = []
+    for f, (component, face, material) in enumerate(names):
+        width = widths[material]
+        if width is None or float(np.median(width)) > SHARP_DEG:
+            continue
+        own = angles[:, f]
+        for piece in _pieces(own, NEAR_WIDTHS * float(width.max())):
+            closest = [_closest(seconds[piece], one[piece]) for one in own]
+            when, near = (np.array(values) for values in zip(*closest, strict=True))
+            # one geometry for all draws, or one each
+            limit = NEAR_WIDTHS * (width if len(own) == 1 else width[: len(own)])
+            probability = float(np.mean(near < limit))
+            if probability < LEAST_PROBABILITY:
+                continue
+            turned = np.isfinite(when)
+            found.append(
+                Glint(
+                    component=component,
+                    face=face,
+                    seconds=float(np.median(when[turned])),
+                    time_sd_s=math.hypot(float(np.std(when[turned])), orbit_sd_s),
+                    degrees=float(np.median(near[turned])),
+                    width_deg=float(np.median(width)),
+                    duration_s=_duration(
+                        seconds[piece], own[int(np.argmin(near)), piece], float(np.max(limit))
+                    ),
+                    probability=probability,
+                )
+            )
+    return sorted(found, key=lambda one: one.seconds)
+
+
+def _pieces(angles: np.ndarray, limit: float) -> Iterator[slice]:
+    """Rows about each smallest angle (1, T) below ``limit``, from one largest angle to the next; all rows together where
+    draws have geometries of their own (D, T)."""
+    if len(angles) > 1:
+        if angles.min() < limit:
+            yield slice(None)
+        return
+    (angle,) = angles
+    above = np.minimum(angle, 360.0)
+    ends = np.flatnonzero((above[1:-1] >= above[:-2]) & (above[1:-1] > above[2:])) + 1
+    for start, stop in pairwise([0, *ends.tolist(), len(angle)]):
+        piece = slice(start, min(stop + 1, len(angle)))
+        if angle[piece].min() < limit:
+            yield piece
+
+
+def _closest(seconds: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
+    """When an angle (T,) is smallest, and how small, by the parabola of its square about the smallest row."""
+    k = int(np.argmin(angle))
+    if not np.isfinite(angle[k]):
+        return math.nan, math.inf
+    if not 0 < k < len(angle) - 1 or not np.isfinite(angle[[k - 1, k + 1]]).all():
+        return float(seconds[k]), float(angle[k])
+    y = angle[k - 1 : k + 2] ** 2
+    slope, bend = np.polynomial.polynomial.polyfit(seconds[k - 1 : k + 2] - seconds[k], y, 2)[1:]
+    if bend <= 0:
+        return float(seconds[k]), float(angle[k])
+    moved = float(np.clip(-slope / (2 * bend), seconds[k - 1] - seconds[k], seconds[k + 1] - seconds[k]))
+    return float(seconds[k] + moved), math.sqrt(max(y[1] + slope * moved + bend * moved**2, 0.0))
+
+
+def _duration(seconds: np.ndarray, angle: np.ndarray, limit: float) -> float:
+    """Time, s, that an angle (T,) stays below a limit about its smallest row: by straight lines between rows, or by the
+    parabola of :func:`_closest` where that is below and no row is."""
+    k = int(np.argmin(angle))
+    if angle[k] < limit:
+        times = []
+        for step in (-1, 1):
+            place = k
+            while 0 <= place + step < len(angle) and angle[place + step] < limit:
+                place += step
+            beyond = place + step
+            moved = seconds[place]
+            if 0 <= beyond < len(angle) and np.isfinite(angle[beyond]):
+                share = (limit - angle[place]) / (angle[beyond] - angle[place])
+                moved = moved + share * (seconds[beyond] - seconds[place])
+            times.append(float(moved))
+        return times[1] - times[0]
+    _, least = _closest(seconds, angle)
+    if not (least < limit and 0 < k < len(angle) - 1):
+        return 0.0
+    bend = np.polynomial.polynomial.polyfit(
+        seconds[k - 1 : k + 2] - seconds[k], angle[k - 1 : k + 2] ** 2, 2
+    )[2]
+    return 2 * math.sqrt((limit**2 - least**2) / bend) if bend > 0 else 0.0

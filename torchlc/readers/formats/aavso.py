@@ -1,0 +1,86 @@
+"""The AAVSO extended file format (aavso.org/aavso-extended-file-format)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from torchlc.errors import InputError
+from torchlc.files.decimals import checked_decimal
+from torchlc.readers.format import Format, Head
+from torchlc.readers.formats.delimited import cells_of
+from torchlc.readers.objects import chosen_object
+from torchlc.readers.table import BEYOND_MAG, Header, lines_of
+
+COLUMNS = ("NAME", "DATE", "MAG", "MERR", "FILT", "TRANS", "MTYPE")
+DELIMITERS = {"comma": ",", "tab": "\t", "semicolon": ";", "space": " ", "pipe": "|"}
+STANDARD = ("STD", "ABS")
+
+
+class Aavso(Format):
+    """Magnitudes of one star or asteroid, mid-exposure; "<15.0" is fainter than 15.0, "na" is missing.
+
+    Standardised magnitudes (MTYPE STD, once ABS) are taken as they are. Differential ones (DIF) are refused: they are
+    relative to a comparison star, whose magnitude has to be added. Each filter is a band.
+    """
+
+    name = "AAVSO extended"
+
+    @classmethod
+    def recognises(cls, head: Head) -> bool:
+        return any(re.match(r"type\s*=\s*extended", line, re.IGNORECASE) for line in head.comments)
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        path = head.path
+        pairs = (line.partition("=") for line in head.comments)
+        said: dict[str, str] = {key.strip().lower(): value.strip().lower() for key, _, value in pairs}
+        mark = said.get("delim", ",")
+        delimiter = DELIMITERS.get(mark, mark)
+        if len(delimiter) != 1:
+            raise InputError(path, "#DELIM", repr(mark[:40]), f"one sign, or {', '.join(DELIMITERS)}")
+        dates = {"jd": ("jd", ""), "hjd": ("jd", "HJD")}.get(said.get("date", "jd"))
+        if dates is None:
+            raise InputError(path, "#DATE", repr(said["date"][:40]), "JD or HJD", "Convert the dates to JD")
+
+        def all_rows() -> Iterator[tuple[str, list[str]]]:
+            for number, line in enumerate(lines_of(path), 1):
+                if line.startswith("#") or not line.strip():
+                    continue
+                cells = cells_of(line.rstrip("\r\n"), delimiter)
+                place = f"line {number}"
+                if len(cells) < len(COLUMNS):
+                    raise InputError(path, place, f"{len(cells)} values", f"{', '.join(COLUMNS)} and more")
+                if cells[:2] == ["NAME", "DATE"]:
+                    continue
+                kind = cells[6].upper()
+                if kind not in (*STANDARD, "NA", ""):
+                    hint = "Add the comparison star's magnitude (CMAG), and write STD"
+                    raise InputError(
+                        path, f"{place}, MTYPE", repr(kind[:40]), "STD: magnitudes on a standard scale", hint
+                    )
+                name, date, mag, error, band = cells[:5]
+                if mag.startswith("<"):
+                    mag, error = f">{mag[1:].strip()}", ""
+                checked = (
+                    checked_decimal(mag.lstrip("> "), path, f"{place}, MAG") if mag.lower() != "na" else 0.0
+                )
+                if error and error.lower() != "na" and abs(checked) <= BEYOND_MAG:
+                    checked_decimal(error, path, f"{place}, MERR")
+                yield name, [date, mag, error, band]
+
+        wanted = chosen_object(path, [{name} for name, _ in all_rows()], head.reading.object)
+
+        def rows() -> Iterator[list[str]]:
+            return (cells for name, cells in all_rows() if wanted is None or name == wanted)
+
+        return Header(
+            path,
+            ("time", "mag", "mag_err", "band"),
+            delimiter,
+            ecsv=False,
+            descriptions={"time": dates[1]},
+            meta={"time_format": dates[0]},
+            rows=rows,
+            format=cls.name,
+        )

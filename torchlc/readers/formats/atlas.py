@@ -1,0 +1,56 @@
+"""Forced photometry of ATLAS (fallingstar-data.com/forcedphot)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from torchlc.errors import InputError
+from torchlc.files.decimals import checked_decimal
+from torchlc.readers.format import Format, Head
+from torchlc.readers.table import Header, lines_of
+
+NAMES = ("MJD", "m", "dm", "uJy", "duJy", "F")
+
+
+class Atlas(Format):
+    """AB magnitudes of difference images, each filter a band. A negative magnitude stands for a negative flux there, and
+    is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its row.
+    """
+
+    name = "ATLAS"
+
+    @classmethod
+    def recognises(cls, head: Head) -> bool:
+        return bool(_names(head))
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        path, names = head.path, _names(head)
+        places = [names.index(name) for name in ("MJD", "m", "dm", "F")]
+        faintest = names.index("mag5sig") if "mag5sig" in names else None
+        delimiter = "," if "," in head.lines[0][1] else None
+
+        def rows() -> Iterator[list[str]]:
+            for number, line in enumerate(lines_of(path), 1):
+                if line.startswith("#") or not line.strip() or line.lstrip().startswith("MJD"):
+                    continue
+                cells = [cell.strip() for cell in line.split(delimiter)]
+                if len(cells) != len(names):
+                    raise InputError(path, f"line {number}", f"{len(cells)} values", f"{len(names)}")
+                date, mag, error, band = (cells[place] for place in places)
+                if checked_decimal(mag, path, f"line {number}, m") < 0:
+                    mag, error = "" if faintest is None else f">{cells[faintest]}", ""
+                yield [date, mag, error, band]
+
+        header = Header(
+            path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows
+        )
+        return replace(header, format=cls.name)
+
+
+def _names(head: Head) -> list[str]:
+    """Names of the columns, in a comment or the first line; none where it is another format."""
+    first = head.lines[0][1].lstrip("# ")
+    names = [name.strip() for name in (first.split(",") if "," in first else first.split())]
+    return names if set(NAMES) <= set(names) else []

@@ -1,0 +1,268 @@
+"""Tables of text: CSV and its kin, with a header anywhere in the first lines, in a comment, or none."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+from torchlc.errors import InputError
+from torchlc.readers.format import FORMATS, Format, Head
+from torchlc.readers.roles import known_names
+from torchlc.readers.table import BLANK, METADATA, Header, check_names
+from torchlc.scene.timestamps import ISO, JULIAN_DATE
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+"""In the order in which they are preferred where a line of names can be read with several."""
+MARKS = "#%"
+"""Signs that begin a comment whatever the delimiter; a semicolon does where it is no delimiter."""
+NUMBER = re.compile(r"\s*[<>]?[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+WITH_COMMA, WITH_POINT = (
+    re.compile(r"\s*[<>]?[+-]?\d*,\d+\s*", re.ASCII),
+    re.compile(r"\s*[<>]?[+-]?\d*\.\d+\s*", re.ASCII),
+)
+JULIAN = (2_400_000.0, 2_500_000.0)
+PLAIN_MAGNITUDES = (3.0, 30.0)
+"""Of a table without names: numbers beyond may be fluxes. A relative flux is near 1."""
+LARGEST_PLAIN_ERROR = 1.0
+"""Of a table without names: what follows the magnitude is taken as its error up to here; an airmass is larger."""
+
+
+class Delimited(Format):
+    """A table of cells between delimiters: comma, semicolon, tab, bar or blanks."""
+
+    name = "table"
+    order = 100
+
+    @classmethod
+    def recognises(cls, head: Head) -> bool:
+        return True
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        return table_header(head)
+
+
+class NamedTable(Format):
+    """A table whose format is known by the names of its columns: ``marks_of_it`` are among them."""
+
+    marks_of_it: ClassVar[frozenset[str]] = frozenset()
+
+    @classmethod
+    def recognises(cls, head: Head) -> bool:
+        if not any(name in text for name in cls.marks_of_it for _, text in head.lines):
+            return False
+        return cls.marks_of_it <= set(table_header(head).names)
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        return replace(table_header(head), format=cls.name)
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Cells of one line, without blanks around."""
+    if delimiter == " ":
+        line = line.replace("\t", " ").strip()
+    try:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " "), [])
+    except csv.Error:
+        return []
+    return [cell.strip() for cell in cells]
+
+
+def table_header(head: Head) -> Header:
+    """Delimiter, names, decimal sign and comments of a table."""
+    wanted = {role: list(names) for one in FORMATS.values() for role, names in one.columns.items()}
+    header = (
+        _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
+    )
+    check_names(head.path, [name for name in header.names if name])
+    rows = _sample(head, header)
+    above = [text for number, text in head.lines if number <= header.skip]
+    if above and cells_of(above[-1], header.delimiter) == list(header.names):
+        above.pop()
+    if len(rows) > 1 and _is_line_of_units(rows[0][1]) and not _is_line_of_units(rows[1][1]):
+        told = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
+        header = replace(header, skip=rows[0][0], notes=(*header.notes, told))
+        rows = rows[1:]
+    meta, others = metadata_of_comments([text.lstrip("#%;").removeprefix(" ") for text in above])
+    return replace(header, meta=meta, comments=tuple(others), decimal=_decimal(head, header, rows))
+
+
+def metadata_of_comments(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """What comment lines say as ``key: value`` with a key of ``METADATA``, and the other lines."""
+    meta, others = {}, []
+    for line in comments:
+        key, _, value = (part.strip() for part in line.replace("=", ":", 1).partition(":"))
+        if key.lower() in METADATA and value:
+            meta[key.lower()] = value
+        elif line.strip():
+            others.append(line.strip())
+    return meta, others
+
+
+def _delimiters(head: Head) -> Sequence[str]:
+    return DELIMITERS if head.reading.delimiter is None else (head.reading.delimiter,)
+
+
+def _marks(delimiter: str) -> str:
+    return MARKS if delimiter == ";" else f"{MARKS};"
+
+
+def _header(head: Head, names: Sequence[str], delimiter: str, skip: int) -> Header:
+    return Header(head.path, tuple(names), delimiter, ecsv=False, skip=skip, marks=_marks(delimiter))
+
+
+def _by_names(head: Head, wanted: dict[str, list[str]]) -> Header | None:
+    """The first line that is no comment and holds names that a recording's columns have, or that the user told."""
+    told = {part.strip() for text in head.reading.columns.values() for part in (text, *text.split("+"))}
+    for number, text in head.lines:
+        if not text.strip() or text[0] in MARKS:
+            continue
+        for delimiter in _delimiters(head):
+            names = cells_of(text, delimiter)
+            if text[0] in _marks(delimiter) or len(names) < 2:
+                continue
+            if known_names(names, wanted) or len(told & set(names)) > 1:
+                return _header(head, names, delimiter, number)
+    return None
+
+
+def _by_comment(head: Head, wanted: dict[str, list[str]]) -> Header | None:
+    """Names in the last comment above the first row, if there are as many as cells."""
+    comment = None
+    for number, text in head.lines:
+        if not text.strip():
+            continue
+        if text[0] in f"{MARKS};":
+            comment = text.lstrip("#%; ")
+            continue
+        if comment is None:
+            return None
+        for delimiter in _delimiters(head):
+            cells = cells_of(text, delimiter)
+            if len(cells) < 2 or (not NUMBER.fullmatch(cells[-1]) and not any(map(NUMBER.fullmatch, cells))):
+                continue
+            for between in dict.fromkeys((delimiter, *DELIMITERS)):
+                names = cells_of(comment, between)
+                if len(names) == len(cells) and known_names(names, wanted):
+                    return _header(head, names, delimiter, number - 1)
+        return None
+    return None
+
+
+def _without_names(head: Head) -> Header | None:
+    """A table that begins with its first row: columns are called 1, 2, 3 ..., and the first three are taken."""
+    first = next(
+        ((number, text) for number, text in head.lines if text.strip() and text[0] not in f"{MARKS};"), None
+    )
+    if first is None:
+        return None
+    number, text = first
+    for delimiter in ("\t", ";", ",", "|", " "):
+        if delimiter not in _delimiters(head):
+            continue
+        cells = cells_of(text, delimiter)
+        if len(cells) < 2 or not all(cells[:2]):
+            continue
+        if not (NUMBER.fullmatch(cells[0]) or ISO.fullmatch(cells[0])) or not NUMBER.fullmatch(cells[1]):
+            continue
+        names = [str(place) for place in range(1, len(cells) + 1)]
+        header = _header(head, names, delimiter, number - 1)
+        if "time" in head.reading.columns:
+            return header
+        return _guessed(head, header)
+    return None
+
+
+def _guessed(head: Head, header: Header) -> Header:
+    """Time, magnitude and error of a table without names, where its numbers leave no doubt."""
+    rows = [cells for _, cells in _sample(head, header) if len(cells) == len(header.names)]
+    comma = header.delimiter != "," and not any(
+        WITH_POINT.fullmatch(cell) for cells in rows for cell in cells
+    )
+
+    def numbers(place: int) -> list[float]:
+        found = []
+        for cells in rows:
+            text = cells[place].lstrip("<> ")
+            text = text.replace(",", ".", 1) if comma else text
+            if NUMBER.fullmatch(text) and "," not in text:
+                found.append(float(text))
+        return found
+
+    first, second = rows[0][0], numbers(1)
+    dated = ISO.fullmatch(first) is not None
+    if not dated:
+        days = numbers(0)
+        dated = bool(days) and all(JULIAN[0] < day < JULIAN[1] for day in days)
+    sure = [mag for mag in second if abs(mag) < 90]
+    if not dated or not sure or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure):
+        form = "" if dated or not JULIAN_DATE.fullmatch(first) else ",time_format=mjd (or jd-2400000, or jd)"
+        raise InputError(
+            head.path,
+            "header",
+            f"no names of columns; the first row is {', '.join(rows[0])[:100]}",
+            "a header such as time,mag,mag_err",
+            f"Or say which column is what: --columns time=1,mag=2,mag_err=3{form}; flux=2 if it is a flux",
+        )
+    names = ["time", "mag", *header.names[2:]]
+    if len(names) > 2:
+        errors = numbers(2)
+        marked = [error for error in errors if 0 < error < 90]
+        if (
+            marked
+            and len(marked) + sum(abs(error) > 90 for error in errors) == len(errors)
+            and max(marked) < LARGEST_PLAIN_ERROR
+        ):
+            names[2] = "mag_err"
+    told = f"the file has no names of columns: taken as {', '.join(f'{k + 1} {name}' for k, name in enumerate(names) if not name.isdigit())}"
+    left = [name for name in names if name.isdigit()]
+    told += f"; left: {', '.join(left)}" if left else ""
+    return replace(header, names=tuple(names), notes=(told,))
+
+
+def _by_first_line(head: Head) -> Header:
+    """The first line that is no comment as the header, whatever its names."""
+    number, text = next((number, text) for number, text in head.lines if text.strip() and text[0] != "#")
+    delimiter = max(",;\t", key=text.count) if head.reading.delimiter is None else head.reading.delimiter
+    if head.reading.delimiter is None and text.count(delimiter) == 0:
+        delimiter = " "
+    return _header(head, cells_of(text, delimiter), delimiter, number)
+
+
+def _sample(head: Head, header: Header) -> list[tuple[int, list[str]]]:
+    """Line numbers and cells of the first rows."""
+    return [
+        (number, cells_of(text, header.delimiter))
+        for number, text in head.lines
+        if number > header.skip and text.strip() and text[0] not in header.marks
+    ]
+
+
+def _is_line_of_units(cells: Sequence[str]) -> bool:
+    """A line below the names that holds units, or rules them off: no digit in any cell, and no missing value."""
+    return any(cells) and not any(
+        re.search(r"\d", cell) or cell.lower() in BLANK - {"", "-", "--"} for cell in cells
+    )
+
+
+def _decimal(head: Head, header: Header, rows: Sequence[tuple[int, list[str]]]) -> str:
+    """The decimal sign; a table with both signs, which may hold thousands, is refused."""
+    if head.reading.decimal is not None:
+        return head.reading.decimal
+    if header.delimiter == ",":
+        return "."
+    commas = [(number, cell) for number, cells in rows for cell in cells if WITH_COMMA.fullmatch(cell)]
+    points = [(number, cell) for number, cells in rows for cell in cells if WITH_POINT.fullmatch(cell)]
+    if commas and points:
+        raise InputError(
+            head.path,
+            f"line {commas[0][0]}",
+            f"{commas[0][1]!r}, and {points[0][1]!r} in line {points[0][0]}",
+            "one decimal sign, comma or point",
+            "Or say which it is: --columns decimal=comma, where a point is then one too",
+        )
+    return "," if commas else "."

@@ -1,0 +1,60 @@
+"""Tracks of the satellite photometry of Mini-MegaTORTORA (mmt.favor2.info; Karpov et al. 2016)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+
+from torchlc.errors import InputError
+from torchlc.readers.format import Format, Head
+from torchlc.readers.table import Header, lines_of
+
+MMT = {"StdMag", "Mag", "Filter", "Channel"}
+
+
+class MiniMegaTortora(Format):
+    """A track, or all tracks of a satellite, or the same as CSV.
+
+    ``Mag`` is taken, which is apparent; ``StdMag`` is not. Each track and camera channel is a curve, for
+    steps of some hundredths of a magnitude may lie between channels.
+    """
+
+    name = "Mini-MegaTORTORA"
+
+    @classmethod
+    def recognises(cls, head: Head) -> bool:
+        return bool(_names(head))
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        path, names = head.path, _names(head)
+        split = "Time" in names
+        place = {name: names.index(name) for name in (*MMT, "Date", "Track") if name in names}
+
+        def rows() -> Iterator[list[str]]:
+            for number, line in enumerate(lines_of(path), 1):
+                if line.startswith(("#", "Date,")) or not line.strip():
+                    continue
+                cells = line.split() if split else next(csv.reader([line.strip()]))
+                if len(cells) != len(names):
+                    raise InputError(
+                        path, f"line {number}", f"{len(cells)} values", f"{len(names)}: {', '.join(names)}"
+                    )
+                date = "T".join(cells[:2]) if split else cells[place["Date"]]
+                track = f"track {cells[place['Track']]} " if "Track" in place else ""
+                band = cells[place["Filter"]]
+                curve = f"{track}channel {cells[place['Channel']]}"
+                yield [date, cells[place["Mag"]], "clear" if band == "Clear" else band, curve]
+
+        about = dict(line.split(": ", 1) for line in head.comments if ": " in line)
+        meta = {"object": about["satellite"]} if "satellite" in about else {}
+        return Header(path, ("time", "mag", "band", "curve"), ",", ecsv=False, meta=meta, rows=rows)
+
+
+def _names(head: Head) -> list[str]:
+    """Names of the columns; none where it is another format."""
+    names = head.first.split(",")
+    if set(names) >= MMT | {"Date"}:
+        return names
+    titles = (line.split() for line in head.comments if line.startswith("Date Time"))
+    return next((title for title in titles if set(title) >= MMT), [])

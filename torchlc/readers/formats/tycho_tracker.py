@@ -1,0 +1,19 @@
+"""Photometry of Tycho Tracker, exported as a table."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from torchlc.readers.formats.delimited import NamedTable
+
+
+class TychoTracker(NamedTable):
+    """Julian dates of mid-exposure with the magnitude of the target and its uncertainty."""
+
+    name = "Tycho Tracker"
+    columns: ClassVar = {
+        "time": ("JD", "Julian Date", "JD (mid)", "Mid JD"),
+        "mag": ("Target Mag", "Mag"),
+        "mag_err": ("Target Mag Err", "Mag Unc", "Mag Uncertainty", "Mag Err"),
+    }
+    marks_of_it = frozenset({"Target Mag"})

@@ -1,0 +1,128 @@
+"""The measurements of a recording: one checked array per quantity."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self, cast
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+from erfa import ErfaWarning
+
+from torchlc.errors import InputError
+from torchlc.readers.groups import compact
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurements:
+    """Rows of one recording in order of time; T rows, vectors (T, 3) km and km/s in ``frame``.
+
+    ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
+    are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
+    ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
+    to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
+    ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
+    """
+
+    time: Time
+    seconds: np.ndarray
+    first_time: Time
+    kind: str
+    observed: np.ndarray
+    error: np.ndarray | None
+    station: np.ndarray
+    station_ids: tuple[str, ...]
+    curve: np.ndarray
+    curve_ids: tuple[str, ...]
+    night: np.ndarray
+    night_ids: tuple[str, ...]
+    upper_limit: np.ndarray
+    exptime: np.ndarray | None = None
+    band: np.ndarray | None = None
+    sun: np.ndarray | None = None
+    obs: np.ndarray | None = None
+    position: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    alt: np.ndarray | None = None
+    az: np.ndarray | None = None
+    height: np.ndarray | None = None
+    frame: str | None = None
+    light_time_corrected: bool = False
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    source: Path | None = None
+    sha256: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.observed)
+
+    @property
+    def error_source(self) -> str:
+        """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
+        return "fitted" if self.error is None else "recording"
+
+    def keep(self, mask: np.ndarray, reason: str) -> Self:
+        """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""
+        lost = int(np.size(mask) - np.count_nonzero(mask))
+        if not lost:
+            return self
+        dropped = {**self.dropped, reason: self.dropped.get(reason, 0) + lost}
+        if lost == len(self):
+            raise no_usable_row(self.source, dropped)
+        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped)
+
+    def _rows(self, index: np.ndarray) -> Self:
+        arrays = {
+            name: value[index]
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night")
+        }
+        curve, curve_ids = compact(self.curve[index], self.curve_ids)
+        night, night_ids = compact(self.night[index], self.night_ids)
+        time = cast(Time, self.time[index])
+        return replace(
+            self,
+            **arrays,
+            time=time,
+            seconds=seconds_since(time, cast(Time, time[:1])),
+            curve=curve,
+            curve_ids=curve_ids,
+            night=night,
+            night_ids=night_ids,
+        )
+
+
+def seconds_since(time: Time, origin: Time) -> np.ndarray:
+    """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
+        return np.asarray((time - origin).to_value(u.s))
+
+
+def iso_times(measurements: Measurements) -> list[str]:
+    """Times of the T rows as ISO text to the microsecond, in the recording's scale."""
+    time: Any = measurements.time.copy(format="isot")
+    time.precision = 6
+    return np.asarray(time.value, dtype=str).tolist()
+
+
+def counted(dropped: Mapping[str, int]) -> str:
+    """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
+    return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+
+
+def left_out(measurements: Measurements) -> list[str]:
+    """The warning that rows were dropped, with why; empty if none were."""
+    return [f"rows left out: {counted(measurements.dropped)}"] if measurements.dropped else []
+
+
+def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
+    """The error of a recording of which nothing is left; says why the rows went."""
+    return InputError(
+        source, None, f"no usable row ({counted(dropped)})", "at least one row with finite values"
+    )

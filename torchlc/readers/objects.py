@@ -1,0 +1,46 @@
+"""Which of several objects in one file is meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from torchlc.errors import InputError
+from torchlc.suggest import did_you_mean
+
+MOST_LISTED = 12
+
+
+def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> str | None:
+    """One name of the object wanted, of those of every row; None where all rows are of one object.
+
+    ``wanted`` is a name or number of it, or a part of a name that only one object has.
+    """
+    every = {frozenset(one) for one in names}
+    if wanted is None:
+        if len(every) <= 1:
+            return None
+        listed = sorted(" ".join(sorted(one)) for one in every)
+        some = next(iter(sorted(min(every, key=sorted))), "")
+        raise InputError(
+            path,
+            None,
+            f"{len(every)} objects ({', '.join(listed[:MOST_LISTED])}{', ...' if len(every) > MOST_LISTED else ''})",
+            "one object",
+            f'Say which: --columns object="{some}", by its name, its number or a part of its name',
+        )
+    folded = wanted.strip().casefold()
+    exact = [one for one in every if folded in {name.casefold() for name in one}]
+    near = exact or [one for one in every if any(folded in name.casefold() for name in one)]
+    if len(near) != 1:
+        known = sorted(name for one in every for name in one)
+        found = (
+            "no object"
+            if not near
+            else f"{len(near)} objects ({', '.join(sorted(min(one) for one in near))[:200]})"
+        )
+        expected = f"one of {', '.join(known[:MOST_LISTED])}"[:300]
+        raise InputError(
+            path, "object", f"{found} called {wanted[:60]!r}", expected, did_you_mean(wanted, known)
+        )
+    return min(near[0])

@@ -1,0 +1,261 @@
+"""Which column of a file is what: by the user's word, by our own names, by the format's, by those that people use."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import astropy.units as u
+
+from torchlc.errors import InputError
+from torchlc.readers.table import Header, first_row
+from torchlc.scene.reading import OPTION, SETTINGS, Reading
+from torchlc.suggest import did_you_mean
+
+VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
+"""Field of a Recording and the prefix of its three columns."""
+GEOMETRY = tuple(f"{prefix}_{axis}" for prefix in VECTORS.values() for axis in "xyz")
+HORIZONTAL = ("alt", "az", "height")
+BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
+ROLES = ("time", *BRIGHTNESS, "exptime", "station", "band", "curve", "upper_limit", *GEOMETRY, *HORIZONTAL)
+"""Columns of ours."""
+DELIVERED = "delivered "
+"""What a column is called whose name is one of ours, but which the user replaced by another."""
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What the name of a column of times says: the ``format`` of its numbers, the time ``scale``, the ``mark`` of the
+    exposure, and to where the way of light was reduced (``light_path``); empty where the name does not say.
+    """
+
+    format: str = ""
+    scale: str = ""
+    mark: str = ""
+    light_path: str = ""
+
+
+_JD, _MJD, _REDUCED = Stamp("jd"), Stamp("mjd"), Stamp("jd-2400000")
+STAMPS: dict[str, Stamp] = {
+    **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
+    **dict.fromkeys(("jdmid", "midjd", "jdutcmid"), Stamp("jd", mark="mid")),
+    **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
+    **dict.fromkeys(("jdutc", "utcjd"), Stamp("jd", "utc")),
+    **dict.fromkeys(("jd", "juliandate", "julianday", "juliandateutc", "obsjd", "jdobs"), _JD),
+    "jdtdb": Stamp("jd", "tdb"),
+    "jdtt": Stamp("jd", "tt"),
+    **dict.fromkeys(("mjdutc",), Stamp("mjd", "utc")),
+    "mjdtdb": Stamp("mjd", "tdb"),
+    "mjdtt": Stamp("mjd", "tt"),
+    **dict.fromkeys(("mjd", "obsmjd", "mjdobs", "modifiedjuliandate"), _MJD),
+    **dict.fromkeys(("jd2400000", "rjd", "jd24000000"), _REDUCED),
+    **dict.fromkeys(("jd24000005",), _MJD),
+    **dict.fromkeys(
+        ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime"),
+        Stamp(),
+    ),
+    **dict.fromkeys(("timestamp", "timestamputc", "isotime", "obsdate"), Stamp()),
+    **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
+    "date": Stamp(),
+    **dict.fromkeys(("dateobs", "starttime", "timestart", "utcstart", "startutc", "datebeg"), Stamp(mark="start")),
+    **dict.fromkeys(("jdstart", "startjd"), Stamp("jd", mark="start")),
+    **dict.fromkeys(("mjdstart", "startmjd"), Stamp("mjd", mark="start")),
+    **dict.fromkeys(("endtime", "timeend", "utcend", "dateend"), Stamp(mark="end")),
+    **dict.fromkeys(("jdend", "endjd"), Stamp("jd", mark="end")),
+    **dict.fromkeys(("mjdend", "endmjd"), Stamp("mjd", mark="end")),
+    **dict.fromkeys(("hjd", "hjdutc", "jdhel", "heliocentricjd"), Stamp("jd", "utc", light_path="heliocentric")),
+    "hjdtt": Stamp("jd", "tt", light_path="heliocentric"),
+    **dict.fromkeys(("bjd", "bjdtdb"), Stamp("jd", "tdb", light_path="barycentric")),
+    "bjdutc": Stamp("jd", "utc", light_path="barycentric"),
+    **dict.fromkeys(("hmjd", "mhjd"), Stamp("mjd", "utc", light_path="heliocentric")),
+    **dict.fromkeys(("bmjd", "mbjd", "bmjdtdb"), Stamp("mjd", "tdb", light_path="barycentric")),
+}  # fmt: skip
+"""Names of columns of times, letters and digits only, the preferred first."""
+NAMES: dict[str, tuple[str, ...]] = {
+    "mag": (
+        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf",
+        "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
+    ),
+    "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
+    "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
+    "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
+    "station": ("observatory", "site", "observatorycode", "obscode"),
+}  # fmt: skip
+"""Names of other columns, letters and digits only, the preferred first."""
+OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
+"""Magnitudes named after their filter: of several, the user has to say which."""
+ERRORS = (
+    "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std",
+)  # fmt: skip
+ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr")  # fmt: skip
+"""Names of errors of whatever brightness there is."""
+CLOCK = ("time", "ut", "utc", "timeutc", "utctime", "uttime", "uhrzeit", "heure", "hora", "ora")
+CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
+"""Names of two columns that hold the time of day and the date."""
+BRACKETS = re.compile(r"\s*[\(\[]\s*([^()\[\]]*?)\s*[\)\]]\s*$")
+
+
+def plain(name: str) -> str:
+    """A name's letters and digits, lower case, without what stands in brackets at its end."""
+    return re.sub(r"[\W_]+", "", BRACKETS.sub("", name).lower())
+
+
+def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> bool:
+    """Do these look like the names of a recording's columns: one of times, and one of brightness?"""
+    folded = {plain(name) for name in names}
+    own = {role: {plain(name) for name in columns.get(role, ())} for role in ("time", "mag", "flux")}
+    times = {"time", *STAMPS, *own["time"]}
+    lights = {"mag", "flux", *NAMES["mag"], *NAMES["flux"], *own["mag"], *own["flux"]}
+    return bool(folded & times) and bool(folded & lights)
+
+
+def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[str]]) -> Header:
+    """``header`` with its columns under our names, and what was taken for what among its notes.
+
+    ``columns`` are the names that the file's format knows. What the user says counts first, then our own names, the
+    format's, and those that are in use elsewhere.
+    """
+    taken: dict[str, tuple[int, ...]] = {}
+    for role, text in reading.columns.items():
+        if role not in ROLES:
+            known = [*ROLES[:10], *SETTINGS]
+            raise InputError(
+                OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
+            )
+        taken[role] = _told(header, role, text)
+    for role in ROLES:
+        if role not in taken and role in header.names:
+            taken[role] = (header.names.index(role),)
+    for role in ("time", "mag", "flux", "exptime", "band", "station"):
+        if role not in taken:
+            others = STAMPS if role == "time" else NAMES.get(role, ())
+            if role == "mag" and not _one_filter(header, columns.get("mag", ())):
+                continue
+            taken |= _found(header, role, [*columns.get(role, ()), role, *others], taken)
+    for kind in ("mag", "flux"):
+        role = f"{kind}_err"
+        if kind in taken and role not in taken:
+            base = plain(header.names[taken[kind][0]])
+            other = "flux" if kind == "mag" else "mag"
+            loose = () if other in taken else ANY_ERROR
+            named = [pattern.format(word) for word in dict.fromkeys((base, kind)) for pattern in ERRORS]
+            taken |= _found(header, role, [*columns.get(role, ()), *named, *loose], taken)
+    taken |= _date_and_time(header, reading, taken)
+    return _renamed(header, reading, taken)
+
+
+def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
+    """Places of the columns that the user names, joined by "+"; a number counts the columns of a table."""
+    names = [text] if text in header.names else [part.strip() for part in text.split("+")]
+    places = []
+    for name in names:
+        folded = [index for index, other in enumerate(header.names) if other.lower() == name.lower()]
+        if name in header.names:
+            places.append(header.names.index(name))
+        elif len(folded) == 1:
+            places.append(folded[0])
+        elif name.isascii() and name.isdigit() and 1 <= int(name[:6]) <= len(header.names):
+            places.append(int(name) - 1)
+        else:
+            listed = ", ".join(filter(None, header.names))[:200]
+            hint = did_you_mean(name, [other for other in header.names if other])
+            raise InputError(
+                header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint
+            )
+    return tuple(places)
+
+
+def _found(
+    header: Header, role: str, names: Iterable[str], taken: Mapping[str, tuple[int, ...]]
+) -> dict[str, tuple[int, ...]]:
+    """The first of ``names`` that the header has and that is not taken yet; of two columns of one name the first."""
+    used = {place for places in taken.values() for place in places}
+    free = {}
+    for index, name in reversed(list(enumerate(header.names))):
+        if index not in used and name:
+            free[plain(name)] = index
+    return next(({role: (free[plain(name)],)} for name in names if plain(name) in free), {})
+
+
+def _one_filter(header: Header, known: Sequence[str]) -> bool:
+    """False where only the user can say which of several filters' magnitudes is meant."""
+    folded = {plain(name) for name in header.names}
+    if folded & {plain(name) for name in (*known, "mag", *NAMES["mag"]) if plain(name) not in OF_A_FILTER}:
+        return True
+    return len(folded & set(OF_A_FILTER)) < 2
+
+
+def _date_and_time(
+    header: Header, reading: Reading, taken: Mapping[str, tuple[int, ...]]
+) -> dict[str, tuple[int, ...]]:
+    """Where date and time of day stand in two columns, both."""
+    if "time" in reading.columns or "time" not in taken:
+        return {}
+    folded = [plain(name) for name in header.names]
+    days = [folded.index(name) for name in CALENDAR if name in folded]
+    hours = [folded.index(name) for name in CLOCK if name in folded and folded.index(name) not in days]
+    if not days or not hours:
+        return {}
+    cells = first_row(header)
+    if len(cells) != len(header.names):
+        return {}
+    for day in days:
+        for hour in hours:
+            whole_day = re.fullmatch(r"\s*\d{4}[-/]\d\d?[-/]\d\d?\s*", cells[day])
+            if whole_day and re.fullmatch(r"\s*\d\d?:\d\d(:\d\d(\.\d+)?)?\s*Z?\s*", cells[hour]):
+                return {"time": (day, hour)}
+    return {}
+
+
+def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ...]]) -> Header:
+    theirs = {role: " + ".join(header.names[place] for place in places) for role, places in taken.items()}
+    names = list(header.names)
+    for index, name in enumerate(names):
+        if name in ROLES and taken.get(name) != (index,):
+            names[index] = DELIVERED + name
+    units = dict(header.units)
+    descriptions = dict(header.descriptions)
+    for role, places in taken.items():
+        source = header.names[places[0]]
+        if len(places) == 1:
+            names[places[0]] = role
+        else:
+            names.append(role)
+        units[role] = header.units.get(source, "")
+        descriptions[role] = header.descriptions.get(source, "")
+        bracket = BRACKETS.search(source)
+        if source != role and bracket and not units[role] and _is_unit(role, bracket[1]):
+            units[role] = bracket[1]
+        if role == "time" and source != role:
+            said = re.sub(r"[_-]", " ", source)
+            descriptions[role] = f"{descriptions[role]} {said}".strip()
+    units |= reading.units
+    return replace(
+        header,
+        names=tuple(names),
+        units={name: text for name, text in units.items() if text},
+        descriptions=descriptions,
+        columns=dict(taken),
+        theirs=theirs,
+    )
+
+
+def _is_unit(role: str, text: str) -> bool:
+    if role == "time":
+        return False
+    try:
+        u.Unit(text[:60])
+    except (ValueError, TypeError, OverflowError):
+        return False
+    return bool(text)
+
+
+def stamp_of(header: Header, reading: Reading) -> Stamp:
+    """What the name of the column of times says."""
+    name = header.theirs.get("time", "time")
+    if name == "time":
+        return Stamp()
+    if re.fullmatch(r"(jd\s*-\s*2,?400,?000\.5|jd\s*-\s*2450000\.5)", name.strip(), re.IGNORECASE):
+        return _MJD
+    return STAMPS.get(plain(name), Stamp())

@@ -1,0 +1,226 @@
+"""Rotation states as a result: a table, JSON, a scene for each, figures."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from torchlc.files.writing import OutputDirectory, without_nan
+from torchlc.geometry.orbit.earth import icrs_from_ecliptic
+from torchlc.inference.rotation.passes import rows_of
+from torchlc.inference.rotation.search import RotationMode, RotationSearch
+from torchlc.lightcurve.model import LightCurve
+from torchlc.scene import Free, Scene
+from torchlc.scene.parts import Attitude
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+SCHEMA = "torchlc-rotation/1"
+
+
+@dataclass(frozen=True)
+class RotationResult:
+    """Modes best first, and what was looked at; ``provenance`` says from what it was made."""
+
+    search: RotationSearch
+    seed: int = 0
+    seconds: float = 0.0
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def modes(self) -> list[RotationMode]:
+        return list(self.search.modes)
+
+    @property
+    def warnings(self) -> list[str]:
+        return list(self.search.warnings)
+
+    def told(self, mode: RotationMode) -> dict[str, Any]:
+        """One mode as JSON holds it."""
+        ra, dec = equatorial(mode)
+        lon, lat = ecliptic(mode)
+        numbers, sd = mode.numbers, mode.sd
+        shrunk = math.cos(math.radians(numbers["pole_lat"]))
+        pole_sd = math.hypot(sd.get("pole_lat", 0.0), sd.get("pole_lon", 0.0) * shrunk)
+        tilt = [numbers[f"tilt_{axis}"] for axis in "xyz"] if "tilt_x" in numbers else None
+        return {
+            "mode": "spin-pole",
+            "pole_icrs": [ra, dec],
+            "pole_ecliptic_j2000": [lon, lat],
+            "pole_sd_deg": pole_sd,
+            "period_s": mode.period_s,
+            "period_sd_s": mode.period_sd_s,
+            "period_h": numbers["period"],
+            "rev_per_hour": 1 / numbers["period"],
+            "period_rate_ms_per_day": numbers.get("period_rate"),
+            "period_rate_sd_ms_per_day": sd.get("period_rate"),
+            "epoch": str(mode.scene.attitude.epoch),
+            "phase_deg": numbers["phase"] % 360,
+            "phase_sd_deg": sd.get("phase"),
+            "tilt_deg": tilt,
+            "nutation_deg": 0.0,
+            "inertia_ratios": None,
+            "chi2": mode.chi2,
+            "probability": mode.probability,
+            "turns_between_passes": list(mode.counts),
+            "mirror": mode.mirror,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        search = self.search
+        return without_nan(
+            {
+                "schema": SCHEMA,
+                "verdict": search.verdict,
+                "decided": search.decided,
+                "modes": [self.told(mode) for mode in search.modes],
+                "dof": search.dof,
+                "rows": search.rows,
+                "passes": search.passes,
+                "passes_connected": search.connected,
+                "symmetry": search.symmetry,
+                "searched_s": list(search.searched_s),
+                "seconds": self.seconds,
+                "warnings": self.warnings,
+                "provenance": dict(self.provenance),
+            }
+        )
+
+    def to_table(self) -> Table:
+        """A row a mode, best first."""
+        from astropy.table import Table
+
+        names = ("period_s", "period_sd_s", "rev_per_hour", "phase_deg", "chi2", "probability")
+        told = [self.told(mode) for mode in self.search.modes]
+        table = Table({name: [one[name] for one in told] for name in names})
+        table["ra_deg"], table["dec_deg"] = (np.array([one["pole_icrs"][k] for one in told]) for k in (0, 1))
+        return table
+
+    def lines(self) -> list[str]:
+        """What a person reads."""
+        lines = [self.search.verdict]
+        for number, mode in enumerate(self.search.modes):
+            one = self.told(mode)
+            (ra, dec), (lon, lat) = one["pole_icrs"], one["pole_ecliptic_j2000"]
+            rate = one["period_rate_ms_per_day"]
+            parts = [
+                f"pole RA {ra:.2f} Dec {dec:+.2f} (ecliptic {lon:.2f} {lat:+.2f}) +- {one['pole_sd_deg']:.2g} deg",
+                f"turn in {one['period_s']:.8g} +- {one['period_sd_s']:.1g} s ({one['rev_per_hour']:.6g} rev/h)",
+                f"phase {one['phase_deg']:.1f} deg at {one['epoch']}",
+            ]
+            if rate is not None and one["period_rate_sd_ms_per_day"] is not None:
+                parts.append(f"period grows by {rate:.4g} +- {one['period_rate_sd_ms_per_day']:.1g} ms a day")
+            if one["tilt_deg"] is not None:
+                parts.append(f"tilt {', '.join(f'{x:.2f}' for x in one['tilt_deg'])} deg")
+            if any(one["turns_between_passes"]):
+                turns = ", ".join(f"{count:+g}" for count in one["turns_between_passes"])
+                parts.append(f"turns between passes {turns} against mode 1")
+            if mode.mirror:
+                parts.append(mode.mirror)
+            lines.append(
+                f"  {number + 1}. chi2 {mode.chi2:.1f}, probability {mode.probability:.3g}: {'; '.join(parts)}"
+            )
+        return lines
+
+    def scene(self, number: int = 0) -> Scene:
+        """The scene of a mode, ready for a fit or a diagnosis: rotation and materials at its numbers, free near them."""
+        mode = self.search.modes[number]
+        scene, numbers = mode.scene, mode.numbers
+        names = LightCurve(scene, self.search.recording).names
+        found = dict(zip(names, mode.theta.tolist(), strict=True))
+        attitude: dict[str, Any] = {}
+        for key in scene.attitude.model_fields_set:
+            attitude[key] = getattr(scene.attitude, key)
+        attitude["pole"] = tuple(
+            _at(one, numbers[key])
+            for one, key in zip(attitude["pole"], ("pole_lon", "pole_lat"), strict=True)
+        )
+        for key in ("period", "phase", "period_rate"):
+            if key in attitude:
+                attitude[key] = _at(attitude[key], numbers[key])
+        if "tilt" in attitude:
+            attitude["tilt"] = tuple(
+                _at(one, numbers[f"tilt_{axis}"]) for one, axis in zip(attitude["tilt"], "xyz", strict=True)
+            )
+        materials = {
+            name: material.model_copy(
+                update={
+                    "parameters": {
+                        key: _at(value, found.get(f"{name}.{key}", math.nan))
+                        for key, value in material.parameters.items()
+                    }
+                }
+            )
+            for name, material in scene.materials.items()
+        }
+        return scene.model_copy(update={"attitude": Attitude(**attitude), "materials": materials})
+
+    def write(self, directory: OutputDirectory) -> None:
+        """rotation.json, scene.toml of the best mode, and figures."""
+        from torchlc.figures import rotation as figures
+
+        search = self.search
+        best = search.modes[0]
+        directory.write_json("rotation.json", self.to_json())
+        directory.write_text("scene.toml", self.scene().to_toml())
+        with np.errstate(divide="ignore"):
+            period = 1 / search.frequency
+        marks = [mode.period_s for mode in search.modes]
+        directory.write(
+            "periodogram.png", lambda path: figures.periodogram(path, period, search.power, marks)
+        )
+        modes = np.array([_unit(*equatorial(mode)) for mode in search.modes])
+        directory.write("poles.png", lambda path: figures.poles(path, *search.pole_map, modes))
+        model = LightCurve(best.scene, search.recording)
+        rows = rows_of(model)
+        with torch.no_grad():
+            predicted = model(best.theta).numpy()[rows.index.numpy()]
+        phase = (rows.seconds.numpy() / best.period_s) % 1.0
+        observed = search.recording.observed[rows.index.numpy()]
+        directory.write(
+            "folded.png", lambda path: figures.folded(path, phase, observed, predicted, rows.number.numpy())
+        )
+
+    def __repr__(self) -> str:
+        return "\n".join([*self.lines(), *(f"  ! {text}" for text in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
+
+def _at(number: Any, value: float) -> Any:
+    """A number of a scene with another value, still inside its bounds."""
+    if not isinstance(number, Free) or math.isnan(value):
+        return number
+    low = -math.inf if number.low is None else number.low
+    high = math.inf if number.high is None else number.high
+    return number.model_copy(update={"value": min(max(value, low), high)})
+
+
+def _unit(longitude_deg: float, latitude_deg: float) -> np.ndarray:
+    lon, lat = math.radians(longitude_deg), math.radians(latitude_deg)
+    return np.array([math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)])
+
+
+def _angles(way: np.ndarray) -> tuple[float, float]:
+    return math.degrees(math.atan2(way[1], way[0])) % 360, math.degrees(
+        math.asin(max(-1.0, min(1.0, way[2])))
+    )
+
+
+def equatorial(mode: RotationMode) -> tuple[float, float]:
+    """Right ascension and declination of a mode's pole, deg, ICRS."""
+    way = _unit(mode.numbers["pole_lon"], mode.numbers["pole_lat"])
+    return _angles(icrs_from_ecliptic() @ way if mode.scene.orbit.vectors == "ecliptic" else way)
+
+
+def ecliptic(mode: RotationMode) -> tuple[float, float]:
+    """Longitude and latitude of a mode's pole, deg, ecliptic and equinox of J2000."""
+    return _angles(icrs_from_ecliptic().T @ _unit(*equatorial(mode)))

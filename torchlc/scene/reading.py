@@ -1,0 +1,128 @@
+"""What a user tells of a recording's file: the table [recording] of a scene, or the option --columns."""
+
+from __future__ import annotations
+
+import re
+import zoneinfo
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, ValidationError
+
+from torchlc.errors import InputError
+from torchlc.files.numbers import Real, Table, between, problem
+from torchlc.scene.problems import of_validation
+
+DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " ", "bar": "|"}
+OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?([0-5]\d))?", re.ASCII | re.IGNORECASE)
+OPTION = "--columns"
+ITEM = re.compile(r'(?:[^,"]|"[^"]*"?)+')
+"""What stands between commas; a comma between double quotes belongs to a name."""
+
+
+def _delimiter(text: str) -> str:
+    mark = DELIMITERS.get(text.strip().lower(), text)
+    if mark not in DELIMITERS.values():
+        raise problem(repr(text[:40]), f"one of {', '.join(DELIMITERS)}")
+    return mark
+
+
+def _decimal(text: str) -> str:
+    if text.strip().lower() not in DECIMALS:
+        raise problem(repr(text[:40]), "point or comma")
+    return DECIMALS[text.strip().lower()]
+
+
+def _zone(text: str) -> str:
+    """A zone that can be converted: an offset from UTC, or a name of the IANA's data base."""
+    match = OFFSET.fullmatch(text.strip())
+    if match:
+        if int(match[2]) * 60 + int(match[3] or 0) > 14 * 60:
+            raise problem(repr(text[:40]), "an offset of at most 14 h")
+        return text.strip()
+    try:
+        zoneinfo.ZoneInfo(text.strip())
+    except (ValueError, OSError, zoneinfo.ZoneInfoNotFoundError):
+        expected = 'an offset such as "+02:00", or a name such as "Europe/Vienna"'
+        raise problem(repr(text[:40]), expected) from None
+    return text.strip()
+
+
+class Reading(Table):
+    """How a recording's file is to be read, where it does not say so itself.
+
+    ``columns``: our name of a column and the file's, of which several are joined by "+"; ``units`` of our columns;
+    ``time_format``, ``time_scale``, ``time_zone`` and ``time_mark`` say what the times are; ``light_path``: the Sun
+    or the barycentre, to which the way of light was reduced, for an object in the ``direction`` (ICRS right ascension
+    and declination, deg); ``exptime`` of all rows, s; ``object``: name or number of the one wanted.
+    """
+
+    columns: dict[str, str] = Field(default_factory=dict)
+    units: dict[str, str] = Field(default_factory=dict)
+    time_format: Literal["jd", "mjd", "jd-2400000", "iso"] | None = None
+    time_scale: Literal["utc", "tai", "tt", "tdb"] | None = None
+    time_zone: Annotated[str, AfterValidator(_zone)] | None = None
+    time_mark: Literal["start", "middle", "end"] | None = None
+    light_path: Literal["observer", "heliocentric", "barycentric"] | None = None
+    direction: tuple[Annotated[Real, between(-180, 360)], Annotated[Real, between(-90, 90)]] | None = None
+    exptime: Annotated[Real, between(0.0, 86400.0)] | None = None
+    object: str | None = None
+    delimiter: Annotated[str, AfterValidator(_delimiter)] | None = None
+    decimal: Annotated[str, AfterValidator(_decimal)] | None = None
+
+    def with_given(self, given: Reading) -> Reading:
+        """These entries, with those that are ``given`` in their place; columns and units each by name."""
+        update = {name: getattr(given, name) for name in given.model_fields_set}
+        for name in ("columns", "units"):
+            if name in update:
+                update[name] = {**getattr(self, name), **update[name]}
+        return self.model_copy(update=update)
+
+
+SETTINGS = tuple(name for name in Reading.model_fields if name not in ("columns", "units"))
+"""What --columns may say beside columns."""
+
+
+def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
+    """What is typed after --columns, "time=JD_UTC,mag=V,time_scale=tdb", or the same as a mapping."""
+    if given is None:
+        return Reading()
+    if isinstance(given, Reading):
+        return given
+    pairs = _pairs(given) if isinstance(given, str) else dict(given)
+    table: dict[str, Any] = {key: value for key, value in pairs.items() if key in Reading.model_fields}
+    columns = {key: str(value) for key, value in pairs.items() if key not in Reading.model_fields}
+    if "exptime" in table and not _is_number(table["exptime"]):
+        columns["exptime"] = str(table.pop("exptime"))
+    if "exptime" in table:
+        table["exptime"] = float(table["exptime"])
+    if isinstance(table.get("direction"), str):
+        parts = table["direction"].replace(",", " ").split()
+        table["direction"] = [float(part) if _is_number(part) else part for part in parts]
+    if columns:
+        table["columns"] = {**table.get("columns", {}), **columns}
+    try:
+        return Reading.model_validate(table)
+    except ValidationError as error:
+        raise of_validation(OPTION, error) from None
+
+
+def _pairs(text: str) -> dict[str, str]:
+    pairs: dict[str, str] = {}
+    for item in ITEM.findall(text):
+        name, equals, value = (part.strip().strip('"').strip() for part in item.partition("="))
+        if not (name and equals and value):
+            raise InputError(None, OPTION, repr(item[:60]), "name=column, as in time=JD_UTC,mag=V")
+        if name in pairs:
+            raise InputError(None, OPTION, f"{name} twice", "each name once")
+        pairs[name] = value
+    return pairs
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True

@@ -32,6 +32,9 @@ class AttitudeJump(Effect):
     title = "an attitude that jumps at one moment"
     stage = "attitude"
     timed_by_rows = True
+    prior_odds = 0.1
+    # what happens once, within the hours of a recording, is rarer than an attitude that is off throughout: station keeping takes
+    # place every week or two, so one night in ten has it
     order = 1
     scanned = "time"
     turning = "jump"

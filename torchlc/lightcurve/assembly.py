@@ -346,7 +346,7 @@ def assemble(
 def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:
     """The law of a material; that of ``base`` if it is the same, with what it has learnt."""
     own = None if base is None else base.models.get(material)
-    return own if isinstance(own, law) else law.of_material()
+    return law.of_material() if own is None or own.__class__ is not law else own
 
 
 def exposures(context: Context) -> Tensor:

@@ -623,7 +623,7 @@ class Effect(nn.Module):
 
     def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
         """Factor (..., T) on sunlight; () if all of it is there."""
-        return torch.ones(())
+        return next(iter(p.values()), context.seconds).new_ones(())
 
     def surface(
         self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context

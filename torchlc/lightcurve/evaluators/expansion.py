@@ -168,7 +168,7 @@ class Expansion(Evaluator):
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
         surfaces = tuple(
-            replace(one, table=one.model.condense(one.table)) if "log_half" in one.table else one  # pyright: ignore[reportAttributeAccessIssue]
+            replace(one, table=one.model.condense(one.table)) if "log_half" in one.table else one
             for one in made.surfaces
         )
         return replace(made, surfaces=surfaces)

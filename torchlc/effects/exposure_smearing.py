@@ -155,7 +155,7 @@ def _panels(context: Context, exposure: Tensor) -> Panels:
     bottom up. At the shadow's edge each has more."""
     rows = len(exposure)
     whole = torch.arange(rows)
-    paths, widths = _paths(context, whole, torch.zeros(rows), exposure)
+    paths, widths = _paths(context, whole, torch.zeros_like(exposure), exposure)
     leaves = (paths / widths.lobe).amax(0) / LEAF_WIDTHS
     depth = torch.log2(leaves.clamp(1.0, MOST_LEAVES)).ceil().long()
     edge = torch.zeros(rows, dtype=torch.bool)

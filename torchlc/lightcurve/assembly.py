@@ -28,8 +28,8 @@ from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
+from torchlc.tensors.moving import CPU
 
-CPU = torch.device("cpu")
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
 """Lobes are expected to be as sharp as this, or as a smaller upper bound of the exponent."""

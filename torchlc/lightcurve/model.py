@@ -28,7 +28,7 @@ from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.stages.effect import GEOMETRY_STAGES, Brightness, Effect, Noise, View
-from torchlc.tensors.moving import moved, on
+from torchlc.tensors.moving import CPU, moved, on
 
 MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))
 
@@ -71,7 +71,7 @@ class LightCurve(nn.Module):
     ) -> None:
         super().__init__()
         if assembly is None:
-            with on(torch.device("cpu")):
+            with on(CPU):
                 assembly = assemble(scene, recording, effects)
         self.assembly = assembly
         with self._home():

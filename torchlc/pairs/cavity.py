@@ -125,7 +125,9 @@ def exchanged(cavity: Cavity, facets: Facets, context: Context) -> tuple[Tensor,
         apart = ~torch.eye(len(middle), dtype=torch.bool, device=middle.device)
         relative = corners[None] - middle[:, None, None]
         # a facet seen from itself has corners in its plane, at which the formula has no slope
-        relative = torch.where(apart[..., None, None], relative, 1.0 + torch.eye(4, 3).to(middle))
+        relative = torch.where(
+            apart[..., None, None], relative, 1.0 + torch.eye(4, 3, dtype=middle.dtype, device=middle.device)
+        )
         share = torch.where(apart, form_factor(relative, normal[:, None]) * cavity.share, 0.0)
     else:
         share, open_ = context.memory.recall(

@@ -40,7 +40,7 @@ from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
-from torchlc.tensors.autodiff_state import apart
+from torchlc.tensors.autodiff_state import apart, readable
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -288,6 +288,8 @@ class Memory:
     ) -> list[Tensor]:
         """What ``compute`` gives for some of the N items of ``inputs``, by their numbers, as tensors (items,
         ...): for all of them, (N, ...), but asked only for items that are new."""
+        if not all(readable(tensor) for item in inputs for tensor in item):
+            return list(compute(list(range(len(inputs)))))
         keys = [_digest(item) for item in inputs]
         new = {key: k for k, key in enumerate(keys) if key not in self._kept}
         found = compute(list(new.values())) if new else ()

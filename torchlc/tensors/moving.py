@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 
 Thing = TypeVar("Thing")
+CPU = torch.device("cpu")
+"""Where verbs compute, and where a light curve is made."""
 
 
 @contextmanager

@@ -64,7 +64,7 @@ class Expansion(Evaluator):
         self.theta = theta.detach().clone()
         self._check()
         self.columns = torch.as_tensor(self.assembly.geometry_columns, device=theta.device)
-        low = torch.tensor([self.parameters.free[k].prior.low for k in self.columns.tolist()]).to(theta)
+        low = theta.new_tensor([self.parameters.free[k].prior.low for k in self.assembly.geometry_columns])
         at = self.theta[self.columns]
         block = scale.detach()[self.columns[:, None], self.columns]
         spread = torch.sqrt(torch.diagonal(block))
@@ -130,7 +130,7 @@ class Expansion(Evaluator):
     def _stencil(self) -> Tensor:
         """Coordinates (S, d): the middle, a step either way, a step along two axes at once."""
         d = len(self.columns)
-        eye = STEP * torch.eye(d).to(self.theta)
+        eye = STEP * torch.eye(d, dtype=self.theta.dtype, device=self.theta.device)
         both = [eye[i] + eye[j] for i, j in self.pairs]
         return torch.stack([torch.zeros_like(self.centre), *eye, *-eye, *both])
 
@@ -299,7 +299,7 @@ class Expansion(Evaluator):
         points = self.theta_at(self.reach * share.to(towards) * towards / length)
         radius = self.reach * share[:, 0]
         low, high = (
-            torch.tensor([getattr(one.prior, end) for one in self.parameters.free]).to(points)
+            points.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
             for end in ("low", "high")
         )
         sound = ((points >= low) & (points <= high)).all(-1)

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Instants
+from torchlc.stages.showing import ECLIPSE, Shown
 from torchlc.tensors.autodiff_state import readable, traced
 
 EARTH_RADIUS_KM = 6378.137
@@ -234,6 +235,7 @@ class EarthShadow(Effect):
 
     name = "earth_shadow"
     title = "the shadow of the Earth"
+    shown = Shown(ECLIPSE, "shadow_coordinate")
     stage = "shade"
     opaque_air = "h0"
     known = True

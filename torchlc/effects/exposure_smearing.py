@@ -16,6 +16,7 @@ from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
 from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect, Instants, Nodes
+from torchlc.stages.showing import SPIN, Shown
 
 DIFFUSE_RAD = 0.1
 """Path of the Sun or the observer, seen from a part, that counts as one width where facets rise and set."""
@@ -54,6 +55,7 @@ class ExposureSmearing(Effect):
 
     name = "exposure_smearing"
     title = "light averaged over each exposure"
+    shown = Shown(SPIN, "spin_phase")
     stage = "clock"
     known = True
     spans_exposure = True

@@ -40,6 +40,7 @@ from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
+from torchlc.stages.showing import Shown
 from torchlc.tensors.autodiff_state import apart, readable
 
 if TYPE_CHECKING:
@@ -452,7 +453,7 @@ EFFECTS: Registry[type[Effect]] = Registry("effect")
 
 class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
-    words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
+    words), ``shown`` (how its page shows it), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
@@ -477,6 +478,7 @@ class Effect(nn.Module):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    shown: ClassVar[Shown] = Shown()
     stage: ClassVar[str]
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None

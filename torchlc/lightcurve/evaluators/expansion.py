@@ -205,14 +205,14 @@ class Expansion(Evaluator):
         coefficients[1:] = torch.where(dark, 0.0, coefficients[1:])
         coefficients = coefficients.flatten(1, 2)
         largest = coefficients.abs().flatten(1).amax(1)
-        kept = largest * torch.where(self._degree() == 1, self.reach, self.reach**2) > NEGLIGIBLE
+        kept = largest * self.reach ** self._degree().clamp(min=1) > NEGLIGIBLE
         kept[0] = True
         order = torch.nonzero(kept)[:, 0]
         return {"lobes": coefficients[order].transpose(0, 1).flatten(0, 1).contiguous(), "order": order}
 
     def _degree(self) -> Tensor:
         d = len(self.columns)
-        return torch.tensor([0] + [1] * d + [2] * (d + len(self.pairs)))
+        return self.theta.new_tensor([0] + [1] * d + [2] * (d + len(self.pairs)))
 
     def _sums(self, name: str, values: Tensor) -> dict[str, Tensor]:
         """Coefficients (M, ...) of sums (S, ...), of their logarithms where these are smooth."""

@@ -44,6 +44,7 @@ from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene
+from torchlc.tensors.moving import CPU, on
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def load(
     columns: Columns = None,
     trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
+@on(CPU)
 def load(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -100,6 +102,7 @@ def load(
     return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
+@on(CPU)
 def simulate(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -126,6 +129,7 @@ def simulate(
     return simulated_curve(scene, rows, noise, seed)
 
 
+@on(CPU)
 def predict(
     scene: str | Path | Scene | FitResult,
     *,
@@ -194,6 +198,7 @@ def predict(
     return found
 
 
+@on(CPU)
 def visibility(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -218,6 +223,7 @@ def visibility(
     return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
 
 
+@on(CPU)
 def fit(
     scene: str | Path | Scene,
     recording: Rows,
@@ -299,6 +305,7 @@ def fit(
     return result
 
 
+@on(CPU)
 def diagnose(
     scene: str | Path | Scene,
     recording: Rows,
@@ -335,6 +342,7 @@ def diagnose(
     return result
 
 
+@on(CPU)
 def rotation(
     scene: str | Path | Scene,
     *recordings: str | Path | Recording,

@@ -12,7 +12,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
 from torchlc.inference.likelihood import Likelihood
 from torchlc.readers import Recording
 from torchlc.stages.effect import Entry
+from torchlc.stages.showing import ECLIPSE, MIRROR, NIGHT, PASS, SLOW, SPIN, TIME, YEAR, Shown
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"
@@ -90,7 +91,6 @@ spin_rate = 60.0
 """
     + LEO[LEO.index("[[components]]") :].replace('tracks = { target = "sun", axis = [0, 1, 0] }', "")
 )
-WHITE = {"panel.n": 30.0, "panel.r_spec": 0.1, "panel.r_diff": 0.7, "body.r_diff": 0.6}
 
 
 @dataclass(frozen=True)
@@ -105,69 +105,13 @@ class Setting:
 
 
 SETTINGS = {
-    "geostationary, a night": Setting(GEO, "2020-10-17T13:00", 8.0, 120.0),
-    "geostationary, a mirror's glint": Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
-    "geostationary, an eclipse": Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
-    "geostationary, a year at one hour": Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
-    "low orbit, one pass": Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
-    "low orbit, a turn a minute": Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
-    "low orbit, a turn in eight minutes": Setting(
-        SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0
-    ),
-}
-NIGHT, MIRROR, ECLIPSE, YEAR, PASS, SPIN, SLOW = SETTINGS
-
-
-@dataclass(frozen=True)
-class Case:
-    """An effect's scene, coordinate, and the values at which it is shown; materials may be others than the
-    scene's."""
-
-    setting: str
-    coordinate: str
-    values: Mapping[str, float] = field(default_factory=dict)
-    target: str | None = None
-    materials: Mapping[str, float] = field(default_factory=dict)
-
-
-PANEL_GLINT = "glint_angle_deg[panel +Y/front]"
-PASS_GLINT = "glint_angle_deg[panel/front]"
-CASES = {
-    "exposure_smearing": Case(SPIN, "spin_phase"),
-    "time_offset": Case(PASS, PASS_GLINT, {"s": 2.0}),
-    "along_track_offset": Case(PASS, PASS_GLINT, {"deg": 0.1}),
-    "light_time": Case(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0}),
-    "spin_rate_offset": Case(SPIN, "time", {"rev_per_hour": 0.3}),
-    "attitude_offset": Case(NIGHT, PANEL_GLINT, {"x": 1.0, "y": 0.0, "z": 1.0}),
-    "attitude_jump": Case(NIGHT, "time", {"x": 1.0, "y": 0.0, "z": 1.0, "time": 4.0}),
-    "attitude_drift": Case(NIGHT, PANEL_GLINT, {"x": 0.5, "y": 0.0, "z": 0.5}),
-    "wing_split": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "wobble": Case(NIGHT, "cycle of the wobble", {"deg": 1.0, "period_min": 80.0}),
-    "panel_offset": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "panel_cant": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "sun_distance": Case(YEAR, "distance of the Sun, au"),
-    "finite_sun": Case(MIRROR, PANEL_GLINT, materials={"panel.n": 1e5}),
-    "earth_shadow": Case(ECLIPSE, "shadow_coordinate"),
-    "earthshine": Case(PASS, "phase_angle_deg", {"albedo": 0.3}, materials=WHITE),
-    "interreflection": Case(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE),
-    "self_shadowing": Case(SLOW, "sun_lon_body"),
-    "appendage": Case(NIGHT, "phase_angle_deg", {"area": 1.5, "lon": 20.0, "lat": 70.0}),
-    "back_transmission": Case(PASS, "phase_angle_deg", {"t_d": 0.02}, "panel"),
-    "normal_dispersion": Case(NIGHT, PANEL_GLINT, {"deg": 3.0}, "panel"),
-    "lobe_tail": Case(NIGHT, PANEL_GLINT, {"g": 2.0}, "panel"),
-    "second_material": Case(
-        NIGHT, PANEL_GLINT, {"weight": 0.2, "n": 3000.0, "r_spec": 0.05, "r_diff": 0.05}, "panel"
-    ),
-    "opposition_surge": Case(NIGHT, "phase_angle_deg", {"b0": 0.8, "h": 0.05}, "body"),
-    "background": Case(NIGHT, "inverse_flux", {"fraction": 0.1}),
-    "saturation": Case(NIGHT, "flux", {"q": 0.05, "limit": 0.8}),
-    "color_term": Case(NIGHT, "share of panel +Y", {"mag": 0.2}, "panel +Y"),
-    "extinction_residual": Case(PASS, "airmass", {"mag_per_airmass": 0.1}),
-    "zero_point_drift": Case(NIGHT, "time", {"mag_per_hour": 0.03}),
-    "zero_point_step": Case(NIGHT, "time", {"mag": 0.1, "time": 5.0}),
-    "jitter": Case(NIGHT, "mag", {"mag": 0.05}),
-    "red_noise": Case(NIGHT, "lag, min", {"mag": 0.05, "tau_min": 20.0}),
-    "outliers": Case(NIGHT, "mag", {"fraction": 0.05, "width": 8.0}),
+    NIGHT: Setting(GEO, "2020-10-17T13:00", 8.0, 120.0),
+    MIRROR: Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
+    ECLIPSE: Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
+    YEAR: Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
+    PASS: Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
+    SPIN: Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
+    SLOW: Setting(SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0),
 }
 
 
@@ -197,7 +141,7 @@ def materials_at(model: torchlc.LightCurve, materials: Mapping[str, float]) -> t
     return theta
 
 
-def measured(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+def measured(name: str, case: Shown) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
     """Sizes of what ``name`` leaves, and the columns that its figure shows."""
     setting = SETTINGS[case.setting]
     entry = str(Entry(name, case.target))
@@ -270,7 +214,7 @@ def nearby(model: torchlc.LightCurve) -> torch.Tensor:
     return parameters.from_flat(torch.minimum(torch.maximum(y, low + 1e-6), high - 1e-6))
 
 
-def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+def noise_of(name: str, case: Shown) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
     """Errors drawn without and with a noise effect."""
     setting = SETTINGS[case.setting]
     full = {f"{name}.{key}": value for key, value in case.values.items()}
@@ -288,7 +232,7 @@ def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.nda
     return sizes, {"hours": rows(setting).seconds / 3600, "plain": plain, "left": left}
 
 
-def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
+def draw(name: str, case: Shown, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
     noise = registry()[name].stage == "noise"
     with plt.rc_context({**style(8.5), "figure.facecolor": "white"}):
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.7), layout="constrained")
@@ -310,7 +254,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
         left.set_ylabel("drawn error, mag" if noise else "with − without, mag")
         if noise:
             shown_noise(case, columns, right)
-        elif case.coordinate == "time":
+        elif case.coordinate == TIME:
             right.plot(hours / scale, columns["with"], color=DATA, label="with it", **dots)
             right.plot(
                 hours / scale, columns["without"], color=MODEL, lw=1.1, label="without it, materials refitted"
@@ -322,7 +266,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
                 right.plot(columns["along"], columns[key], color=colour, **dots)
             right.set_xlabel(case.coordinate.replace("_deg", ", deg ").replace("_", " "))
         for axes in (left, right):
-            if not (axes is right and (noise or case.coordinate == "time")):
+            if not (axes is right and (noise or case.coordinate == TIME)):
                 axes.axhline(0, color=DATA, lw=0.7, zorder=0)
                 axes.invert_yaxis()
         figure.legend(loc="outside lower center", ncols=4, fontsize=8, handletextpad=0.3)
@@ -336,7 +280,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
         plt.close(figure)
 
 
-def shown_noise(case: Case, columns: Mapping[str, np.ndarray], axes: Any) -> None:
+def shown_noise(case: Shown, columns: Mapping[str, np.ndarray], axes: Any) -> None:
     """Distribution of the errors, or their autocorrelation where that is what the noise changes."""
     if case.coordinate != "mag":
         minutes = 60 * columns["hours"][:40]
@@ -355,16 +299,16 @@ def shown_noise(case: Case, columns: Mapping[str, np.ndarray], axes: Any) -> Non
 
 def main(names: list[str], *, costs: bool) -> None:
     told = json.loads(SIZES.read_text(encoding="utf-8")) if SIZES.exists() else {}
-    for name in names or CASES:
-        case = CASES[name]
-        work: Callable[[str, Case], Any] = noise_of if registry()[name].stage == "noise" else measured
+    for name in names or registry():
+        case = registry()[name].shown
+        work: Callable[[str, Shown], Any] = noise_of if registry()[name].stage == "noise" else measured
         sizes, columns = work(name, case)
         draw(name, case, sizes, columns)
         told[name] = {"setting": case.setting, **sizes, "cost": told.get(name, {}).get("cost")}
         if costs:
             told[name]["cost"] = cost(SETTINGS[case.setting], str(Entry(name, case.target)))
         print(name, told[name], flush=True)
-        whole = {one: told[one] for one in CASES if one in told}
+        whole = {one: told[one] for one in registry() if one in told}
         SIZES.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
 
 

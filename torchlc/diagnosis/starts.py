@@ -78,7 +78,7 @@ def crossed(
 
 
 def _coin(like: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    return (torch.rand(count, like.shape[-1], generator=generator) < 0.5).to(like.device)
+    return (torch.rand(count, like.shape[-1], generator=generator, dtype=torch.float32) < 0.5).to(like.device)
 
 
 def objective(likelihood: Likelihood, theta: Tensor) -> Tensor:

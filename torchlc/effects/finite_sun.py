@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchlc.stages.effect import Effect, Light
+from torchlc.stages.showing import MIRROR, PANEL_GLINT, Shown
 from torchlc.tensors.vectors import least_axis
 
 SUN_RADIUS_KM = 695_700.0
@@ -60,6 +61,7 @@ class FiniteSun(Effect):
 
     name = "finite_sun"
     title = "the disc of the Sun, which is no point"
+    shown = Shown(MIRROR, PANEL_GLINT, materials={"panel.n": 100000.0})
     stage = "light"
     known = True
     order = 1

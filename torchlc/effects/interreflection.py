@@ -14,6 +14,7 @@ from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, f
 from torchlc.pairs.facet_pairs import joined, slotted
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
+from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200
@@ -33,6 +34,7 @@ class Interreflection(Effect):
 
     name = "interreflection"
     title = "light that goes from part to part"
+    shown = Shown(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE)
     stage = "scatter"
     at_middle = True
     unable = "no two parts have facets that face each other, and none has facets that face its own"

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.occlusion import visible_fractions
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import SLOW, Shown
 from torchlc.tensors.autodiff_state import traced
 
 
@@ -21,6 +22,7 @@ class SelfShadowing(Effect):
 
     name = "self_shadowing"
     title = "parts that shade and hide each other"
+    shown = Shown(SLOW, "sun_lon_body")
     stage = "surface"
     joins_parts = True
     known = True

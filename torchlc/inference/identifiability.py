@@ -116,7 +116,9 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     if not len(candidates):
         return []
     most = candidates[torch.argsort(instants[candidates], descending=True)[: LOOKED_AT // 2]]
-    even = candidates[torch.linspace(0, len(candidates) - 1, LOOKED_AT // 2).round().long()]
+    even = candidates[
+        torch.linspace(0, len(candidates) - 1, LOOKED_AT // 2, dtype=torch.float32).round().long()
+    ]
     looked = torch.zeros_like(lit)
     looked[torch.cat([most, even])] = True
     a = model.assembly

@@ -175,7 +175,7 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
             y = y0 + shrink * noise @ spread.T
             inward = torch.rand(len(y), len(parameters), generator=generator, dtype=y0.dtype)
             span = torch.where(torch.isfinite(high - low), high - low, 1.0)
-            step = torch.where(y0 - low <= high - y0, 0.03, -0.03) * inward * span
+            step = 0.03 * torch.where(y0 - low <= high - y0, inward, -inward) * span
             y = torch.where(mode.at_bound, y + step, y)
             inside = y[((y > low) & (y < high)).all(-1)]
             theta = parameters.from_flat(inside)

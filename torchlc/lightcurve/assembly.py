@@ -28,6 +28,7 @@ from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
+from torchlc.tensors.moving import CPU
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
@@ -62,7 +63,7 @@ class Assembly:
     instants: Instants | None = None
     pinned: Mapping[str, float] = field(default_factory=dict)
     dtype: torch.dtype = torch.float64
-    device: str = "cpu"
+    device: torch.device = CPU
 
     @property
     def T(self) -> int:
@@ -132,9 +133,9 @@ class Assembly:
         return self.N * sum(len(part.faces) for part in self.shape.parts if part.hull is None)
 
     @cached_property
-    def patches(self) -> list[list[tuple[str, str | None, Tensor]]]:
+    def patches(self) -> list[list[tuple[str, str | None, list[str], Tensor]]]:
         """For each part, the materials on it, each of its surfaces that is one whole by its label (else None), and the
-        facets (indices) of each."""
+        labels and the indices of the facets of each."""
         found = []
         for part in self.shape.parts:
             labels = [face if face in part.whole else None for face in part.faces]
@@ -142,7 +143,10 @@ class Assembly:
             for index, key in enumerate(zip(part.materials, labels, strict=True)):
                 groups.setdefault(key, []).append(index)
             found.append(
-                [(*key, torch.as_tensor(index, device=self.device)) for key, index in groups.items()]
+                [
+                    (*key, [part.faces[i] for i in index], torch.as_tensor(index, device=self.device))
+                    for key, index in groups.items()
+                ]
             )
         return found
 

@@ -63,7 +63,7 @@ class Pipeline:
                 component=part.name,
                 material=material,
                 model=a.models[material],
-                faces=[part.faces[i] for i in index.tolist()],
+                faces=faces,
                 normal=one.normal[index],
                 u=one.u[index],
                 area=one.area[index],
@@ -73,7 +73,7 @@ class Pipeline:
                 surface=None if face is None else part.surface(face, values),
             )
             for number, (part, one) in enumerate(zip(a.shape.parts, view.facets, strict=True))
-            for material, face, index in a.patches[number]
+            for material, face, faces, index in a.patches[number]
         )
         lights = view.lights
         for effect in a.stage("light"):

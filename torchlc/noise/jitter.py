@@ -6,6 +6,7 @@ import math
 
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Quantity
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class Jitter(NoiseKind):
@@ -16,6 +17,7 @@ class Jitter(NoiseKind):
 
     name = "jitter"
     title = "errors larger than quoted"
+    shown = Shown(NIGHT, "mag", {"mag": 0.05})
     widens = True
     mends_errors = True
     quantities = (

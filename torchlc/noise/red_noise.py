@@ -11,6 +11,7 @@ from torch import Tensor
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Process
+from torchlc.stages.showing import NIGHT, Shown
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class RedNoise(NoiseKind):
 
     name = "red_noise"
     title = "noise that is correlated in time"
+    shown = Shown(NIGHT, "lag, min", {"mag": 0.05, "tau_min": 20.0})
     correlates = True
     quantities = (
         Quantity(

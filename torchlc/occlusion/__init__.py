@@ -39,6 +39,8 @@ def visible_fractions(
     convex = all(part.hull is not None for part in shape.parts)
     if convex and len(shape.parts) == 1:
         return [to_sun.new_ones(rows, len(shape.parts[0].faces))]
+    if to_sun.is_meta:  # shapes alone are asked for, and which polygons cut which is told by numbers
+        return [to_sun.new_empty(rows, len(part.faces)) for part in shape.parts]
     each: list[Tensor] = []
     for part, own, pose in zip(shape.parts, facets, poses, strict=True):
         turn = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose

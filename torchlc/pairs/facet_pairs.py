@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
 from torchlc.stages.effect import Columns, Light, Patch, View
-from torchlc.tensors.autodiff_state import followed, transformed
+from torchlc.tensors.autodiff_state import followed, readable, transformed
 from torchlc.tensors.vectors import dot
 
 PAIRS_PER_CHUNK = 200_000
@@ -193,7 +193,7 @@ def _sides(patches: Sequence[Patch], primary: bool) -> list[Sides]:
     found: list[Sides] = []
     for patch in patches:
         turned = followed(patch.normal) or followed(patch.u)
-        if turned or transformed() or patch.normal.ndim > 2:
+        if turned or transformed() or patch.normal.ndim > 2 or not readable(patch.normal):
             found.append(Sides(patch.pose, patch.normal, patch.u, _cover(patch, primary), None))
         else:
             groups.setdefault(id(patch.pose), []).append(patch)

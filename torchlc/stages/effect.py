@@ -40,7 +40,8 @@ from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
-from torchlc.tensors.autodiff_state import apart
+from torchlc.stages.showing import Shown
+from torchlc.tensors.autodiff_state import apart, readable
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -288,6 +289,8 @@ class Memory:
     ) -> list[Tensor]:
         """What ``compute`` gives for some of the N items of ``inputs``, by their numbers, as tensors (items,
         ...): for all of them, (N, ...), but asked only for items that are new."""
+        if not all(readable(tensor) for item in inputs for tensor in item):
+            return list(compute(list(range(len(inputs)))))
         keys = [_digest(item) for item in inputs]
         new = {key: k for k, key in enumerate(keys) if key not in self._kept}
         found = compute(list(new.values())) if new else ()
@@ -450,7 +453,7 @@ EFFECTS: Registry[type[Effect]] = Registry("effect")
 
 class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
-    words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
+    words), ``shown`` (how its page shows it), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
@@ -475,6 +478,7 @@ class Effect(nn.Module):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    shown: ClassVar[Shown] = Shown()
     stage: ClassVar[str]
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
@@ -623,7 +627,7 @@ class Effect(nn.Module):
 
     def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
         """Factor (..., T) on sunlight; () if all of it is there."""
-        return torch.ones(())
+        return next(iter(p.values()), context.seconds).new_ones(())
 
     def surface(
         self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context

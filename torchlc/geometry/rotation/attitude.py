@@ -27,7 +27,7 @@ from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
 from torchlc.geometry.rotation.rigid_body import free_rotation
 from torchlc.readers import seconds_since
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.tensors.autodiff_state import transformed
+from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import dot, unit
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
     """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles."""
     cross = torch.linalg.cross(a, b)
     parallel = (dot(cross, cross) <= ALIGNED * dot(b, b))[..., None]
-    if not transformed() and not bool(parallel.any()):
+    if not transformed() and readable(parallel) and not bool(parallel.any()):
         return unit(cross)
     x, y = (a.new_tensor(axis).expand_as(a) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     instead = torch.linalg.cross(a, torch.where(a[..., :1].abs() < 0.8, x, y))

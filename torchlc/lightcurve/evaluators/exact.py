@@ -11,7 +11,7 @@ from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE, Evaluator
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Key, Tables, members, moves, sorted_patches, surface_of
 from torchlc.stages.effect import Brightness, Surface
-from torchlc.tensors.autodiff_state import apart, transformed
+from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48
 """Compact tables of past geometries that are kept."""
@@ -30,7 +30,7 @@ class ExactGeometry(Evaluator):
 
     def __init__(self, pipeline: Pipeline) -> None:
         super().__init__(pipeline)
-        self._recent: dict[tuple[bool, bytes], Tables] = {}
+        self._recent: dict[tuple[bool, tuple[float, ...]], Tables] = {}
         self._still: dict[bool, dict[Key, Surface | None]] = {}
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
@@ -55,7 +55,9 @@ class ExactGeometry(Evaluator):
             return None
         if self.gridded:
             return self._together(flat, shares)
-        return None if torch.is_grad_enabled() else self._grouped(flat, shares)
+        if torch.is_grad_enabled() or not readable(flat):
+            return None
+        return self._grouped(flat, shares)
 
     @cached_property
     def gridded(self) -> bool:
@@ -71,7 +73,7 @@ class ExactGeometry(Evaluator):
         pieces = []
         for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs)):
             distinct, member = rows, None
-            if not torch.is_grad_enabled():
+            if not torch.is_grad_enabled() and readable(rows):
                 distinct, member = self._geometries(rows)
             view = self.pipeline.view(self.values(distinct), len(distinct))
             still = self.still_surfaces(detail)
@@ -106,7 +108,7 @@ class ExactGeometry(Evaluator):
         kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
         for index, one in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
-            key = (detail, one[self.assembly.geometry_columns].numpy().tobytes())
+            key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
             if key not in self._recent:
                 values = self.values(one)
                 self._recent[key] = self.pipeline.make_tables(

@@ -134,12 +134,14 @@ class Columns:
 
 @dataclass(frozen=True)
 class Request:
-    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit,
-    rad (1,) or (T,)."""
+    """Seconds after the stamp for observer and object, (Q, T), how far the object is ahead on its orbit, rad (1,) or
+    (T,), and by how much the observer's direction is off to the ``east`` and ``north``, deg, None where it is not."""
 
     observer_offset: Tensor
     object_offset: Tensor
     ahead: Tensor
+    east: Tensor | None = None
+    north: Tensor | None = None
 
 
 @dataclass(frozen=True)

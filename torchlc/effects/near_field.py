@@ -13,49 +13,65 @@ from torchlc.stages.effect import Effect, Near, Patch
 CLOSE = 0.1
 """Radius of the object over a distance for which pieces of facets are made fine enough."""
 ACROSS_RADIUS = 0.25
-"""Largest piece of a facet, in radii of the object: 1.4 deg at CLOSE, whose light is within 1e-4 of an integral's."""
+"""Largest facet, in radii of the object, that one point stands for: 1.4 deg at CLOSE, whose light is within 1e-4 of an integral's."""
 ACROSS_LOBE = 0.3
-"""Largest angle of a piece as the source sees it, in standard deviations of the sharpest lobe."""
+"""Largest angle of such a facet as the source sees it, in standard deviations of the sharpest lobe."""
+WIDER = 5.0
+"""How much wider a triangle of seven points may be."""
 FINEST = 12
-"""Pieces along a side of a facet at most."""
+"""Triangles along a side of a facet at most."""
+_NEAR, _FAR = (6 - math.sqrt(15)) / 21, (6 + math.sqrt(15)) / 21
+BARYCENTRIC = torch.tensor(
+    [[1 / 3] * 3]
+    + [[1 - 2 * at if k == corner else at for k in range(3)] for at in (_NEAR, _FAR) for corner in range(3)],
+    dtype=torch.float64,
+)
+WEIGHTS = torch.tensor(
+    [9 / 40] + [(155 - math.sqrt(15)) / 1200] * 3 + [(155 + math.sqrt(15)) / 1200] * 3, dtype=torch.float64
+)
+"""Radon's rule of degree 5 on a triangle (1948; Stroud 1971, T2 5-1): seven points and their shares of its area."""
 
 
 def pieces(vertices: torch.Tensor, longest: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Polygons (F, V, 3) as triangles no wider than ``longest``: of each its middle (N, 3), area (N,) over the polygon's, and
-    the polygon that it is of (N,)."""
+    """Points (N, 3) that stand for polygons (F, V, 3): the share of its polygon's area of each (N,), and which polygon it is
+    of (N,). A triangle no wider than ``longest`` has one, else each of its triangles no wider than WIDER times that has seven."""
     if vertices.shape[1] == 3:
-        sides = vertices - vertices.roll(1, 1)
-        if float(torch.linalg.vector_norm(sides, dim=-1).max()) <= longest:
+        sides = torch.linalg.vector_norm(vertices - vertices.roll(1, 1), dim=-1)
+        if float(sides.max()) <= longest:
             return vertices.mean(1), vertices.new_ones(len(vertices)), torch.arange(len(vertices))
-    middles, shares, parents = [], [], []
+    points, shares, parents = [], [], []
+    rule, weights = BARYCENTRIC.to(vertices), WEIGHTS.to(vertices)
     for number, polygon in enumerate(vertices):
-        areas, centres = [], []
+        areas, places = [], []
         for k in range(1, len(polygon) - 1):
             corner, one, other = polygon[0], polygon[k] - polygon[0], polygon[k + 1] - polygon[0]
             area = float(torch.linalg.vector_norm(torch.linalg.cross(one, other)) / 2)
             if area == 0:
                 continue
-            sides = max(float(torch.linalg.vector_norm(side)) for side in (one, other, other - one))
-            many = min(max(1, math.ceil(sides / longest)), FINEST)
-            i, j = torch.meshgrid(torch.arange(many), torch.arange(many), indexing="ij")
-            upright, hanging = i + j < many, i + j < many - 1
-            first = torch.cat([i[upright] + 1 / 3, i[hanging] + 2 / 3]).to(polygon) / many
-            second = torch.cat([j[upright] + 1 / 3, j[hanging] + 2 / 3]).to(polygon) / many
-            centres.append(corner + first[:, None] * one + second[:, None] * other)
-            areas.append(polygon.new_full((many**2,), area / many**2))
+            widest = max(float(torch.linalg.vector_norm(side)) for side in (one, other, other - one))
+            if widest <= longest:
+                places.append((corner + (one + other) / 3)[None])
+                areas.append(polygon.new_full((1,), area))
+                continue
+            many = min(max(1, math.ceil(widest / (WIDER * longest))), FINEST)
+            grid = torch.cartesian_prod(torch.arange(many), torch.arange(many)).reshape(-1, 2)
+            upright, hanging = (grid[grid.sum(1) < most].to(polygon)[:, None] for most in (many, many - 1))
+            at = torch.cat([upright + rule[:, 1:], hanging + 1 - rule[:, 1:]]).reshape(-1, 2) / many
+            places.append(corner + at[:, :1] * one + at[:, 1:] * other)
+            areas.append((area / many**2 * weights).repeat(many**2))
         whole = torch.cat(areas)
-        middles.append(torch.cat(centres))
+        points.append(torch.cat(places))
         shares.append(whole / whole.sum())
         parents.append(torch.full((len(whole),), number))
-    return torch.cat(middles), torch.cat(shares), torch.cat(parents)
+    return torch.cat(points), torch.cat(shares), torch.cat(parents)
 
 
 class NearField(Effect):
     """Each piece of the surface has its own directions to lamp and camera, and light falls by inverse squares from both: 0.2 mag
     for a camera at ten radii of the object.
 
-    Distances are from the body's origin, as the object's radius over them; light is counted relative to that at the origin. Facets are cut
-    into pieces of a quarter of the radius, or finer where a lobe is sharp. Neglects perspective in shadows (each edge is off by up to the radius over the distance), the
+    Distances are from the body's origin, as the object's radius over them; light is counted relative to that at the origin. Facets wider
+    than a quarter of the radius, or than a sharp lobe, are summed over points. Neglects perspective in shadows (each edge is off by up to the radius over the distance), the
     camera's own fall-off from its axis (cos^4), and the size of lamp and lens.
     """
 

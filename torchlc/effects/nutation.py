@@ -16,6 +16,10 @@ FASTEST = 1.1
 across it, 1 for a flat disc and -1 for a thin rod; the rest is for a scene whose period is not quite right."""
 
 
+MOST_REV_PER_HOUR = 1e5
+"""28 turns a second: the bounds of any scene, until its own rate of spin gives closer ones."""
+
+
 class Nutation(Effect):
     """R = R0 Rot(cone e), where e turns in the body about the spin axis, at right angles to it: 2 deg leave 0.24 mag rms on a
     tumbling cylinder that no uniform spin takes away.
@@ -43,10 +47,10 @@ class Nutation(Effect):
         Quantity(
             "rev_per_hour",
             "rev/h",
-            -FASTEST,
-            FASTEST,
+            -MOST_REV_PER_HOUR,
+            MOST_REV_PER_HOUR,
             "turns of the cone's direction in the body",
-            typical=0.4 * FASTEST,
+            typical=1.0,
         ),
         Quantity(
             "phase_deg",

@@ -354,38 +354,38 @@ def _by_facet(
     With s the direction from the body's origin and d the distance, a facet at c sees the lamp along s - c / d, whose length r takes
     1 / r^2 of the light; likewise the camera.
     """
-    cos_i, cos_r, along_u, along_v, square = _projections(patch, source, observer)
-    irradiance: Tensor | None = None
-    reached: Tensor | None = None
+    cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+    v = torch.linalg.cross(patch.normal, patch.u)
+    axes = () if patch.model.additive else (patch.u, v)
+    light_along, sight_along = ([(one @ axis.mT).mT for axis in axes] for one in (source, observer))
+    cosine = dot(source, observer)[..., None, :]
+    gain: Tensor | None = None
+    radiance = cos_i
     if patch.near is not None:
         point = patch.near.point
         lamp, camera = (
             one if one.shape[-1] == 1 else one[:, rows] for one in (patch.near.lamp, patch.near.camera)
         )
         lamp, camera = lamp[:, None] * light.primary, camera[:, None]
-        v = torch.linalg.cross(patch.normal, patch.u)
-        size = dot(point, point)[..., None]
+        size, off = dot(point, point)[..., None], dot(point, patch.normal)[..., None]
         to_lamp, to_camera = ((one @ point.mT).mT for one in (source, observer))
-        from_lamp = torch.sqrt(1 - 2 * lamp * to_lamp + lamp**2 * size)
-        from_camera = torch.sqrt(1 - 2 * camera * to_camera + camera**2 * size)
-        along, across, off = (dot(point, axis)[..., None] for axis in (patch.u, v, patch.normal))
-        cos_i, cos_r = (cos_i - lamp * off) / from_lamp, (cos_r - camera * off) / from_camera
-
-        def bisected(axis: Tensor, place: Tensor) -> Tensor:
-            one, other = ((direction @ axis.mT).mT for direction in (source, observer))
-            return (one - lamp * place) / from_lamp + (other - camera * place) / from_camera
-
-        along_u, along_v = bisected(patch.u, along), bisected(v, across)
-        cosine = dot(source, observer)[..., None, :]
+        nearer = torch.rsqrt(1 - 2 * lamp * to_lamp + lamp**2 * size)
+        closer = torch.rsqrt(1 - 2 * camera * to_camera + camera**2 * size)
+        cos_i, cos_r = (cos_i - lamp * off) * nearer, (cos_r - camera * off) * closer
+        places = [dot(point, axis)[..., None] for axis in axes]
+        light_along = [(one - lamp * at) * nearer for one, at in zip(light_along, places, strict=True)]
+        sight_along = [(one - camera * at) * closer for one, at in zip(sight_along, places, strict=True)]
         cosine = cosine - camera * to_lamp - lamp * to_camera + lamp * camera * size
-        square = 2 + 2 * cosine / (from_lamp * from_camera)
-        irradiance, reached = from_lamp**-2, from_camera**-2
+        cosine = cosine * nearer * closer
+        radiance = cos_i * nearer**2
+        gain = (nearer * closer) ** 2
     weight = _weight(view, patch, light, cos_i, cos_r, rows)
-    if irradiance is not None and reached is not None:
-        weight = weight * irradiance * reached
+    if gain is not None:
+        weight = weight * gain
     if patch.response is not None and light.primary:
-        weight = weight * _recorded(patch.response, cos_i if irradiance is None else cos_i * irradiance, rows)
-    return cos_i, cos_r, along_u, along_v, square, weight
+        weight = weight * _recorded(patch.response, radiance, rows)
+    along = [one + other for one, other in zip(light_along, sight_along, strict=True)] or [cosine, cosine]
+    return cos_i, cos_r, *along, 2 + 2 * cosine, weight
 
 
 def _recorded(response: Response, radiance: Tensor, rows: slice) -> Tensor:

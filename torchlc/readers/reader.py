@@ -13,6 +13,7 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal
 from torchlc.readers import declared, groups
 from torchlc.readers.civil_time import to_utc
+from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
@@ -240,9 +241,12 @@ class _Reader:
             if name != "velocity" and not (np.abs(vector).max(-1) > SHORTEST_KM).all():
                 place = f"columns {VECTORS[name]}_x, _y, _z"
                 raise InputError(self.source, place, "a vector of length 0", "a direction")
+        limit = columns.get("upper_limit", np.zeros(len(days), dtype=bool))
+        seconds = seconds_since(time, cast(Time, time[:1]))
+        self.warnings += copies(seconds[~limit], columns[self.kind][~limit], curve[~limit], curve_ids)
         return Measurements(
             time=time,
-            seconds=seconds_since(time, cast(Time, time[:1])),
+            seconds=seconds,
             first_time=cast(Time, first_time[0]),
             kind=self.kind,
             observed=columns[self.kind],
@@ -253,7 +257,7 @@ class _Reader:
             curve_ids=curve_ids,
             night=night,
             night_ids=night_ids,
-            upper_limit=columns.get("upper_limit", np.zeros(len(days), dtype=bool)),
+            upper_limit=limit,
             exptime=columns.get("exptime"),
             band=self._band(),
             sun=vectors.get("sun"),

@@ -179,7 +179,7 @@ SETTINGS = {
         SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0
     ),
     "a rocket body, three turns": Setting(
-        STAGE, "2021-03-20T12:00:00", 1 / 60, 0.25, to_sun=(1.0, 0.0, 0.2), to_observer=(0.3, 1.0, 0.5)
+        STAGE, "2021-03-20T12:00:00", 1 / 60, 0.9, to_sun=(1.0, 0.0, 0.2), to_observer=(0.3, 1.0, 0.5)
     ),
     "a rocket body, three nights of a week": Setting(
         STAGE,
@@ -224,7 +224,7 @@ CASES = {
     "light_time": Case(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0}),
     "spin_rate_offset": Case(SPIN, "time", {"rev_per_hour": 0.3}),
     "camera_direction": Case(LABORATORY, "time", {"east": 4.0, "north": 3.0}),
-    "period_rate": Case(STAGE_WEEK, "time", {"ms_per_day": 0.3}),
+    "period_drift": Case(STAGE_WEEK, "time", {"ms_per_day": 0.3}),
     "start_phase": Case(LABORATORY, "time", {"deg": 10.0}),
     "axis_tilt": Case(STAGE_TURNS, "time", {"deg": 5.0, "towards_deg": 60.0}),
     "nutation": Case(STAGE_TURNS, "time", {"deg": 2.0, "rev_per_hour": 72.0, "phase_deg": 90.0}),

@@ -11,7 +11,7 @@ FAST_MS_A_DAY = 10.0
 LEAST_TURNS = 1e-3
 
 
-class PeriodRate(Effect):
+class PeriodDrift(Effect):
     """P(t) = P + rate (t - epoch): a rocket body of 10 s whose period grows by 1 ms a day is a quarter of a turn off after 7 days,
     and 1 mag at its glints.
 
@@ -19,7 +19,7 @@ class PeriodRate(Effect):
     scene has itself is added to. Neglects a torque that changes, and one that turns the axis.
     """
 
-    name = "period_rate"
+    name = "period_drift"
     title = "a period of rotation that changes steadily"
     stage = "spin"
     quantities = (

@@ -45,7 +45,7 @@ def test_the_turn_is_the_integral_of_the_rate(tmp_path, attitude, axis, per_day)
     times = ["2021-03-20T12:00:00", "2021-03-20T12:07:00", "2021-03-21T03:00:00", "2021-03-22T00:00:00"]
     recording = at(tmp_path, times)
     steady = rotations(scene, recording)
-    found = rotations(scene, recording, "period_rate", period_rate__ms_per_day=per_day)
+    found = rotations(scene, recording, "period_drift", period_drift__ms_per_day=per_day)
     turned = Rotation.from_matrix(np.swapaxes(steady, 1, 2) @ found)
     rate = per_day * 1e-3 / 86400
     for k, seconds in enumerate(recording.seconds):
@@ -58,7 +58,7 @@ def test_the_turn_is_the_integral_of_the_rate(tmp_path, attitude, axis, per_day)
 def test_it_adds_to_the_rate_of_the_scene():
     drifting = turning(SPIN_POLE + "period_rate = 300.0\n")
     np.testing.assert_allclose(
-        rotations(drifting, RECORDING, "period_rate", period_rate__ms_per_day=-300.0),
+        rotations(drifting, RECORDING, "period_drift", period_drift__ms_per_day=-300.0),
         rotations(SCENE, RECORDING),
         atol=1e-9,  # 2e-16 of 4300 turns
     )
@@ -68,5 +68,5 @@ def test_a_single_pass_shows_no_rate(tmp_path):
     context = LightCurve(
         SCENE, at(tmp_path, ["2021-03-20T12:00:00", "2021-03-20T12:01:00"]), effects=[]
     ).assembly.context
-    reason = registry()["period_rate"]().missing(context)
+    reason = registry()["period_drift"]().missing(context)
     assert reason == "10 ms a day change the turn by less than 0.001 in this recording"

@@ -241,11 +241,7 @@ class TestNozzle:
         turn, level = (one.ravel() for one in np.meshgrid(turn, level))
         radius = 1.0 - 0.6 * level
         slant = np.hypot(1.5, 0.6)
-        at = np.stack([radius * np.cos(turn), radius * np.sin(turn), 1.5 * (level - 0.5)], -1) + [
-            0.1,
-            0.2,
-            0.3,
-        ]
+        at = np.stack([radius * np.cos(turn), radius * np.sin(turn), 1.5 * (level - 0.5)], -1) + CENTRE
         normal = np.stack([1.5 * np.cos(turn), 1.5 * np.sin(turn), 0.6 + 0 * turn], -1) / slant
         return at, normal, 2 * np.pi * radius / around * slant / up
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +30,20 @@ from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
 from torchlc.inference.likelihood import Likelihood
 from torchlc.readers import Recording
 from torchlc.stages.effect import Entry
-from torchlc.stages.showing import ECLIPSE, MIRROR, NIGHT, PASS, SLOW, SPIN, TIME, YEAR, Shown
+from torchlc.stages.showing import (
+    ECLIPSE,
+    LABORATORY,
+    MIRROR,
+    NIGHT,
+    PASS,
+    SLOW,
+    SPIN,
+    STAGE_TURNS,
+    STAGE_WEEK,
+    TIME,
+    YEAR,
+    Shown,
+)
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"
@@ -91,17 +105,80 @@ spin_rate = 60.0
 """
     + LEO[LEO.index("[[components]]") :].replace('tracks = { target = "sun", axis = [0, 1, 0] }', "")
 )
+STAGE = """
+format = "torchlc-scene/1"
+name = "a rocket body that turns in 20 s"
+[orbit]
+vectors = "icrs"
+[attitude]
+mode = "spin-pole"
+pole = [60.0, 35.0]
+period = 0.005555555555555556
+phase = 10.0
+epoch = "2021-03-20T12:00:00"
+[[components]]
+name = "stage"
+shape = "cylinder"
+radius = 1.5
+length = 9.0
+axis = [1, 0, 0]
+centre = [0, 0, 0]
+material = "skin"
+[materials.skin]
+n = { value = 20.0, low = 1.0, high = 1e6, prior = "loguniform" }
+r_spec = { value = 0.3, low = 0.0, high = 1.0 }
+r_diff = { value = 0.3, low = 0.0, high = 1.0 }
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+HOLLOW = """
+v 0 0 0\nv 3 0 0\nv 3 1 0\nv 1 1 0\nv 1 2 0\nv 3 2 0\nv 3 3 0\nv 0 3 0
+v 0 0 2\nv 3 0 2\nv 3 1 2\nv 1 1 2\nv 1 2 2\nv 3 2 2\nv 3 3 2\nv 0 3 2
+f 8 7 6 5 4 3 2 1\nf 9 10 11 12 13 14 15 16
+f 1 2 10 9\nf 2 3 11 10\nf 3 4 12 11\nf 4 5 13 12\nf 5 6 14 13\nf 6 7 15 14\nf 7 8 16 15\nf 8 1 9 16
+"""
+"""A block with a slot."""
+TURNTABLE = (
+    STAGE[: STAGE.index("[[components]]")]
+    .replace("a rocket body that turns in 20 s", "a white block with a slot on a turntable")
+    .replace("pole = [60.0, 35.0]", "pole = [0.0, 90.0]")
+    .replace("period = 0.005555555555555556", "period = 1.0")
+    + """[[components]]
+name = "block"
+shape = "mesh"
+file = "block.obj"
+scale = 0.5
+centre = [-0.75, -0.75, -0.5]
+material = "paint"
+[materials.paint]
+model = "lambert"
+albedo = { value = 0.7, low = 0.0, high = 1.0 }
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+)
+MESHES = Path(tempfile.mkdtemp())
+(MESHES / "block.obj").write_text(HOLLOW, encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A scene and its grid of times: start, hours, cadence (s), exposure (s)."""
+    """A scene and its grid of times: start, hours, cadence (s), exposure (s); of one whose recording holds vectors
+    also the directions to Sun and observer and the distance of the latter, km, and the days at which it is repeated."""
 
     text: str
     start: str
     hours: float
     cadence: float
     exptime: float | None = None
+    to_sun: tuple[float, float, float] | None = None
+    to_observer: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    range_km: float = 1000.0
+    days: tuple[int, ...] = (0,)
 
 
 SETTINGS = {
@@ -112,12 +189,33 @@ SETTINGS = {
     PASS: Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
     SPIN: Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
     SLOW: Setting(SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0),
+    STAGE_TURNS: Setting(
+        STAGE, "2021-03-20T12:00:00", 1 / 60, 0.9, to_sun=(1.0, 0.0, 0.2), to_observer=(0.3, 1.0, 0.5)
+    ),
+    STAGE_WEEK: Setting(
+        STAGE,
+        "2021-03-20T12:00:00",
+        0.4 / 60,
+        0.25,
+        to_sun=(1.0, 0.0, 0.2),
+        to_observer=(0.3, 1.0, 0.5),
+        days=(0, 3, 7),
+    ),
+    LABORATORY: Setting(
+        TURNTABLE,
+        "2021-03-20T12:00:00",
+        1.0,
+        20.0,
+        to_sun=(-1.0, 0.0, 0.0),
+        to_observer=(-0.3, 0.8, 0.35),
+        range_km=0.01,
+    ),
 }
 
 
 def with_effects(text: str, effects: list[str], values: Mapping[str, float]) -> torchlc.Scene:
     """The scene with this list of effects and nothing else, their values in place."""
-    scene = torchlc.Scene.from_toml(text)
+    scene = torchlc.Scene.from_toml(text, MESHES)
     parameters = {
         key: value for key, value in scene.model.parameters.items() if not key.startswith("earth_shadow")
     }
@@ -126,12 +224,34 @@ def with_effects(text: str, effects: list[str], values: Mapping[str, float]) -> 
 
 
 def rows(setting: Setting) -> Recording:
-    scene = torchlc.Scene.from_toml(setting.text)
+    scene = torchlc.Scene.from_toml(setting.text, MESHES)
+    if setting.to_sun is not None:
+        return with_vectors(setting, scene)
     grid = observation_grid(scene, setting.start, setting.hours, setting.cadence)
     if setting.exptime is not None:
         grid = replace(grid, exptime=np.full(len(grid), setting.exptime))
     seen = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
     return replace(seen, observed=np.zeros(len(seen)), error=np.full(len(seen), ERROR_MAG))
+
+
+def with_vectors(setting: Setting, scene: torchlc.Scene) -> Recording:
+    """A recording that holds the directions."""
+    assert setting.to_sun is not None  # asked before
+    within = np.arange(round(setting.hours * 3600 / setting.cadence)) * setting.cadence
+    seconds = np.concatenate([86400.0 * day + within for day in setting.days])
+    first = np.datetime64(setting.start, "ns")
+    table: dict[str, Any] = {
+        "time": [str(first + np.timedelta64(round(1e9 * one), "ns"))[:26] for one in seconds],
+        "mag": np.zeros(len(seconds)),
+        "mag_err": np.full(len(seconds), ERROR_MAG),
+    }
+    for prefix, towards, distance in (
+        ("sun", setting.to_sun, 149_597_870.7),
+        ("obs", setting.to_observer, setting.range_km),
+    ):
+        place = distance * np.array(towards) / np.linalg.norm(towards)
+        table |= {f"{prefix}_{axis}": np.full(len(seconds), x) for axis, x in zip("xyz", place, strict=True)}
+    return Recording.from_table(table, scene)
 
 
 def materials_at(model: torchlc.LightCurve, materials: Mapping[str, float]) -> torch.Tensor:

@@ -183,6 +183,8 @@ class Brdf(nn.Module):
     """Laws of another shape of lobe that a diagnosis tries in the place of this one, with where their lobes start."""
     condensed_over: ClassVar[str] = ""
     """The one number of the lobe over which ``condense`` tabulates its sums, by the name that a scene gives it."""
+    radiance_as_irradiance: ClassVar[bool] = False
+    """True if its radiance is the irradiance times a number, in all directions."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 

@@ -14,6 +14,7 @@ from functools import partial, reduce
 import torch
 from torch import Tensor
 
+from torchlc.geometry.rotation.matrices import rotation_towards
 from torchlc.lightcurve.assembly import Assembly
 from torchlc.lightcurve.tables import Key, Tables, sky_of, sorted_patches, summed, surface_of
 from torchlc.shapes import tracking_pose
@@ -100,6 +101,11 @@ class Pipeline:
         for effect in a.stage("orbit"):
             request = effect.orbit(request, a.own(effect, values, row), context)
         state = context.track.at(request.observer_offset, request.object_offset, request.ahead)
+        if request.east is not None and request.north is not None:
+            turn = rotation_towards(
+                unit(state.observer), *torch.broadcast_tensors(request.east, request.north)
+            )
+            state = replace(state, observer=torch.einsum("...ij,...j->...i", turn, state.observer))
         turned = a.attitude_values(values)
         for effect in a.stage("spin"):
             turned = effect.spin(turned, a.own(effect, values, row), context)

@@ -60,6 +60,14 @@ def moves(view: View, patches: Sequence[Patch]) -> bool:
     """Whether patches, or the light on them, differ between the two values of a batch."""
     seen = [view.to_observer, view.range_m, *(light.direction[0] for light in view.lights)]
     own = [one for patch in patches for one in (patch.pose, patch.visible, patch.seen) if one is not None]
+    own += [
+        one
+        for patch in patches
+        for record in (patch.near, patch.response)
+        if record
+        for one in vars(record).values()
+        if one.shape[-1] != 3
+    ]
     return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
 
 

@@ -15,13 +15,15 @@ from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
-from torchlc.stages.effect import Columns, Light, Patch, View
+from torchlc.stages.effect import Columns, Light, Patch, Response, View
 from torchlc.tensors.autodiff_state import followed, readable, transformed
 from torchlc.tensors.vectors import dot
 
 PAIRS_PER_CHUNK = 200_000
 """Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the
 cache."""
+DARKEST_RADIANCE = 1e-9
+"""Of that of a surface that faces its source: what is left is light of no account, and a power below 1 has no slope at 0."""
 MOST_COMPARED = 64
 """Slots up to which equal pairs are looked for."""
 ANGLES = len(fields(Incidence))
@@ -120,11 +122,15 @@ def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
         observer = _into(pose, view.to_observer[:, rows])
         for light in view.lights:
             source = _into(pose, light.direction[:, :, rows])
-            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
-            weight = _weight(view, patch, light, cos_i, cos_r, rows)
+            if patch.by_facet:
+                cos_i, cos_r, _, _, square, weight = _by_facet(view, patch, light, source, observer, rows)
+                half = 0.5 * torch.sqrt(square.clamp(min=1e-30))
+            else:
+                cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+                weight = _weight(view, patch, light, cos_i, cos_r, rows)
+                half = 0.5 * torch.linalg.vector_norm(source + observer, dim=-1)[:, :, None]
             shape = (-1, weight.shape[-1])
             none = torch.zeros_like(weight[0, 0, 0])
-            half = 0.5 * torch.linalg.vector_norm(source + observer, dim=-1)[:, :, None]
             half, cos_r = (cosine.expand_as(weight).reshape(shape) for cosine in (half, cos_r))
             angles = Incidence(cos_i.reshape(shape), cos_r, half, none, none)
             for name, table in model.tabulate(angles, weight.reshape(shape)).items():
@@ -162,8 +168,25 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...]:
     curved = [
         patch for patch in patches if isinstance(patch.surface, Band | Dome) and not patch.model.additive
     ]
-    flat = [patch for patch in patches if not any(patch is one for one in curved)]
+    flat = [patch for patch in patches if not patch.by_facet and not any(patch is one for one in curved)]
     found = [_of_sides(view, light, sides) for light in view.lights for sides in _sides(flat, light.primary)]
+    found += [
+        _of_points(
+            view,
+            light,
+            _by_facet(
+                view,
+                patch,
+                light,
+                _into(patch.pose, light.direction),
+                _into(patch.pose, view.to_observer),
+                slice(None),
+            ),
+        )
+        for patch in patches
+        if patch.by_facet
+        for light in view.lights
+    ]
     found += [
         _of_points(view, _falling(patch, light), pairs)
         for patch in curved
@@ -285,6 +308,9 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
         for light in (_falling(patch, one) for one in view.lights):
             if isinstance(patch.surface, Band | Dome):
                 several = _about(view, patch, light, rows)
+            elif patch.by_facet:
+                source = _into(pose, light.direction[:, :, rows])
+                several = [_by_facet(view, patch, light, source, observer, rows)]
             else:
                 projections = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
                 cos_i, cos_r = projections[:2]
@@ -317,6 +343,61 @@ def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor
     v = torch.linalg.cross(patch.normal, patch.u)
     pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
     return *((one @ axis.mT).mT for one, axis in pairs), dot(bisector, bisector)[..., None, :]
+
+
+def _by_facet(
+    view: View, patch: Patch, light: Light, source: Tensor, observer: Tensor, rows: slice
+) -> tuple[Tensor, ...]:
+    """The projections of :func:`_projections` and the weight of a patch, (L, Q, F, T) each, whose facets have directions of
+    their own to lamp and camera, and whose radiance is not recorded linearly.
+
+    With s the direction from the body's origin and d the distance, a facet at c sees the lamp along s - c / d, whose length r takes
+    1 / r^2 of the light; likewise the camera.
+    """
+    cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+    v = torch.linalg.cross(patch.normal, patch.u)
+    axes = () if patch.model.additive else (patch.u, v)
+    light_along, sight_along = ([(one @ axis.mT).mT for axis in axes] for one in (source, observer))
+    cosine = dot(source, observer)[..., None, :]
+    gain: Tensor | None = None
+    radiance = cos_i
+    if patch.near is not None:
+        point = patch.near.point
+        lamp, camera = (
+            one if one.shape[-1] == 1 else one[:, rows] for one in (patch.near.lamp, patch.near.camera)
+        )
+        lamp, camera = lamp[:, None] * light.primary, camera[:, None]
+        size, off = dot(point, point)[..., None], dot(point, patch.normal)[..., None]
+        to_lamp, to_camera = ((one @ point.mT).mT for one in (source, observer))
+        nearer = torch.rsqrt(1 - 2 * lamp * to_lamp + lamp**2 * size)
+        closer = torch.rsqrt(1 - 2 * camera * to_camera + camera**2 * size)
+        cos_i, cos_r = (cos_i - lamp * off) * nearer, (cos_r - camera * off) * closer
+        places = [dot(point, axis)[..., None] for axis in axes]
+        light_along = [(one - lamp * at) * nearer for one, at in zip(light_along, places, strict=True)]
+        sight_along = [(one - camera * at) * closer for one, at in zip(sight_along, places, strict=True)]
+        cosine = cosine - camera * to_lamp - lamp * to_camera + lamp * camera * size
+        cosine = cosine * nearer * closer
+        radiance = cos_i * nearer**2
+        gain = (nearer * closer) ** 2
+    weight = _weight(view, patch, light, cos_i, cos_r, rows)
+    if gain is not None:
+        weight = weight * gain
+    if patch.response is not None and light.primary:
+        weight = weight * _recorded(patch.response, radiance, rows)
+    along = [one + other for one, other in zip(light_along, sight_along, strict=True)] or [cosine, cosine]
+    return cos_i, cos_r, *along, 2 + 2 * cosine, weight
+
+
+def _recorded(response: Response, radiance: Tensor, rows: slice) -> Tensor:
+    """What is recorded of a radiance (L, Q, F, T) over the radiance itself; 1 where there is none."""
+    power, threshold, pedestal = (
+        (one if one.shape[-1] == 1 else one[:, rows])[:, None]
+        for one in (response.power, response.threshold, response.pedestal)
+    )
+    lit = radiance > DARKEST_RADIANCE
+    safe = torch.where(lit, radiance, 1.0)
+    recorded = (safe**power - threshold).clamp(min=0) + pedestal
+    return torch.where(lit, recorded / safe, 1.0)
 
 
 def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Tensor, ...]]:

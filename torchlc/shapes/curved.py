@@ -73,7 +73,8 @@ class Plane:
 class Band:
     """Side of a cylinder or cone: normals level (cos phi e1 + sin phi e2) + rise axis, all azimuths alike.
 
-    frame (3, 3): rows e1, e2, axis; area () m2 in all; ``facets`` around; ``flared``: rise may differ from 0.
+    frame (3, 3): rows e1, e2, axis; area () m2 of all the way round; ``facets`` around; ``flared``: rise may differ from
+    0. ``arc``: it is there from one azimuth, rad, on for a width of at most pi, with its ``facets``; one that is not flared.
     """
 
     frame: Tensor
@@ -82,6 +83,7 @@ class Band:
     area: Tensor
     facets: int
     flared: bool
+    arc: tuple[float, float] | None = None
     axes: ClassVar[int] = 1
 
     @staticmethod
@@ -90,7 +92,7 @@ class Band:
 
     @property
     def bump(self) -> float:
-        return BUMP * 2 * math.pi / self.facets
+        return BUMP * (2 * math.pi if self.arc is None else self.arc[1]) / self.facets
 
     def nearest(self, bisector: Tensor) -> Tensor:
         """The normal (..., 3) nearest to a bisector (..., 3)."""
@@ -121,6 +123,12 @@ class Band:
             torch.maximum(middle - half, other - other_half),
             torch.minimum(middle + half, other + other_half),
         )
+        if self.arc is not None:  # two arcs of at most half a turn meet in one
+            start, width = self.arc
+            start = start - torch.atan2(y, x)
+            nearest = torch.round((0.5 * (low + high) - start - 0.5 * width).detach() / (2 * math.pi))
+            start = start + 2 * math.pi * nearest
+            low, high = torch.maximum(low, start), torch.minimum(high, start + width)
         arcs = [
             graded(
                 low,
@@ -141,7 +149,7 @@ class Band:
             size[..., None] * torch.cos(offset - azimuth[..., None]) + rise[..., None]
             for azimuth, size, rise in sides
         )
-        azimuth = (torch.atan2(y, x)[..., None] + offset).detach() / (2 * math.pi) * self.facets
+        azimuth = (torch.atan2(y, x)[..., None] + offset).detach()
         level = level[..., None]
         return Points(
             cos_i,
@@ -150,8 +158,16 @@ class Band:
             level * torch.sin(offset),
             self.area * width / (2 * math.pi),
             (2 * self.level * torch.sin(0.5 * offset)) ** 2,
-            azimuth.floor().long() % self.facets,
+            self._facet(azimuth),
         )
+
+    def _facet(self, azimuth: Tensor) -> Tensor:
+        """The facet in which azimuths, rad, are."""
+        if self.arc is None:
+            return (azimuth / (2 * math.pi) * self.facets).floor().long() % self.facets
+        start, width = self.arc
+        along = torch.remainder(azimuth - start, 2 * math.pi) / width * self.facets
+        return along.floor().long().clamp(max=self.facets - 1)
 
     def _as_bright(
         self, x: Tensor, y: Tensor, sun: list[Tensor], observer: list[Tensor], low: Tensor, high: Tensor

@@ -56,6 +56,8 @@ STAGES = (
 )  # fmt: skip
 LARGEST_MEMORY = 400 * 2**20
 MANY_FACETS = 100
+UNRESOLVED = 1e7
+"""Distance of an observer, in radii of the object, at which its radius is 0.02 arcsec: no camera resolves it."""
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 
@@ -135,12 +137,14 @@ class Columns:
 
 @dataclass(frozen=True)
 class Request:
-    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit,
-    rad (1,) or (T,)."""
+    """Seconds after the stamp for observer and object, (Q, T), how far the object is ahead on its orbit, rad (1,) or
+    (T,), and by how much the observer's direction is off to the ``east`` and ``north``, deg, None where it is not."""
 
     observer_offset: Tensor
     object_offset: Tensor
     ahead: Tensor
+    east: Tensor | None = None
+    north: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,26 @@ class Light:
 
 
 @dataclass(frozen=True)
+class Near:
+    """That lamp and camera are at distances: ``point`` (F, 3) m, the middle of each facet at rest in the body frame, and
+    one over the distances from the body's origin, ``lamp`` and ``camera`` (Q or 1, T or 1), 1/m."""
+
+    point: Tensor
+    lamp: Tensor
+    camera: Tensor
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a detector that resolves the object records of a radiance x, over that of a surface which faces the source at its nominal
+    distance: max(x^power - threshold, 0) + pedestal, each (Q or 1, T or 1)."""
+
+    power: Tensor
+    threshold: Tensor
+    pedestal: Tensor
+
+
+@dataclass(frozen=True)
 class Patch:
     """Facets of one component that share a material.
 
@@ -170,7 +194,7 @@ class Patch:
     within a batch; ``pose`` (Q, T, 3, 3) turns them into
     the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
     seen, ``seen`` (Q, T, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
-    of, if they are.
+    of, if they are; ``vertices`` (F, V, 3) m are their corners at rest where they are not facets ``select`` of ``part``. ``near`` and ``response`` say what differs from parallel light and from a linear detector.
     """
 
     component: str
@@ -186,6 +210,14 @@ class Patch:
     part: int | None = None
     select: Tensor | None = None
     surface: SurfaceShape | None = None
+    vertices: Tensor | None = None
+    near: Near | None = None
+    response: Response | None = None
+
+    @property
+    def by_facet(self) -> bool:
+        """Whether each facet has to be worked out by itself."""
+        return self.near is not None or self.response is not None
 
 
 @dataclass(frozen=True)
@@ -234,6 +266,12 @@ class View:
             poses=tuple(None if pose is None else pose[:, instants] for pose in self.poses),
             lights=tuple(map(picked, self.lights)),
         )
+
+    def every(self, value: Tensor) -> Tensor:
+        """A parameter (..., 1 or T) of the values of the batch for all its instants, (Q or 1, 1 or T)."""
+        if value.ndim < 2:
+            return value[None]
+        return value.repeat(max(self.nodes.offset.shape[0] // self.batch, 1), 1)
 
     def apart(self, tensor: Tensor, axis: int = 0) -> Tensor:
         """``tensor`` with its axis Q as two: instants, and the values of the batch or 1."""
@@ -374,6 +412,20 @@ class Context:
     @property
     def parts(self) -> tuple[Part, ...]:
         return self.shape.parts
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a corner of the object from the body's origin, m, at the scene's sizes."""
+        return max(float(torch.linalg.vector_norm(own.vertices, dim=-1).max()) for own in self.rest)
+
+    @property
+    def a_point(self) -> str | None:
+        """Why the observer cannot tell one side of the object from the other, in words; None if it may."""
+        if self.track.supports("position"):
+            return "an object in orbit is a point for a photometer"
+        if 1e3 * float(self.track.range_km.min()) > UNRESOLVED * self.radius:
+            return f"the object is a point at {UNRESOLVED:.0e} times its radius"
+        return None
 
     @property
     def many_facets(self) -> bool:

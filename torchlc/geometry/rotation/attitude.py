@@ -27,6 +27,7 @@ from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
 from torchlc.geometry.rotation.rigid_body import free_rotation
 from torchlc.readers import seconds_since
 from torchlc.scene.timestamps import UnreadableTime, instant
+from torchlc.shapes.part import frame_about
 from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import dot, unit
 
@@ -38,6 +39,8 @@ ALIGNED = 1e-12
 """Square of the sine below which two directions do not define a plane."""
 TURNING = ("spin-pole", "rigid-body")
 """Modes of a body that turns about a direction in space by itself, with a period."""
+FURTHER = frozenset(("attitude.period_rate",))
+"""Numbers of these modes that a scene need not have, and an effect may bring."""
 MS_A_DAY = 1e-3 / 86400.0
 SLIGHT = 1e-4
 """Relative change of the period up to which the turns are taken by a series: its first term left out is 1e-17."""
@@ -88,9 +91,12 @@ def turns(elapsed_s: Tensor, period_s: Tensor, rate: Tensor | None = None) -> Te
     """Turns in ``elapsed_s`` of a body whose period is ``period_s`` + ``rate`` times the time elapsed: ln(1 + rate t / P) /
     rate. ``rate``, s/s, may be 0. A period that falls is held at SHORTEST of its start: without a torque it would not."""
     steady = elapsed_s / period_s
-    if rate is None:
-        return steady
-    x = (rate * steady).clamp(min=SHORTEST - 1.0)
+    return steady if rate is None else grown(steady, rate * steady)
+
+
+def grown(steady: Tensor, growth: Tensor) -> Tensor:
+    """Turns of a body whose period has grown by the share ``growth``, where without a growth they would be ``steady``."""
+    x = growth.clamp(min=SHORTEST - 1.0)
     slight = x.abs() < SLIGHT
     larger = torch.where(slight, 1.0, x)
     series = 1 - x / 2 + x**2 / 3 - x**3 / 4
@@ -141,6 +147,18 @@ class Attitude(nn.Module):
         """Whether there is a rate of spin, be it 0."""
         return self._spinning or self.mode in TURNING
 
+    @property
+    def spin_rate_at_start(self) -> float:
+        """Rate of spin, rev/h, where the scene's numbers begin; 0 without a spin."""
+        if self.mode in TURNING:
+            return 1 / self.numbers["attitude.period"]
+        return self.numbers["attitude.spin_rate"] if self._spinning else 0.0
+
+    def about_spin_axis(self) -> Tensor:
+        """Right-handed rows of the body frame (3, 3), the last along the axis of spin: the body's own for +Z."""
+        axis = np.array([0.0, 0.0, 1.0]) if self.mode in TURNING else self.spin_axis.cpu().numpy()
+        return torch.from_numpy(frame_about(axis))
+
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
         against (..., T); a name that is absent has the scene's value.
@@ -167,16 +185,18 @@ class Attitude(nn.Module):
         """The further spin: phase + 360 deg rate (t - epoch) about a body axis."""
         phase = self._value("attitude.spin_phase", values, time)
         rate = self._value("attitude.spin_rate", values, time)
-        angle = torch.deg2rad(phase) + 2 * torch.pi * rate * (time - self._spin_epoch_s) / 3600.0
+        turn = rate * (time - self._spin_epoch_s) / 3600.0
+        if "attitude.period_rate" in values:
+            growth = MS_A_DAY * self._value("attitude.period_rate", values, time)
+            turn = grown(turn, growth * rate.abs() * (time - self._spin_epoch_s) / 3600.0)
+        angle = torch.deg2rad(phase) + 2 * torch.pi * turn
         return rotation_about(self.spin_axis.expand(*angle.shape, 3), angle)
 
     def _turning(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         time = state.time
         if self._retarded:
             time = time - torch.linalg.norm(state.observer, dim=-1) / LIGHT_KM_S
-        number = {
-            name: self._value(name, values, time) for name in self.numbers if name.startswith("attitude.")
-        }
+        number = {name: self._value(name, values, time) for name in (*self.numbers, *FURTHER & values.keys())}
         phase, period, longitude, latitude = (
             number[f"attitude.{name}"] for name in ("phase", "period", "pole_lon", "pole_lat")
         )

@@ -180,6 +180,8 @@ class Brdf(nn.Module):
     """Reflectances in which light is not linear, for more than one factor of them is in it."""
     rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     """Laws of another shape of lobe that a diagnosis tries in the place of this one, with where their lobes start."""
+    edged: ClassVar[bool] = False
+    """True if light has an edge, where its slope jumps, within a wide lobe, which points on a curved surface do not follow."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 

@@ -314,6 +314,40 @@ def test_no_error_column_and_limits(tmp_path):
     assert float(level) == pytest.approx((observed - mag)[~limit].std(ddof=1), rel=1e-3)
 
 
+@pytest.mark.parametrize("limits", [0.0, 0.3])
+@pytest.mark.parametrize("kind", ["mag", "flux"])
+def test_red_noise_without_errors_takes_the_best_level_of_white_noise(tmp_path, kind, limits):
+    """SciPy's normal density of the measured rows at 60 levels: the level of the steps is within 0.15 of the largest, and
+    limits far from the model neither change that nor count."""
+    scene = still(PLATE, FREE)
+    rows = seen_from(scene, tmp_path, np.tile(tilted(20), (60, 1)), tilted(10, 180))
+    mag = LightCurve(still(PLATE, KNOWN), rows)().detach().numpy()
+    gap = math.sqrt(3) * np.abs(rows.seconds[:, None] - rows.seconds) / 60 / TAU
+    shared = (1 + gap) * np.exp(-gap) * RED**2
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        off = random.multivariate_normal(np.zeros(60), shared + 0.05**2 * np.eye(60))
+        limit = random.random(60) < limits
+        observed = np.where(limit, mag - 0.6, mag + off)
+        if kind == "flux":
+            observed = np.where(limit, 6.0, 3 - 3 * off / MAG_PER_LN)
+        recording = replace(rows, kind=kind, observed=observed, error=None, upper_limit=limit)
+        likelihood = Likelihood(LightCurve(scene, recording))
+        theta = torch.tensor([0.5], dtype=torch.float64)
+        found = likelihood.residuals(theta)
+        seen, unit = ~limit, found.scale.numpy()
+        covariance = (shared * unit[:, None] * unit)[np.ix_(seen, seen)]
+        levels = unit.mean() * np.geomspace(0.005, 0.3, 60)
+        best = max(
+            stats.multivariate_normal.logpdf(
+                found.delta.numpy()[seen], cov=covariance + level**2 * np.eye(seen.sum())
+            )
+            for level in levels
+        )
+        value = float(likelihood.log_likelihood(theta, noise_of("red noise", likelihood)))
+        assert value == pytest.approx(best, abs=0.15)
+
+
 # ------------------------------------------------------------------ what is refused
 
 

@@ -42,8 +42,9 @@ class RedNoise(NoiseKind):
     """A Gaussian process added to every curve, Matern-3/2 of standard deviation mag and time scale tau_min.
 
     It can hide any slow physics, which must therefore beat it on held-out rows. Neglects that curves may err
-    together, and, where errors are fitted, how well the level of the steps between rows is known, which takes the
-    place of the white noise.
+    together, and, where errors are fitted, how well the level of the white noise is known: that of the steps between rows
+    takes its place, at which ln of the density of 60 rows is within 0.1 of its largest, and 1.1 to 1.4 below that of an
+    integral over all levels, almost whatever the model.
     """
 
     name = "red_noise"

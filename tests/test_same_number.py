@@ -176,7 +176,7 @@ def test_a_tabulated_lobe_holds_rows_whose_sources_have_very_different_extents()
     rows = 180
     draw = np.random.default_rng(4)
     tensors = {
-        "log_half": -np.abs(draw.normal(size=(6, rows))) * 1e-3,
+        "log_half": -np.abs(draw.normal(size=(6, rows))) * 1e-5,  # the glint of each row is near
         "normal": draw.uniform(0.1, 1.0, size=(6, rows)) * (np.arange(rows) < 110),  # and then no light
         "grazing": draw.uniform(0.0, 0.1, size=(6, rows)) * (np.arange(rows) < 110),
         "diffuse": np.zeros(rows),

@@ -86,7 +86,8 @@ class AshikhminShirley(Brdf):
     @staticmethod
     def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The sums over K of an isotropic lobe as functions of log(1 + n), for cubic Hermite interpolation of
-        their logarithms (relative error 1e-7 per unit of n log(n.h), 1.5e-3 where a source has an extent): a call
+        their logarithms (relative error 1e-7 per unit of n log(n.h); where a source has an extent 1.5e-3, and 4e-3 per
+        unit of n log(n.h) in the one cell in which the lobe becomes as narrow as its source): a call
         then costs the same however many facets, instants or lights there are. ``lobes`` (2 G, 2 T) has a row for
         the values and one for the slopes at each of G exponents; the normal sums of all T and then the grazing
         ones.

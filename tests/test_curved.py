@@ -353,3 +353,18 @@ def test_gradients_are_those_of_finite_differences(tmp_path, shape, n):
         torch.testing.assert_close(
             model.brightness(batch).flux[1], flux_of.detach(), rtol=1e-9, atol=1e-12 * float(scale)
         )
+
+
+@pytest.mark.parametrize(
+    ("law", "n", "shape", "told"),
+    [
+        ("cook-torrance", 10.0, "sphere", True),
+        ("cook-torrance", 1e3, "sphere", False),
+        ("ggx", 10.0, "dish", False),
+    ],
+)
+def test_what_edges_within_a_lobe_cost_is_told(tmp_path, law, n, shape, told):
+    scene = still(body(shape), paint(law, n))
+    up = np.array([[0.0, 1.0, 0.0]])
+    curve = torchlc.simulate(scene, seen_from(scene, tmp_path, up, up))
+    assert any("V-shaped cavities" in text for text in curve.warnings) == told

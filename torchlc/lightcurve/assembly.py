@@ -25,7 +25,8 @@ from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.scene.checks import PARAMETER_KEY
 from torchlc.scene.problems import shown
-from torchlc.shapes import SMOOTH, Facets, Part, Shape
+from torchlc.shapes import Facets, Part, Shape
+from torchlc.shapes.smooth import Smooth
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
 
@@ -323,7 +324,7 @@ def assemble(
         warnings += _unused(scene, chosen)
     several = [one for effect in chosen if (one := effect.instants(context)) is not None]
     instants = several[0] if several else None
-    warnings += _edges_within_lobes(scene, models, lobes)
+    warnings += _edges_within_lobes(shape.parts, models, lobes)
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -394,14 +395,16 @@ def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
 
 
 def _edges_within_lobes(
-    scene: Scene, models: Mapping[str, type[Brdf]], lobes: Mapping[str, float]
+    parts: Sequence[Part], models: Mapping[str, type[Brdf]], lobes: Mapping[str, float]
 ) -> list[str]:
     """What has to be said of curved surfaces of a law whose light has edges within a wide lobe."""
     return [
-        f"{component.name}: the masking of V-shaped cavities ({component.material}) has edges within so wide a lobe; the light of "
-        "a curved surface is within 0.004 mag (rms). ggx, or a smaller m, is within 0.002 mag"
-        for component in scene.components
-        if component.shape in SMOOTH and models[component.material].edged and lobes[component.material] < WIDE
+        f"{part.name}: the masking of V-shaped cavities ({material}) has edges within so wide a lobe. The light of a curved "
+        "surface is within 0.004 mag (rms); that of ggx, or of a smaller m, within 0.002 mag"
+        for part in parts
+        if isinstance(part, Smooth)
+        for material in sorted(set(part.materials))
+        if models[material].edged and lobes[material] < WIDE
     ]
 
 

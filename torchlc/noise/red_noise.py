@@ -43,8 +43,7 @@ class RedNoise(NoiseKind):
 
     It can hide any slow physics, which must therefore beat it on held-out rows. Neglects that curves may err
     together, and, where errors are fitted, how well the level of the white noise is known: that of the steps between rows
-    takes its place, at which ln of the density of 60 rows is within 0.1 of its largest, and 1.1 to 1.4 below that of an
-    integral over all levels, almost whatever the model.
+    takes its place, at which ln of the density is up to 0.5 below that of the best level (60 rows).
     """
 
     name = "red_noise"

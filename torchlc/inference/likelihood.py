@@ -136,6 +136,7 @@ class Likelihood(Rows):
             scale = flux.new_ones(()).expand(flux.shape)
             return Residuals(-fainter, self.error, scale, None, self.observed + fainter)
         delta, scale = power_difference(ratio, self.power)
+        delta = delta + power_shift(scale, self.power, self.error)
         return Residuals(delta, self.error, scale, None, self.observed + fainter)
 
     def _flux_residuals(self, flux: Tensor) -> Residuals:
@@ -240,6 +241,22 @@ def power_difference(ratio: Tensor, power: Tensor) -> tuple[Tensor, Tensor]:
     difference = torch.where(some, torch.expm1(safe * log) / safe, log)
     below = share * (ratio - bright) / bright
     return MAG_PER_LN * (difference + below), share + power * below
+
+
+def power_shift(share: Tensor, power: Tensor, error: Tensor) -> Tensor:
+    """By how much the mean of (measured flux)^power lies below the power of the mean, (..., T), in the unit of
+    :func:`power_difference`, for ``share`` (..., T), model over datum to the power, and quoted errors (T,), mag.
+
+    Measured fluxes scatter about the model's, and the root of photon counts is on average smaller than the root of
+    their mean, by 1/8 of a count (Anscombe 1948, Biometrika 35, 246). To second order the share is
+    power (1 - power) / 2 s^2, s the relative error at the model's flux; s^2 / (1 + s^2) takes its place where the model is
+    fainter than the noise and the series means nothing. Neglects the third order: 0.005 mag for photons alone at a
+    signal-to-noise ratio of 3, where the shift is 0.03 mag, 0.012 mag beside as much light of the sky. None for
+    a power of 0, under which errors are those of magnitudes.
+    """
+    relative = error / MAG_PER_LN
+    shift = 0.5 * MAG_PER_LN * (power - 1) * relative**2 * share / (share**2 + relative**2)
+    return torch.where(power > 0, shift, 0.0)
 
 
 def uncut(u: Tensor, k: Tensor) -> Tensor:

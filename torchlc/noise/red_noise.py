@@ -43,8 +43,8 @@ class RedNoise(NoiseKind):
     """A Gaussian process added to every curve, Matern-3/2 of standard deviation mag and time scale tau_min.
 
     It can hide any slow physics, which must therefore beat it on held-out rows. Neglects that curves may err
-    together, and, where errors are fitted, how well the level of the steps between rows is known, which takes the
-    place of the white noise.
+    together, and, where errors are fitted, how well the level of the white noise is known: that of the steps between rows
+    takes its place, at which ln of the density is up to 0.5 below that of the best level (60 rows).
     """
 
     name = "red_noise"

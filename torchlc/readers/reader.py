@@ -62,6 +62,10 @@ MARKERS = np.array(
     ]
 )
 """-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
+CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
+"""0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
+FAR_MAG = 5.0
+"""From all others: less is a glint, a sunset or a cloud."""
 JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
@@ -115,6 +119,7 @@ class _Reader:
             *taken,
             *self.timing.notes,
             *declared.units_told(header, self.kind),
+            *declared.magnitudes_told(header, self.kind),
             *self.units_told,
         ]
 
@@ -212,6 +217,7 @@ class _Reader:
         self._drop_markers()
         self._drop_non_finite()
         self._to_observer()
+        self._suspect_markers()
         self._check_limits()
         self._check_errors()
         self._sort()
@@ -350,6 +356,27 @@ class _Reader:
             beyond |= np.isfinite(error) & (np.abs(error) > BEYOND_MAG)
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
+
+    def _suspect_markers(self) -> None:
+        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
+        if self.kind != "mag":
+            return
+        values = self.columns["mag"]
+        different = np.unique(values)
+        chosen = [value for value in different.tolist() if CHOSEN.fullmatch(f"{value:.10g}")]
+        likely = np.isin(values, chosen)
+        others = values[~likely]
+        if not chosen or not len(others):
+            return
+        apart = np.maximum(others.min() - values, values - others.max())
+        far = likely & (apart > FAR_MAG)
+        if far.any():
+            first = row_place(int(self.rows[far][0]), "mag")
+            self.warnings.append(
+                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from all others"
+                f"{f', and so are {np.count_nonzero(far) - 1} more rows' if far.sum() > 1 else ''}: if it stands for a "
+                "missing measurement, leave it blank or out. It is taken as measured"
+            )
 
     def _drop_non_finite(self) -> None:
         """Rows with a blank or infinite number go; an upper limit without an error takes the median."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -23,6 +24,8 @@ from torchlc.suggest import did_you_mean
 
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
+MOST_NAMED = 10
+"""New names that a warning lists."""
 PARAMETER_KEY = re.compile(
     r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
 )
@@ -30,9 +33,9 @@ PARAMETER_KEY = re.compile(
 
 def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None) -> Tables:
     """``scene`` with its materials completed; InputError where its tables contradict each other."""
+    scene = numbered_components(scene)
     check = _Checks(scene, trust)
     check.unique("stations", "id", [station.id for station in scene.stations])
-    check.unique("components", "name", [component.name for component in scene.components])
     if scene.orbit.vectors is None and not scene.stations:
         raise check.error(
             "stations", "no station", "at least one [[stations]], which the object is seen from"
@@ -45,6 +48,42 @@ def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
     check.axes_of_facets(completed)
     return scene.model_copy(update={"materials": completed})
+
+
+def numbered_components(scene: Tables) -> Tables:
+    """``scene`` with components of one name told apart by a number behind it, and a warning that says so.
+
+    Copies of a table are often left with its name, and nothing but a report needs another. An effect's parameter
+    that names one of them is refused: which of them it means cannot be told.
+    """
+    names = [component.name for component in scene.components]
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    taken, renamed = set(names), list(names)
+    for name in repeated:
+        places = [index for index, other in enumerate(names) if other == name]
+        for key in scene.model.parameters:
+            match = PARAMETER_KEY.fullmatch(key)
+            if match and match["target"] == name and name not in scene.materials:
+                hint = f"It is not clear which of the {len(places)} model.parameters.{key_text(key)!r} means."
+                place = f"components[{places[1]}].name"
+                raise InputError(scene.source, place, f"{name!r} again", "a name used once", hint)
+        numbers = (f"{name} {number}" for number in itertools.count(1))
+        unused = [new for new in itertools.islice(numbers, len(names) + len(places)) if new not in taken]
+        for index, new in zip(places, unused, strict=False):
+            renamed[index] = new
+        taken.update(renamed)
+        listed = ", ".join(repr(renamed[index]) for index in places[:MOST_NAMED])
+        scene.warnings.append(
+            f"components: {len(places)} have the name {name!r}. They are called "
+            f"{listed}{', ...' if len(places) > MOST_NAMED else ''} here, in the order of the file. "
+            "Give each a name of its own"
+        )
+    if not repeated:
+        return scene
+    pairs = zip(scene.components, renamed, strict=True)
+    return scene.model_copy(
+        update={"components": [one.model_copy(update={"name": new}) for one, new in pairs]}
+    )
 
 
 def key_text(key: str) -> str:

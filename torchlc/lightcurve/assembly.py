@@ -115,6 +115,12 @@ class Assembly:
         surfaces = sum(self._slots(part) for part in self.shape.parts)
         return surfaces * self.N * max(1, math.prod(effect.nodes for effect in self.effects))
 
+    @cached_property
+    def pairs_of_discs(self) -> int:
+        """The same where sources that are discs are left whole."""
+        surfaces = sum(self._slots(part) for part in self.shape.parts)
+        return surfaces * self.N * math.prod(effect.nodes for effect in self.effects if not effect.widens)
+
     def _slots(self, part: Part) -> int:
         """Facets and points at which light of a part is summed; where parts shadow each other also the facets of
         curved surfaces."""

@@ -22,6 +22,7 @@ class Box(Part):
     """
 
     kind = "box"
+    scalable = True
 
     def __init__(self, component: Any) -> None:
         super().__init__(component)
@@ -43,24 +44,26 @@ class Box(Part):
             self.front = self.turn[:, np.argmax(leverage**2 / size)]  # face area ~ 1/size along its normal
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(self.sizes(values, "size_x", "size_y", "size_z"))
-        vertices = like(self._vertices, size) * size
+        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_x", "size_y", "size_z")), -1)
+        vertices = like(self._vertices, size) * size[..., None, None, :]
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=like(self._u, size),
-            area=(size.roll(-1) * size.roll(-2)).repeat_interleave(2),
-            centroid=vertices.mean(dim=1),
+            area=(size.roll(-1, -1) * size.roll(-2, -1)).repeat_interleave(2, -1),
+            centroid=vertices.mean(dim=-2),
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:
-        return facets.vertices.flatten(0, 1)[torch.as_tensor(self._corner, device=facets.area.device)]
+        corner = torch.as_tensor(self._corner, device=facets.area.device)
+        return facets.vertices.flatten(-3, -2)[..., corner, :]
 
 
 class Plate(Part):
     """A two-sided rectangle: "front" with normal u x v, and "back" with its own material if it has one."""
 
     kind = "plate"
+    scalable = True
     thin = True
     hull = Hull.of([[0, 1, 2, 3], [0, 3, 2, 1]])
 
@@ -78,16 +81,16 @@ class Plate(Part):
         self.front = self.turn @ normal
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(self.sizes(values, "size_u", "size_v"))
+        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_u", "size_v")), -1)
         axes = like(self._axes, size)
-        vertices = (like(self._corners, size) * size) @ axes
+        vertices = (like(self._corners, size) * size[..., None, None, :]) @ axes
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=axes[:1].expand(2, 3),
-            area=size.prod().expand(2),
-            centroid=vertices.mean(dim=1),
+            area=size.prod(-1, keepdim=True).expand(*size.shape[:-1], 2),
+            centroid=vertices.mean(dim=-2),
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:
-        return facets.vertices[0]
+        return facets.vertices[..., 0, :, :]

@@ -20,7 +20,8 @@ class Facets:
     """Facets of one part at rest, body frame.
 
     vertices (F, V, 3) counter-clockwise from outside, padded by repeating the last; normal (F, 3); u (F, 3),
-    the in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3).
+    the in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3). Of sizes that differ within
+    a batch vertices, area and centroid have an axis B before the others.
     """
 
     vertices: Tensor
@@ -64,10 +65,12 @@ class Part(ABC):
     whole: labels of faces whose facets are pieces of one plane or of one curved surface, with the points at which its light
     is summed.
     thin: it encloses nothing, and each facet has a twin that faces the other way.
+    scalable: sizes turn none of its facets, and `facets` takes a batch (B,) of them.
     """
 
     kind: ClassVar[str]
     thin: ClassVar[bool] = False
+    scalable: ClassVar[bool] = False
     hull: Hull | None = None
 
     def __init__(self, component: Any) -> None:

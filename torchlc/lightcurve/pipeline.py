@@ -279,11 +279,13 @@ class Pipeline:
             specular, each = (one.reshape(-1, *surface.discs.shape) for one in (specular, specular + diffuse))
             middles.append((len(found), surface, specular, each))
             found.append(self._of_row(surface.discs, each, values))
-        sunlit = [light.detach() for light, surface in zip(found, surfaces, strict=True) if surface.sunlit]
+        if not middles:
+            return found
+        sunlit = [light for light, surface in zip(found, surfaces, strict=True) if surface.sunlit]
+        brightest = torch.atleast_2d(reduce(torch.add, sunlit))
         for place, surface, specular, each in middles:
-            brightest = torch.atleast_2d(reduce(torch.add, sunlit))
-            rule = surface.discs.rules(specular, brightest, self._narrowest(surface, values))
-            found[place] = self._of_row(surface.discs, self._spread(surface, rule, each, values), values)
+            weights = surface.discs.weights(specular, brightest, self._narrowest(surface, values))
+            found[place] = self._of_row(surface.discs, self._spread(surface, weights, each, values), values)
         return found
 
     @staticmethod
@@ -293,26 +295,27 @@ class Pipeline:
         return total if any(value.ndim for value in values.values()) else total[0]
 
     def _spread(
-        self, surface: DiscSurface, rule: Tensor, each: Tensor, values: Mapping[str, Tensor]
+        self, surface: DiscSurface, weights: Sequence[Tensor], each: Tensor, values: Mapping[str, Tensor]
     ) -> Tensor:
-        """Light (B or 1, K, C) of pairs over a disc by the ``rule`` that each needs, ``each`` in its middle. Where a transform
-        hides which pairs need it, all are worked out by every rule."""
+        """Light (B or 1, K, C) of pairs over a disc by the rules that they need (:meth:`DiscPairs.weights`), ``each`` in its
+        middle. Where a transform hides which pairs need a rule, all are worked out by it."""
         pairs = surface.discs
-        rule = torch.where(pairs.share.detach() > 0, rule, 0)
-        known = readable(rule)
-        for number in range(len(pairs.disc.rules)):
-            wanted = rule == number + 1
-            if not known:
+        for number, weight in enumerate(weights):
+            if not readable(weight):
                 light = reduce(torch.add, self.reflect(surface.over(number, None), values, None))
-                each = torch.where(wanted, light.reshape(1, *pairs.shape), each)
+                each = torch.lerp(each, light.reshape(1, *pairs.shape), weight)
                 continue
-            which = torch.nonzero(wanted, as_tuple=True)
+            wanted = weight > 0
+            if number + 1 < len(weights):
+                wanted = wanted & (weights[number + 1] < 1)
+            which = torch.nonzero(wanted.expand(each.shape), as_tuple=True)
             if not len(which[0]):
                 continue
             member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
             own = {name: value[member] if value.ndim else value for name, value in values.items()}
-            light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))
-            each = each.index_put(which, light[..., 0])
+            light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))[..., 0]
+            share = weight.expand(each.shape)[which]
+            each = each.index_put(which, torch.lerp(each[which], light, share))
         return each
 
     def _narrowest(self, surface: Surface, values: Mapping[str, Tensor]) -> Tensor | None:
@@ -323,7 +326,7 @@ class Pipeline:
         asked: list[Tensor] = []
 
         def reflect(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-            asked.append(surface.model.lobe_variance(material).detach())
+            asked.append(surface.model.lobe_variance(material))
             nothing = torch.zeros_like(asked[-1])[..., None]
             return nothing, nothing
 

@@ -17,18 +17,18 @@ class Joints:
     loops: Tensor
     edges: Tensor
     sides: Tensor
+    around: Tensor
 
     @classmethod
     def of(cls, hull: Hull, device: torch.device) -> Joints:
-        return cls(*(torch.as_tensor(array, device=device) for array in (hull.loops, hull.edges, hull.sides)))
+        arrays = (hull.loops, hull.edges, hull.sides, hull.around)
+        return cls(*(torch.as_tensor(array, device=device) for array in arrays))
 
 
 def facing(corners: Tensor, joints: Joints, direction: Tensor) -> Tensor:
     """Which faces (N, D, L) of the hull with corners (N, H, 3) face each ``direction`` (N, D, 3)."""
-    loop = corners[:, joints.loops]
-    loop = loop - loop[:, :, :1]
-    vector_area = torch.linalg.cross(loop, loop.roll(-1, dims=2), dim=-1).sum(dim=2)
-    return direction @ vector_area.mT > 0
+    first, second, third = corners[:, joints.loops[:, :3]].unbind(2)
+    return direction @ torch.linalg.cross(second - first, third - second, dim=-1).mT > 0
 
 
 def outline(flat: Tensor, height: Tensor, faces: Tensor, joints: Joints) -> tuple[Tensor, Tensor, Tensor]:
@@ -49,12 +49,15 @@ def outline(flat: Tensor, height: Tensor, faces: Tensor, joints: Joints) -> tupl
     end = torch.where(left[..., None], second, first)
     present = (left != right) & (up_i | up_j)
 
-    after = joints.loops.roll(-1, dims=1)
-    h0, h1 = height[:, joints.loops], height[:, after]
-    point = _crossing(flat[:, joints.loops], flat[:, after], h0, h1)
-    leaves, enters = (h0 > 0) & (h1 <= 0), (h0 <= 0) & (h1 > 0)
-    cut_start = (point * leaves[..., None]).sum(dim=2)
-    cut_end = (point * enters[..., None]).sum(dim=2)
+    # the plane leaves and enters a convex face once each, on one of the edges about it
+    up = height > 0
+    ahead, after = up[:, joints.loops], up[:, joints.loops.roll(-1, dims=1)]
+    leaves, enters = ahead & ~after, ~ahead & after
+    face = torch.arange(len(joints.loops), device=flat.device)
+    cut_start, cut_end = (
+        cut.gather(1, joints.around[face, one.to(torch.uint8).argmax(dim=-1)][..., None].expand(-1, -1, 2))
+        for one in (leaves, enters)
+    )
     cut_present = faces & leaves.any(dim=-1)
 
     start, end = torch.cat([start, cut_start], dim=1), torch.cat([end, cut_end], dim=1)

@@ -17,6 +17,7 @@ from torchlc.occlusion.outline import Joints, facing, outline
 from torchlc.occlusion.polygon_union import covered_area, settled
 from torchlc.shapes import Part
 from torchlc.shapes.part import like
+from torchlc.tensors.vectors import dot
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
@@ -128,11 +129,27 @@ def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) 
     clear, within = settled(planes.facet, start, end, present)
     fractions[row[within], facet[within]] = 0.0
     partly = ~clear & ~within
-    polygon = planes.facet[partly]
-    after = polygon.roll(-1, dims=1)
-    whole = 0.5 * (polygon[..., 0] * after[..., 1] - polygon[..., 1] * after[..., 0]).sum(dim=-1)
-    covered = covered_area(polygon, start[partly], end[partly], present[partly]) / whole
-    return fractions.index_put((row[partly], facet[partly]), 1.0 - covered.clamp(0.0, 1.0))
+    number = present.any(dim=-1).sum(dim=-1)
+    for count in range(1, present.shape[1] + 1):  # cost is the square of how many hide a facet
+        (alike,) = (partly & (number == count)).nonzero(as_tuple=True)
+        if not len(alike):
+            continue
+        polygon = planes.facet[alike]
+        after = polygon.roll(-1, dims=1)
+        whole = 0.5 * (polygon[..., 0] * after[..., 1] - polygon[..., 1] * after[..., 0]).sum(dim=-1)
+        there = present[alike].any(dim=-1).to(torch.uint8)
+        order = there.argsort(dim=1, descending=True, stable=True)[:, :count]
+        edges = order[..., None].expand(-1, -1, present.shape[2])
+        ends = edges[..., None].expand(-1, -1, -1, 2)
+        covered = covered_area(
+            polygon,
+            start[alike].gather(1, ends),
+            end[alike].gather(1, ends),
+            present[alike].gather(1, edges),
+        )
+        covered = (covered / whole).clamp(0.0, 1.0)
+        fractions = fractions.index_put((row[alike], facet[alike]), 1.0 - covered)
+    return fractions
 
 
 @torch.no_grad()
@@ -145,18 +162,20 @@ def _in_reach(
     """
     pivot = like(target.part.pivot, directions)
     at_rest = target.vertices.mean(dim=2)
-    radius = (target.vertices - at_rest[:, :, None]).norm(dim=-1).amax(dim=-1)
+    apart = target.vertices - at_rest[:, :, None]
+    radius = torch.sqrt(dot(apart, apart).amax(dim=-1))
     middle = ((at_rest - pivot) @ target.pose.mT + pivot).expand(len(directions), -1, -1)[row, facet]
     radius = radius.expand(len(directions), -1)[row, facet]
     reach = []
     for other in others:
         centre = other.corners.mean(dim=1)
-        size = (other.corners - centre[:, None]).norm(dim=-1).amax(dim=-1)
+        apart = other.corners - centre[:, None]
+        size = torch.sqrt(dot(apart, apart).amax(dim=-1))
         offset = picked(centre, row) - middle
-        squared = offset.square().sum(dim=-1)
+        squared = dot(offset, offset)
         both = picked(size, row) + radius
         for side in range(2):
-            along = (offset * directions[row, side]).sum(dim=-1)
+            along = dot(offset, directions[row, side])
             reach.append((squared - along**2 < both**2) & (along > -both))
     return torch.stack(reach, dim=-1)
 

@@ -3,7 +3,7 @@
 A disc of angular radius r moves the half vector by up to r / (2 cos(phase / 2)). Over it the logarithm of a lobe is close to
 z x - q (x^2 + y^2) / 2, with x, y on the unit disc, z its slope and q its curvature across the disc. The error of a rule
 for the mean over the disc, over the largest value on it, is then at most A s^p with s^2 = z^2 + 2 q (`RULE_ERRORS`, the
-suprema over z to 30 and q to 20). What a pair leaves out is held to LEFT_OUT of the light of its row. Away from glints,
+suprema over z to 30 and q to 20). What lobes leave out is held to LEFT_OUT of the light of their row. Away from glints,
 and for wide lobes near them, the middle of the disc will do.
 
 Letters: K pairs of a row, B batch, T rows, D points of a disc, M pairs that are asked for.
@@ -20,13 +20,17 @@ from torch import Tensor
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.stages.effect import Disc, Surface
 
-LEFT_OUT = 5e-5
-"""Share of a row's light that its pairs may leave out together, 5.4e-5 mag: half of the 1e-4 mag that is stated, for the laws
-whose lobes are no Gaussians."""
-RULE_ERRORS = ((0.115, 2.0), (0.0024, 4.0), (4.8e-5, 4.0))
+LEFT_OUT, LEFT_OUT_MAG = 5e-6, 1e-4
+"""Share of a row's light that the lobes of its pairs may leave out together, and what is stated, mag: cosines and Fresnel's
+factor curve over the disc too, by some times r^2 = 2e-5. A tenth of the share costs a tenth more."""
+RULE_ERRORS = ((0.12, 2.0), (0.0026, 4.0), (5.5e-5, 4.0))
 """A and p of a rule's error for the middle of the disc, for one ring of 5 points, and for two rings of 5 and 8."""
 KINK = 0.25
 """Mean of the smaller of 0 and a disc's coordinate, in radii of it: what the middle leaves out at the kink of min(mu0, mu)."""
+FADING = 4.0
+"""Share of what is allowed, 1 / FADING, from which on a pair goes over to the next rule; all of the way at what is allowed."""
+BESIDE = 0.25
+"""Radii of the disc beyond a kink of the light within which pairs go over to the finest rule."""
 STEEPEST = 60.0
 """Slope beyond which a lobe is always summed finely; its exponential stays finite."""
 
@@ -75,34 +79,36 @@ class DiscPairs:
         columns = (one.flatten(-2)[..., None, :] for one in vars(angles).values())
         return self.model.tabulate(Incidence(*columns), weight.flatten(-2)[..., None, :])
 
-    def rules(self, specular: Tensor, brightest: Tensor, variance: Tensor | None) -> Tensor:
-        """Which of the disc's rules each pair needs, (B or 1, K, T), 0 being its middle.
+    def weights(self, specular: Tensor, brightest: Tensor, variance: Tensor | None) -> list[Tensor]:
+        """For each of the disc's rules, how far a pair goes over to it from the one before, the first of which is the middle:
+        (B or 1, K, T) each, 0 to 1. They are continuous, so that light is, and a difference finds its slope.
 
-        specular (B or 1, K, T): lobe light of the middle as of ``table``; brightest (B or 1, T): light of the row;
+        specular (B or 1, K, T): lobe light of the middle as of :meth:`middle`; brightest (B or 1, T): light of the row;
         variance (B or 1, 1, 1): of the narrowest lobe that the material has, rad^2, None if it is not known.
         """
-        ci, cr, radius = (one.detach() for one in (self.ci, self.cr, self.radius))
-        finest = len(self.disc.rules)
-        allowed = LEFT_OUT * brightest.detach()[..., None, :]
-        horizon = (ci.abs() < radius) & (cr > 0)
-        lit = (ci > 0) & (cr > 0)
+        ci, cr, radius = self.ci, self.cr, self.radius
+        count = len(self.disc.rules)
+        there = (ci > -radius) & (cr > 0) & (self.share.detach() > 0)
         if variance is None:
-            return torch.where(horizon | lit, finest, 0)
-        with torch.no_grad():
-            across_u, across_v, ahead = self.su + self.ou, self.sv + self.ov, (ci + cr).clamp(min=1e-15)
-            tan = (across_u.square() + across_v.square()).sqrt() / ahead
-            half = 0.5 * (across_u.square() + across_v.square() + ahead.square()).sqrt()
-            reach = radius / (2 * half.clamp(min=1e-3))
-            # the slope of lobes that are Gaussians of the tangent, which are steeper than cosine powers
-            slope = tan * (1 + tan.square()) * reach / variance
-            square = slope.square() + 2 * reach.square() / variance
-            light = specular.detach()
-            at_most = light * slope.clamp(max=STEEPEST).exp()
-            rule = torch.zeros_like(light, dtype=torch.long)
-            for factor, power in RULE_ERRORS[:finest]:
-                rule = rule + (at_most * (factor * square ** (power / 2)).clamp(max=1.0) > allowed)
-            kink = ((ci - cr).abs() < radius) & (KINK * light * radius > allowed * torch.maximum(ci, radius))
-            return torch.where(horizon | (lit & kink), finest, torch.where(lit, rule, 0))
+            return [there.to(ci)] * count
+        across_u, across_v = self.su + self.ou, self.sv + self.ov
+        across, ahead = across_u.square() + across_v.square(), (ci + cr).clamp(min=1e-15)
+        tan2 = across / ahead.square()
+        reach2 = radius.square() / (across + ahead.square()).clamp(min=1e-6)
+        # the slope of lobes that are Gaussians of the tangent, which are steeper than cosine powers
+        slope2 = (tan2 * (1 + tan2).square() * reach2 / variance.square()).clamp(1e-30, STEEPEST**2)
+        square = slope2 + 2 * reach2 / variance
+        light = specular * (ci > 0) * torch.exp(torch.sqrt(slope2))
+        allowed = (LEFT_OUT * brightest[..., None, :]).clamp(min=1e-300)
+        horizon = _risen((1 + BESIDE - ci.abs() / radius) / BESIDE)
+        kink = _risen((1 + BESIDE - (ci - cr).abs() / radius) / BESIDE)
+        kink = kink * _faded(KINK * specular * radius / torch.maximum(ci, radius) / allowed)
+        finest = torch.maximum(horizon, kink)
+        found = []
+        for factor, power in RULE_ERRORS[:count]:
+            error = light * (factor * square ** (power / 2)).clamp(max=1.0)
+            found.append(torch.where(there, torch.maximum(finest, _faded(error / allowed)), 0.0))
+        return found
 
     def of_columns(self, columns: Tensor, which: tuple[Tensor, ...] | None) -> Tensor:
         """What the columns of :meth:`middle` have, (K T,) or (B, K T), for the pairs of :meth:`over`, (M, 1)."""
@@ -156,6 +162,17 @@ class DiscSurface(Surface):
         phase_angle = self.discs.of_columns(self.phase_angle, which)
         table = self.discs.over(rule, which)
         return Surface(self.component, self.material, self.model, table, phase_angle, self.sunlit, self.scale)
+
+
+def _risen(x: Tensor) -> Tensor:
+    """0 below 0, 1 above 1, and smooth between."""
+    x = x.clamp(0.0, 1.0)
+    return x * x * (3 - 2 * x)
+
+
+def _faded(error: Tensor) -> Tensor:
+    """How much of a finer rule is taken where a coarser one has this error, over what is allowed: all of it from there on."""
+    return _risen((FADING * error.clamp(max=1.0) - 1) / (FADING - 1))
 
 
 def _angles(su: Tensor, sv: Tensor, ci: Tensor, ou: Tensor, ov: Tensor, cr: Tensor) -> Incidence:

@@ -183,17 +183,30 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...] | None:
     ]
     if not found:
         return None
-    if len(found) == 1:
-        joint = found[0]
-    else:
-        batch = max(column.shape[1] for columns in found for column in columns)
-        sizes = [max(map(len, columns)) for columns in found]
-        joint = [
-            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
-            for column in zip(*found, strict=True)
-        ]
+    joint = _side_by_side(found)
     alone = all(column.shape[1] == 1 for column in joint)
     return tuple(column[:, 0] if alone else column.movedim(0, 1) for column in joint)
+
+
+def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
+    """Columns (K, B or 1, T) of several groups of pairs as one, each of one axis B that is 1 where nothing differs."""
+    if len(found) == 1:
+        return list(found[0])
+    sizes = [max(map(len, columns)) for columns in found]
+    joint = []
+    for column in zip(*found, strict=True):
+        batch = max(one.shape[1] for one in column)
+        joint.append(
+            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
+        )
+    return joint
+
+
+def _alike(columns: Sequence[Tensor]) -> list[Tensor]:
+    """Columns (G, L, Q, B or 1, T) as (G L Q, B or 1, T): of one shape but for the axis of the batch, along which what is the same
+    for all stays one."""
+    shape = torch.broadcast_shapes(*(column.shape for column in columns))
+    return [column.expand(*shape[:3], -1, shape[4]).flatten(0, 2) for column in columns]
 
 
 def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
@@ -207,12 +220,7 @@ def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
     ]
     if not found:
         return None
-    batch = max(column.shape[1] for columns in found for column in columns)
-    rows = max(column.shape[2] for columns in found for column in columns)
-    joint = [
-        torch.cat([one.expand(-1, batch, rows) for one in column]).movedim(0, 1)
-        for column in zip(*found, strict=True)
-    ]
+    joint = [column.movedim(0, 1) for column in _side_by_side(found)]
     su, sv, ci, ou, ov, cr, radius, gain, cover = joint
     area = reduce(torch.add, (patch.area.sum(-1) for patch in view.patches))
     area = area[:, None, None] if area.ndim else area
@@ -250,7 +258,7 @@ def _side_pairs(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
         gain,
         cover * (cos_r > 0) * (cos_i > -radius),
     )
-    return tuple(column.flatten(0, 2) for column in torch.broadcast_tensors(*columns))
+    return tuple(_alike(columns))
 
 
 def _sides(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]:
@@ -325,7 +333,7 @@ def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
     spread = [] if light.spread is None else [0.25 * view.apart(light.spread, 1)]
     columns = (*vars(angles).values(), *spread, gain * cover)
     if source.shape[1] * source.shape[2] > 1:  # else what all planes share stays as it is
-        columns = torch.broadcast_tensors(*columns)
+        return tuple(_alike(columns))
     return tuple(column.flatten(0, 2) for column in columns)
 
 

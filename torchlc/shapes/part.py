@@ -36,12 +36,13 @@ class Hull:
     """How the corners of a convex part join: ``loops`` (faces, corners) counter-clockwise from outside.
 
     edges (E, 2) corner indices; sides (E, 2): the face that runs along the edge forwards, the one that runs
-    backwards.
+    backwards. around (faces, corners): the edge that follows each corner of a loop.
     """
 
     loops: np.ndarray
     edges: np.ndarray
     sides: np.ndarray
+    around: np.ndarray
 
     @classmethod
     def of(cls, loops: Sequence[Sequence[int]]) -> Hull:
@@ -52,7 +53,13 @@ class Hull:
         longest = max(map(len, loops))
         padded = [[*loop, *[loop[-1]] * (longest - len(loop))] for loop in loops]
         sides = [(forwards[a, b], forwards[b, a]) for a, b in edges]
-        return cls(np.array(padded), np.array(edges), np.array(sides))
+        place = {frozenset(edge): index for index, edge in enumerate(edges)}
+        around = [
+            # a corner that only pads a loop is followed by no edge, and never asked for it
+            [place.get(frozenset(edge), 0) for edge in zip(loop, [*loop[1:], loop[0]], strict=True)]
+            for loop in padded
+        ]
+        return cls(np.array(padded), np.array(edges), np.array(sides), np.array(around))
 
 
 class Part(ABC):

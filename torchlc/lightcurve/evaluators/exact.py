@@ -10,6 +10,7 @@ from torch import Tensor
 from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE, Evaluator
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Key, Tables, members, moves, sorted_patches, surface_of
+from torchlc.pairs.discs import LEFT_OUT_MAG
 from torchlc.stages.effect import Brightness, Surface
 from torchlc.tensors.autodiff_state import apart, transformed
 
@@ -24,12 +25,15 @@ GRID_AT_ONCE = 2**20
 
 class ExactGeometry(Evaluator):
     """Tables for every theta. A batch of small objects is one grid of all pairs of facet and instant; of larger ones rows
-    of theta that share their geometry share a table; under a transform each stands alone."""
+    of theta that share their geometry share a table; under a transform each stands alone. On a grid the Sun's disc is spread
+    where a lobe is near its glint; elsewhere its middle stands for it, to ``own_error_mag``."""
 
     way = "anew"
 
     def __init__(self, pipeline: Pipeline) -> None:
         super().__init__(pipeline)
+        if self.gridded and any(effect.widens for effect in self.assembly.effects):
+            self.own_error_mag = LEFT_OUT_MAG
         self._recent: dict[tuple[bool, bytes], Tables] = {}
         self._still: dict[bool, dict[Key, Surface | None]] = {}
 

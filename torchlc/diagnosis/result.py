@@ -22,11 +22,11 @@ from torchlc.diagnosis.rejected_hypotheses import told
 from torchlc.diagnosis.search import Found
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines
+from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Effect, Entry, View
 
 if TYPE_CHECKING:

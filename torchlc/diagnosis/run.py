@@ -12,7 +12,6 @@ import torch
 from torchlc.diagnosis.brdf_alternatives import under_other_laws
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.discrepancy import stranger, told_of
 from torchlc.diagnosis.evidence import NoiseModel, Scorer, make_blocks
 from torchlc.diagnosis.families import families
 from torchlc.diagnosis.gate import Battery, Gate, gate
@@ -214,13 +213,6 @@ def _under_one_law(
         if sized is not None and sized.log_evidence > final.log_evidence - EVIDENCE_GAIN:
             areas = " and ".join(with_title(name) for name in named if effect_class(name).adds_area)
             verdict, named, doubt = "unexplained", [], SIZES_AS_WELL.format(areas)
-    described = verdict == "missing_physics"
-    if verdict in ("missing_physics", "noise_model") and not likelihood.fitted_errors:
-        odd = stranger(bench, scorer, baseline, final, seed)
-        left = None if odd is None else _gate(odd.refit, scorer, found_coordinates, {}, seed)
-        if odd is not None and left is not None and left.global_p >= STRUCTURE_P:
-            verdict, named, doubt = "unexplained", [], told_of(odd)
-            final, after, described = odd, left, True
     groups = (
         families(final, [start, *first, *others], named)
         if verdict == "missing_physics"
@@ -228,7 +220,7 @@ def _under_one_law(
     )
     where = (
         locate(start.refit, final.refit, found_coordinates)
-        if described
+        if verdict == "missing_physics"
         else _windows(start.refit, first_gate, found_coordinates)
     )
     nights, advice = _next(verdict, final, [*first, *others], groups, scene)

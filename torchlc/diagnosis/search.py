@@ -27,11 +27,11 @@ from torchlc.diagnosis.refit import (
     refit,
 )
 from torchlc.diagnosis.starts import objective, screened
-from torchlc.effects import effect_class, every, registry
+from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import polish
 from torchlc.parameters import SHARE
-from torchlc.stages.effect import Effect, Entry, Quantity
+from torchlc.stages.effect import Entry, Quantity
 
 MOST_RESCANS = 3
 """Times that an effect that was tried at every row is tried there again from its refit."""
@@ -122,7 +122,7 @@ def judged(fitted: Refit, scorer: Scorer) -> Found:
 def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]:
     """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
     ``name[target]``; of those in ``only`` if given, where a name stands for all its targets and divisions."""
-    entries = _carried(bench, registry())
+    entries = _carried(bench)
     if only is None:
         return entries
     return [
@@ -132,10 +132,10 @@ def candidate_entries(bench: Workbench, only: Sequence[str] | None) -> list[str]
     ]
 
 
-def _carried(bench: Workbench, effects: Mapping[str, type[Effect]]) -> list[str]:
+def _carried(bench: Workbench) -> list[str]:
     present = {effect.name for effect in bench.base.effects}
     entries = []
-    for name, cls in effects.items():
+    for name, cls in registry().items():
         if cls.stage == "noise" or name in present:
             continue
         for target in cls.targets(bench.base.context):
@@ -165,11 +165,6 @@ def not_carried(bench: Workbench, only: Sequence[str] | None) -> dict[str, str]:
         missing = [reason for one in targets or [None] if (reason := cls(one).missing(context)) is not None]
         reasons[text] = missing[0] if missing else "the scene has nothing that it could be applied to"
     return reasons
-
-
-def unlisted_entries(bench: Workbench) -> list[str]:
-    """Every effect that these data could carry and that is never named, only held against what would be."""
-    return _carried(bench, {name: cls for name, cls in every().items() if not cls.listed})
 
 
 def affordable(bench: Workbench, entries: Sequence[str]) -> list[str]:
@@ -383,8 +378,14 @@ def _divided(
 
 def nameable(found: Found) -> bool:
     """The parameters of every added effect are inside their bounds, which hold SPREADS of a divided offset's: one
-    that scatters more is no error of calibration, whatever it mends."""
+    that scatters more is no error of calibration, whatever it mends. An effect with an onset that comes to the first or
+    the last row is none: it is there all the time, or never."""
     for entry in found.hypothesis.added:
+        onset = scanned_column(entry)
+        if onset is not None:
+            columns = effect_columns(found.refit.model.parameter_set, entry)
+            if len(columns) > onset and bool(found.refit.held[columns[onset]]):
+                return False
         parsed = Entry.parse(entry)
         if parsed.width is not None:
             (one,) = effect_class(entry).quantities

@@ -10,10 +10,10 @@ from torchlc.diagnosis.evidence import Scorer
 from torchlc.diagnosis.refit import Hypothesis, Refit, Workbench, refit
 from torchlc.diagnosis.search import Found, judged
 from torchlc.effects import effect_class
+from torchlc.files.numbers import Free
 from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 
 SIZES = ("size", "radius", "length")
 SIGMA = 0.1

@@ -123,8 +123,9 @@ class Pipeline:
         if what in self._made:
             return self._made[what]
         made = make()
-        moved = not stages.isdisjoint(self.assembly.moving.values())
-        spread = "clock" in stages and any(effect.nodes > 1 for effect in self.assembly.stage("clock"))
+        a = self.assembly
+        moved = a.learns_geometry or not stages.isdisjoint(a.moving.values())
+        spread = "clock" in stages and any(effect.nodes > 1 for effect in a.stage("clock"))
         if not moved and not spread and not transformed():
             self._made[what] = made
         return made

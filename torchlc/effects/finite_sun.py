@@ -53,7 +53,8 @@ class FiniteSun(Effect):
 
     Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5; the rule is within 0.2 % up to n = 1e6, to 1e-3
     of the peak. A side of a cylinder or cone, which spreads the disc along its arc, gets 13 of its own (0.3 % at n = 1e6), a
-    sphere or dish 5, and so do meshes of more than 100 facets (0.6 % at n = 1e5). Neglects the softening of shadow edges,
+    sphere or dish 5, and so do meshes of more than 100 facets (0.6 % at n = 1e5). Where the geometry is free, pairs of facet and
+    row far from a glint get as few as one, to 1e-4 mag. Neglects the softening of shadow edges,
     9 mm at 2 m.
     """
 

@@ -296,6 +296,7 @@ class EarthShadow(Effect):
                 torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
             )
         self.lit, self.dark, self.crossed = self._stands(context, exposure)
+        self.always_lit = not self.moved and bool(self.lit.all())
         return self
 
     def _stands(self, context, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -361,11 +362,11 @@ class EarthShadow(Effect):
         instants = sky.instants
         position, sun, weight = sky.state.position, sky.state.sun, sky.nodes.weight
         assert position is not None  # see `missing`
+        if self.always_lit:
+            return torch.ones_like(p["h0"]) if traced() else p["h0"].new_ones(())
         row = torch.arange(len(self.lit), device=self.lit.device) if instants is None else instants.row
         lit, dark = self._standing(position, sun, instants) if self.moved else (self.lit[row], self.dark[row])
         columns = len(row)
-        if not self.moved and readable(lit) and bool(lit.all()):
-            return torch.ones_like(p["h0"]) if traced() else p["h0"].new_ones(())
         # where a transform hides who is at the edge, all are taken as if they were
         edge = ~(lit | dark)
         everywhere = torch.ones(columns, dtype=torch.bool, device=edge.device)

@@ -78,6 +78,20 @@ class Likelihood(Rows):
                 )
         return told
 
+    def expanded(self, theta: Tensor, covariance: Tensor) -> Likelihood:
+        """The same likelihood with its free geometry worked out to second order about natural values theta (P,), for many calls
+        near there: a chain, a search, an evidence.
+
+        ``covariance`` (P, P) of theta says how far the calls will go: within ``model.evaluator.reach`` of its standard deviations
+        light is off by at most ``model.evaluator.error_mag``, 2e-3 mag or less, and beyond it is exact. A call then costs 2 to 4
+        times one of a fixed geometry; making it costs (d + 1)(d + 2) / 2 tables for d numbers that move the geometry, about a
+        second and a half for one and ten for seven. Take the last word of any search from this likelihood, not from that one.
+
+        Raises :class:`~torchlc.lightcurve.evaluators.expansion.UnsuitableError`, which says why, where the error would be larger
+        or the geometry has no such expansion (light scattered between parts, meshes, more than twelve numbers).
+        """
+        return Likelihood(self.model.expanded(theta, covariance))
+
     @property
     def degrees_of_freedom(self) -> int:
         """Measured rows less free parameters less gains."""

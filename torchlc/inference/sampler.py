@@ -317,7 +317,7 @@ def expanded(fit: Fit) -> Likelihood:
     slope = torch.func.jacrev(parameters.from_flat)(y)
     covariance = slope @ mode.covariance @ slope.mT
     try:
-        return Likelihood(model.expanded(mode.theta, covariance))
+        return likelihood.expanded(mode.theta, covariance)
     except UnsuitableError:
         return likelihood
 

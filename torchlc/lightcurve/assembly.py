@@ -118,6 +118,15 @@ class Assembly:
         surfaces = sum(self._slots(part) for part in self.shape.parts)
         return surfaces * self.N * max(1, math.prod(effect.nodes for effect in self.effects))
 
+    @cached_property
+    def pairs_of_discs(self) -> int:
+        """The same where sources that are discs are left whole for parts that are not curved."""
+        every = max(1, math.prod(effect.nodes for effect in self.effects))
+        others = max(1, math.prod(effect.nodes for effect in self.effects if not effect.widens))
+        curved = [any(points > 1 for points in part.whole.values()) for part in self.shape.parts]
+        slots = zip(map(self._slots, self.shape.parts), curved, strict=True)
+        return self.N * sum(count * (every if bent else others) for count, bent in slots)
+
     def _slots(self, part: Part) -> int:
         """Facets and points at which light of a part is summed; where parts shadow each other also the facets of
         curved surfaces."""

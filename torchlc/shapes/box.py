@@ -51,6 +51,7 @@ class Box(Part):
 
     kind = "box"
     keys = BoxKeys
+    scalable = True
 
     def __init__(self, component: Any, surroundings: Surroundings) -> None:
         super().__init__(component, surroundings)
@@ -103,15 +104,16 @@ class Box(Part):
         self._vertices = np.stack([vertices for *_, vertices, _ in pieces])
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(self.sizes(values, "size_x", "size_y", "size_z"))
-        vertices = like(self._vertices, size) * size
+        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_x", "size_y", "size_z")), -1)
+        vertices = like(self._vertices, size) * size[..., None, None, :]
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=like(self._u, size),
-            area=(size.roll(-1) * size.roll(-2))[self._along] * like(self._share, size),
-            centroid=vertices.mean(dim=1),
+            area=(size.roll(-1, -1) * size.roll(-2, -1))[..., self._along] * like(self._share, size),
+            centroid=vertices.mean(dim=-2),
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:
-        return facets.vertices.flatten(0, 1)[torch.as_tensor(self._corner, device=facets.area.device)]
+        corner = torch.as_tensor(self._corner, device=facets.area.device)
+        return facets.vertices.flatten(-3, -2)[..., corner, :]

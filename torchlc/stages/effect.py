@@ -42,6 +42,7 @@ from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
 from torchlc.stages.showing import Shown
 from torchlc.tensors.autodiff_state import apart, readable
+from torchlc.tensors.vectors import least_axis
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -54,6 +55,8 @@ STAGES = (
     "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "shade",
     "scatter", "material", "detector", "noise",
 )  # fmt: skip
+PARALLEL = 1e-12
+"""Square of the sine of an angle below which two directions have no direction across them."""
 LARGEST_MEMORY = 400 * 2**20
 MANY_FACETS = 100
 UNRESOLVED = 1e7
@@ -148,6 +151,37 @@ class Request:
 
 
 @dataclass(frozen=True)
+class Disc:
+    """What a source looks like from the object: angular ``radius`` (Q, T), rad, and ``rules`` for means over it, the coarsest
+    first: points (D, 2) in radii and weights (D,) that sum to 1."""
+
+    radius: Tensor
+    rules: tuple[tuple[Tensor, Tensor], ...]
+
+    def around(self, middle: Tensor, radius: Tensor, rule: int, towards: Tensor | None = None) -> Tensor:
+        """Unit directions (D, ..., 3) of the points of a rule, on discs of ``radius`` (...) about ``middle`` (..., 3).
+        Their x axis points ``towards`` a unit vector (..., 3): they are the same in any frame, turned or mirrored."""
+        points, _ = self.rules[rule]
+        first = torch.linalg.cross(middle, least_axis(middle))
+        if towards is not None:
+            across = towards - (towards * middle).sum(-1, keepdim=True) * middle
+            first = torch.where((across * across).sum(-1, keepdim=True) > PARALLEL, across, first)
+        first = first / torch.linalg.vector_norm(first, dim=-1, keepdim=True)
+        second = torch.linalg.cross(middle, first)
+        x, y = points.reshape(-1, 2, *(1,) * middle.ndim).unbind(1)
+        spread = middle + (x * first + y * second) * radius[..., None]
+        return spread / torch.linalg.vector_norm(spread, dim=-1, keepdim=True)
+
+    def spread(self, light: Light, rule: int) -> Light:
+        """Each source (L, Q, T) of a light as the points of a disc, (D L, Q, T)."""
+        direction = self.around(light.direction, self.radius, rule)
+        irradiance = self.rules[rule][1][:, None, None, None] * light.irradiance
+        return replace(
+            light, direction=direction.flatten(0, 1), irradiance=irradiance.flatten(0, 1), disc=None
+        )
+
+
+@dataclass(frozen=True)
 class Light:
     """A set of L sources seen from the object: unit directions in the body frame (L, Q, T, 3), and irradiance
     over the Sun's at 1 au (L, Q, T).
@@ -155,7 +189,8 @@ class Light:
     ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a
     source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice
     of points. ``scale`` names a parameter that multiplies it. ``fewer`` is the same light from fewer directions, as many as a
-    surface needs that is curved about one axis, and about two, whose normals spread it themselves.
+    surface needs that is curved about one axis, and about two, whose normals spread it themselves. ``disc``: each source is
+    the middle of one that is yet to be spread over it.
     """
 
     direction: Tensor
@@ -164,6 +199,7 @@ class Light:
     spread: Tensor | None = None
     scale: str | None = None
     fewer: tuple[Light, Light] | None = None
+    disc: Disc | None = None
 
 
 @dataclass(frozen=True)
@@ -225,7 +261,8 @@ class View:
     """The geometry of all rows and instants: directions are unit vectors in the body frame.
 
     For a ``batch`` of values of the parameters the axis Q holds the instants of all, those of the first instant
-    first, or 1 where nothing differs.
+    first, or 1 where nothing differs. ``whole_discs``: light effects leave a source that is a disc whole (:attr:`Light.disc`), for
+    it is spread where it matters.
     """
 
     nodes: Nodes
@@ -239,6 +276,7 @@ class View:
     lights: tuple[Light, ...] = ()
     patches: tuple[Patch, ...] = ()
     batch: int = 1
+    whole_discs: bool = False
 
     def at(self, instants: Tensor) -> View:
         """The view of some of the instants (K,) along the axis T, each of which stands for its whole row."""
@@ -507,7 +545,7 @@ class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
     words), ``shown`` (how its page shows it), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
-    lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
+    lights; ``widens`` a light effect that leaves discs whole where a view asks for that; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
     after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
     whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
@@ -538,6 +576,7 @@ class Effect(nn.Module):
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
+    widens: ClassVar[bool] = False
     steps: int = 0
     scanned: ClassVar[str] = ""
     turning: ClassVar[str] = ""

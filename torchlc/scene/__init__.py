@@ -17,7 +17,7 @@ from torchlc.scene.parts import (
     Station,
     Tracks,
 )
-from torchlc.scene.scene import Scene, load_scene
+from torchlc.scene.scene import Scene, content_of_scene, load_scene
 from torchlc.scene.tle import PLACEHOLDER
 
 Number = float | Free
@@ -41,6 +41,7 @@ __all__ = [
     "Sphere",
     "Station",
     "Tracks",
+    "content_of_scene",
     "load_scene",
     "value_of",
 ]

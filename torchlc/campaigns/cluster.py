@@ -74,9 +74,7 @@ def spread(
     """Each task with what ``function`` gives for it, as they finish; an error where its workers died or its
     directory is held. Tasks are taken from ``tasks`` only as fast as they are worked off.
     """
-    running = (
-        _OnProcesses(client, function) if isinstance(client, Workers) else _OnCluster(client, function)
-    )
+    running = _OnProcesses(client, function) if isinstance(client, Workers) else _OnCluster(client, function)
     held: list[Task] = []
 
     def one_more() -> Iterator[tuple[Task, str]]:

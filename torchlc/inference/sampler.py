@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import InputError
+from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import write_whole
 from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.inference.exchange_move import Redraw
@@ -125,9 +126,7 @@ def _by_parameter(name: str, theta: Tensor) -> np.ndarray:
     """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of ArviZ's next version, and of walkers without enough draws
-        import arviz
-
-        diagnostic = getattr(arviz, name)
+        diagnostic = getattr(arviz_library(), name)
         return np.array([float(diagnostic(draws)) for draws in theta.numpy().transpose(2, 0, 1)])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from torchlc.scene.parts import Attitude
 
 if TYPE_CHECKING:
     from astropy.table import Table
+    from matplotlib.figure import Figure
 
 SCHEMA = "torchlc-rotation/1"
 
@@ -164,29 +165,32 @@ class RotationResult:
 
     def write(self, directory: OutputDirectory) -> None:
         """rotation.json, scene.toml of the best mode, and figures."""
-        from torchlc.figures import rotation as figures
-
         search = self.search
         best = search.modes[0]
         directory.write_json("rotation.json", self.to_json())
         directory.write_text("scene.toml", self.scene().to_toml())
+        from torchlc.figures import rotation as figures
+        from torchlc.figures.saving import drawn, save
+
+        def write(name: str, draw: Callable[[], Figure]) -> None:
+            directory.write(
+                name,
+                lambda path: save(drawn(draw), path, dpi=figures.PNG_DPI, format="png", facecolor="white"),
+            )
+
         with np.errstate(divide="ignore"):
             period = 1 / search.frequency
         marks = [mode.period_s for mode in search.modes]
-        directory.write(
-            "periodogram.png", lambda path: figures.periodogram(path, period, search.power, marks)
-        )
+        write("periodogram.png", lambda: figures.periodogram(period, search.power, marks))
         modes = np.array([_unit(*equatorial(mode)) for mode in search.modes])
-        directory.write("poles.png", lambda path: figures.poles(path, *search.pole_map, modes))
+        write("poles.png", lambda: figures.poles(*search.pole_map, modes))
         model = LightCurve(best.scene, search.recording)
         rows = rows_of(model)
         with torch.no_grad():
             predicted = model(best.theta).numpy()[rows.index.numpy()]
         phase = (rows.seconds.numpy() / best.period_s) % 1.0
         observed = search.recording.observed[rows.index.numpy()]
-        directory.write(
-            "folded.png", lambda path: figures.folded(path, phase, observed, predicted, rows.number.numpy())
-        )
+        write("folded.png", lambda: figures.folded(phase, observed, predicted, rows.number.numpy()))
 
     def __repr__(self) -> str:
         return "\n".join([*self.lines(), *(f"  ! {text}" for text in self.warnings)])

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
 from torchlc.errors import InputError
-from torchlc.files.numbers import Free, value_of, within
+from torchlc.files.numbers import Free, problem, value_of, within
 from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
 from torchlc.scene.parts import Material
@@ -89,6 +89,27 @@ def numbered_components(scene: Tables) -> Tables:
 def key_text(key: str) -> str:
     """A key of the file as an error names it: as it is if that is plain and short."""
     return key if key.isprintable() and len(key) <= 60 else shown(key)
+
+
+def file_inside(directory: Path, name: str, *, trust: bool = False) -> Path:
+    """The file ``name`` of a scene in ``directory``, links resolved; raises the problem where it may not be read. Nothing
+    is opened."""
+    if not trust:
+        outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
+        if outside or ".." in re.split(r"[/\\]", name):
+            raise problem(shown(name), "a relative path inside the scene's folder")
+    try:
+        path = (directory / name).resolve()
+        size = path.stat().st_size if path.is_file() else None
+    except (OSError, ValueError, RuntimeError):
+        size, path = None, directory
+    if not trust and not path.is_relative_to(directory.resolve()):
+        raise problem(f"{shown(name)} leads out of the scene's folder", "a file inside it")
+    if size is None:
+        raise problem(f"no file {shown(name)}", f"a file in {directory}")
+    if size > MAX_FILE_BYTES:
+        raise problem(f"{size / 1e6:.0f} MB", f"at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+    return path
 
 
 class _Checks:
@@ -235,24 +256,13 @@ class _Checks:
 
     def _file(self, place: str, name: str) -> None:
         """Unless the scene is trusted, the file must lie in its folder, links resolved."""
-        if not self.trust:
-            outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
-            if outside or ".." in re.split(r"[/\\]", name):
-                raise self.error(place, shown(name), "a relative path inside the scene's folder")
-        directory = self.scene.directory
-        if directory is None:
+        if self.scene.directory is None:
             raise self.error(place, shown(name), "a scene read from a file, or its directory")
         try:
-            path = (directory / name).resolve()
-            size = path.stat().st_size if path.is_file() else None
-        except (OSError, ValueError, RuntimeError):
-            size, path = None, Path(directory)
-        if not self.trust and not path.is_relative_to(directory.resolve()):
-            raise self.error(place, f"{shown(name)} leads out of the scene's folder", "a file inside it")
-        if size is None:
-            raise self.error(place, f"no file {shown(name)}", f"a file in {directory}")
-        if size > MAX_FILE_BYTES:
-            raise self.error(place, f"{size / 1e6:.0f} MB", f"at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+            file_inside(self.scene.directory, name, trust=self.trust)
+        except PydanticCustomError as error:
+            context = error.context or {}
+            raise self.error(place, context["found"], context["expected"]) from None
 
     def effects(self, known: Collection[str] | None) -> None:
         listed = self.scene.model.effects or []

@@ -22,6 +22,8 @@ SAME_WAY = 1e-6
 """Distance of unit normals that count as one."""
 MOST_FACETS = 400
 """Directions beyond which normals are gathered on a coarser grid."""
+ROUND = 12
+"""The symmetry up to which bodies are told; one of more is round."""
 LOBES = ("n", "n_u", "alpha", "m")
 """Numbers that say that a law has a lobe."""
 
@@ -97,14 +99,14 @@ class FacetLight:
         return torch.stack(found, -1)
 
     def symmetry(self, axis: Tensor) -> int:
-        """The largest m up to 12 for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""
+        """The largest m up to ROUND for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""
         from torchlc.geometry.rotation.matrices import rotation_about
 
         generator = torch.Generator().manual_seed(0)
         ways = unit(torch.randn(2, 40, 3, generator=generator, dtype=axis.dtype))
         exponent = axis.new_full((40, sum(self.lobed)), 3.0)
         start = self.light(ways[0], ways[1], exponent)
-        for m in range(12, 1, -1):
+        for m in range(ROUND, 1, -1):
             turn = rotation_about(axis, axis.new_tensor(2 * math.pi / m))
             moved = self.turned(turn).light(ways[0], ways[1], exponent)
             if bool(((moved - start).abs() <= 1e-3 * start.abs().amax(0)).all()):

@@ -23,7 +23,7 @@ from torchlc.inference.rotation.connect import Connection, connections, differen
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import GridState
-from torchlc.inference.rotation.refine import Local, Refiner
+from torchlc.inference.rotation.refine import MOST_TILT, Local, Refiner, free_tilts
 from torchlc.inference.rotation.windows import windows
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, iso_times
@@ -148,7 +148,7 @@ def search_rotation(
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)
-    refiner = Refiner(rows, body, FLOOR, tilted=False)
+    refiner = Refiner(rows, body, FLOOR)
     locals_ = _distinct(refiner.refined(states[:count], [still] * len(states[:count])))
     dof = max(1, len(rows.flux) - rows.passes - 6)
     tilted = "tilt" in scene.attitude.model_fields_set
@@ -219,10 +219,9 @@ def _tilted(
     """Solutions with the body's axes turned against the axis of the spin, from the best of the straight ones turned
     either way, each pass at each of the phases that a straight body cannot tell apart."""
     angle = math.radians(TILTED_DEG)
-    tilts = [
-        angle * torch.tensor(one, dtype=torch.float64)
-        for one in ([1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0])
-    ]
+    eye = torch.eye(3, dtype=torch.float64)
+    free = free_tilts(body)
+    tilts = [sign * angle * eye[one] for sign in (1.0, -1.0) for one in free]
     generator = torch.Generator().manual_seed(0)
     ways = torch.nn.functional.normalize(
         torch.randn(2, 40, 3, generator=generator, dtype=torch.float64), dim=-1
@@ -230,7 +229,7 @@ def _tilted(
     exponent = torch.full((40, sum(body.lobed)), 3.0, dtype=torch.float64)
     plain = body.light(ways[0], ways[1], exponent)
     near = torch.stack([one.pole for one in states[: max(12, count // 4)]])
-    best = torch.tensor([one.frequency for one in states[:3]], dtype=torch.float64)
+    best = torch.tensor([one for state in states[:3] for one in state.frequencies], dtype=torch.float64)
     close = grid[(grid[:, None] - best).abs().amin(-1) < 2.5 / float(rows.span.max()) / STEPS_A_TURN]
     symmetric = body.symmetry(axis) % 2 == 0
     starts: list[GridState] = []
@@ -238,14 +237,14 @@ def _tilted(
     for number, tilt in enumerate(tilts):
         slanted = body.turned(rotation_of(tilt))
         moved = slanted.light(ways[0], ways[1], exponent)
-        if bool(((moved - plain).abs() <= 1e-3 * plain.abs().amax(0)).all()) or (symmetric and number > 1):
+        if bool(((moved - plain).abs() <= 1e-3 * plain.abs().amax(0)).all()) or (symmetric and number >= len(free)):
             continue  # a turn that changes nothing, or the half turn of another
         for state in pole_grid.search(rows, slanted, near, close)[: max(6, count // 8)]:
             starts.append(state)
             turned.append(tilt)
     if not starts:
         return []
-    return _distinct(Refiner(rows, body, FLOOR, tilted=True).refined(starts, turned, iterations=40))
+    return _distinct(Refiner(rows, body, FLOOR, tilted=free_tilts(body)).refined(starts, turned, iterations=40))
 
 
 def _distinct(found: Sequence[Local]) -> list[Local]:
@@ -353,7 +352,8 @@ def _polished(
     symmetry: int,
 ) -> _Candidate:
     """The model's own least squares from a solution and a count of turns."""
-    trial, start = _scene_at(scene, recording, rows, local, one, changing, tilted)
+    free = free_tilts(FacetLight.of(LightCurve(scene, recording).assembly)) if tilted else []
+    trial, start = _scene_at(scene, recording, rows, local, one, changing, tilted, free)
     model = LightCurve(trial, recording)
     likelihood = Likelihood(model)
     parameters = model.parameter_set
@@ -413,6 +413,7 @@ def _scene_at(
     one: Connection,
     changing: bool,
     tilted: bool,
+    free: Sequence[int],
 ) -> tuple[Scene, dict[str, float]]:
     """The scene with the attitude of a solution, its numbers free near it."""
     epoch, seconds = _epoch_s(scene, recording)
@@ -449,10 +450,9 @@ def _scene_at(
     if tilted:
         tilt = [math.degrees(x) for x in local.tilt.tolist()]
         values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
-        table["tilt"] = (
-            Free(value=tilt[0], low=min(-45.0, tilt[0]), high=max(45.0, tilt[0])),
-            Free(value=tilt[1], low=min(-45.0, tilt[1]), high=max(45.0, tilt[1])),
-            0.0,
+        most = math.degrees(MOST_TILT) + 1
+        table["tilt"] = tuple(
+            Free(value=x, low=-most, high=most) if one in free else x for one, x in enumerate(tilt)
         )
     return scene.model_copy(update={"attitude": Attitude(**table)}), values
 

@@ -157,7 +157,7 @@ def _normal_equations(
     """Products (D, G, H, K, K) of the columns and (D, G, H, K) of these with the light, over a pass, and the square of
     the light, all over errors. Rows are put on steps of a turn, and all phases follow by one correlation."""
     seconds = rows.seconds[here] - middle
-    place = _instants(rows, here)
+    place = instants(rows, here)
     nodes = here[place]
     nearest = (seconds[:, None] - seconds[place]).abs().argmin(-1)
     sun, observer = (
@@ -171,7 +171,7 @@ def _normal_equations(
         return torch.stack([cos * x + sin * y, cos * y - sin * x, z.expand(*z.shape[:-1], STEPS)], -1)
 
     table = columns_of(body, turned(sun), turned(observer))  # (D, nodes, STEPS, K)
-    weight = 1 / _spread(rows.flux[here], rows.error[here])
+    weight = 1 / spread(rows.flux[here], rows.error[here])
     target = rows.flux[here] * weight
     shift = (seconds * frequencies[:, None] * STEPS).round().long() % STEPS  # (G, T)
     at = nearest * STEPS + shift
@@ -198,7 +198,7 @@ def columns_of(body: FacetLight, to_sun: Tensor, to_observer: Tensor) -> Tensor:
     return torch.cat([first, body.light(to_sun, to_observer, narrow)[..., len(body.names) :]], -1)
 
 
-def _instants(rows: Rows, here: Tensor) -> Tensor:
+def instants(rows: Rows, here: Tensor) -> Tensor:
     """Which of the rows of a pass stand for the directions of all: as many as the directions move."""
     moved = max(
         float(torch.linalg.vector_norm(one[here].diff(dim=0), dim=-1).sum())
@@ -216,7 +216,7 @@ def _correlated(table: Tensor, binned: Tensor) -> Tensor:
     return torch.fft.irfft(torch.einsum("gns,dnsk->dgsk", weights, spectrum), n=STEPS, dim=2)
 
 
-def _spread(flux: Tensor, error: Tensor) -> Tensor:
+def spread(flux: Tensor, error: Tensor) -> Tensor:
     """Error (T,) that the light of a grid has at rows of a pass: a share of it, a share of the typical light, and half of what
     changes from row to row, which a phase that is a step off does."""
     change = torch.zeros_like(flux)

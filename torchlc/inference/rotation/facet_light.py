@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchlc.brdf.base import Incidence, coupled_diffuse, lambert
 from torchlc.lightcurve.assembly import Assembly
+from torchlc.parameters import EXPONENT, REFLECTANCE, WIDTH
 from torchlc.tensors.vectors import unit
 
 SAME_WAY = 1e-6
@@ -24,8 +25,6 @@ MOST_FACETS = 400
 """Directions beyond which normals are gathered on a coarser grid."""
 ROUND = 12
 """The symmetry up to which bodies are told; one of more is round."""
-LOBES = ("n", "n_u", "alpha", "m")
-"""Numbers that say that a law has a lobe."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,16 @@ class FacetLight:
         area.index_put_((places, of), torch.cat(areas), accumulate=True)
         mean = normal.new_zeros(len(area), 3).index_add(0, places, normal * torch.cat(areas)[:, None])
         models = assembly.models
-        lobed = tuple(any(quantity.name in LOBES for quantity in models[name].quantities) for name in names)
-        coupled = tuple("r_diff" in models[name].simplex for name in names)
+        lobed = tuple(
+            any(quantity.role in (EXPONENT, WIDTH) for quantity in models[name].quantities) for name in names
+        )
+        coupled = tuple(
+            any(
+                one.role == REFLECTANCE and one.name in models[name].simplex
+                for one in models[name].quantities
+            )
+            for name in names
+        )
         return cls(unit(mean), area, names, lobed, coupled, tuple(notes))
 
     def turned(self, rotation: Tensor) -> FacetLight:

@@ -103,10 +103,9 @@ def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symm
     weights = torch.zeros(0)
     for turn in range(4):
         by_frequency = [one.amin(-1) for one in misfits]
-        total, best = sum(
-            _least(one, near)[0] for one, near in zip(by_frequency, allowed, strict=True)
-        ).min(-1)  # type: ignore[union-attr]
-        turning = [_least(one, near)[1][poles_index, best] for one, near in zip(by_frequency, allowed, strict=True)]
+        least = [_least(one, near) for one, near in zip(by_frequency, allowed, strict=True)]
+        total, best = torch.stack([value for value, _ in least]).sum(0).min(-1)
+        turning = [at[poles_index, best] for _, at in least]
         phases = [one[poles_index, at].argmin(-1) for one, at in zip(misfits, turning, strict=True)]
         if turn == 3:
             break

@@ -100,15 +100,15 @@ class Refiner:
             for k in left:
 
                 def residual(y: Tensor, k: int = k) -> Tensor:
-                    return torch.cat(
-                        [self._residual(y, poles[k], base[k])[0], self._changes(y, base[k])], -1
-                    )
+                    return torch.cat([self._residual(y, poles[k], base[k])[0], self._changes(y, base[k])], -1)
 
                 low, high = self._bounds(begin[k])
                 start = best[k].y if k in best else begin[k : k + 1]
                 count = max(1, round(iterations * part))
                 best[k] = minimise(residual, start, low, high, iterations=count, tolerance=1e-4)
-            left = sorted(left, key=lambda k: float(best[k].cost[0]))[: max(LEAST_KEPT, round(len(starts) * kept))]
+            left = sorted(left, key=lambda k: float(best[k].cost[0]))[
+                : max(LEAST_KEPT, round(len(starts) * kept))
+            ]
         return sorted(
             (
                 self._local(best[k].y[0], poles[k], base[k], float(best[k].cost[0]), best[k].jacobian[0])

@@ -194,22 +194,24 @@ def _states(
             around[one] = w / WAY_STEPS
             phases[one] = (t / TURN_STEPS + float(wander[w]) / (2 * math.pi)) % 1.0
         found.append(
-            TumbleState(
-                poles[k], pair.long, moments, nutation, tuple(phases), tuple(around), float(total[k])
-            )
+            TumbleState(poles[k], pair.long, moments, nutation, tuple(phases), tuple(around), float(total[k]))
         )
     return found
 
 
 def _wander(moments: Tensor, nutation: float, steps: Tensor) -> Tensor:
     """The periodic part (W,) of the turn about L, rad, over the way round the body."""
-    motion = frequencies(moments, torch.tensor(nutation, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64))
+    motion = frequencies(
+        moments, torch.tensor(nutation, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)
+    )
     elapsed = steps / motion.polhode
     mean = motion.precession_long + torch.where(motion.short_axis_mode, 0.0, motion.polhode)
     zero = torch.zeros(1, dtype=torch.float64)
     nutation_ = torch.tensor([nutation], dtype=torch.float64)
     with_it = free_rotation(elapsed, moments, nutation_, zero + 1, zero, zero)
-    without = free_rotation(zero.expand(len(steps), 1), moments, nutation_, zero + 1, zero, steps[:, None])[:, 0]
+    without = free_rotation(zero.expand(len(steps), 1), moments, nutation_, zero + 1, zero, steps[:, None])[
+        :, 0
+    ]
     between = with_it @ without.mT
     angle = torch.atan2(between[:, 1, 0], between[:, 0, 0]) - 2 * math.pi * mean * elapsed
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi

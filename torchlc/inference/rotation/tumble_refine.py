@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.rotation.matrices import rotation_about
-from torchlc.geometry.rotation.rigid_body import frequencies, free_rotation
+from torchlc.geometry.rotation.rigid_body import free_rotation, frequencies
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.pole_grid import frame_of
@@ -198,9 +198,7 @@ class TumbleRefiner:
             columns[:, here] = self.body.light(sun, observer, exponent[:, None])
         return self.compared(columns)
 
-    def _state(
-        self, y: Tensor, base: tuple[Tensor, float], at: Tensor, length: float, chi2: float
-    ) -> Tumble:
+    def _state(self, y: Tensor, base: tuple[Tensor, float], at: Tensor, length: float, chi2: float) -> Tumble:
         with torch.no_grad():
             pole, long, moments, nutation = self._split(y, base, length)
             _, weights = self._light(y, base, at, length)

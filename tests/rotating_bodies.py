@@ -42,7 +42,9 @@ def cylinder(radius: float, length: float, strips: int = 720) -> Body:
     )
 
 
-def light(body: Body, sun: np.ndarray, observer: np.ndarray, n: float, r_spec: float, r_diff: float) -> np.ndarray:
+def light(
+    body: Body, sun: np.ndarray, observer: np.ndarray, n: float, r_spec: float, r_diff: float
+) -> np.ndarray:
     """Flux (T,), Sun's irradiance 1, at 1 m, for unit vectors (T, 3) in the body."""
     half = sun + observer
     half /= np.linalg.norm(half, axis=1)[:, None]
@@ -50,7 +52,9 @@ def light(body: Body, sun: np.ndarray, observer: np.ndarray, n: float, r_spec: f
     cos_i, cos_r, cos_n = (np.clip(one @ body.normal.T, 0, None) for one in (sun, observer, half))
     seen = (cos_i > 0) & (cos_r > 0)
     fresnel = r_spec + (1 - r_spec) * (1 - cos_half) ** 5
-    lobe = (n + 1) / (8 * np.pi) * cos_n**n * fresnel / (cos_half * np.maximum(np.maximum(cos_i, cos_r), 1e-12))
+    lobe = (
+        (n + 1) / (8 * np.pi) * cos_n**n * fresnel / (cos_half * np.maximum(np.maximum(cos_i, cos_r), 1e-12))
+    )
     diffuse = (
         28 * r_diff / (23 * np.pi) * (1 - r_spec) * (1 - (1 - cos_i / 2) ** 5) * (1 - (1 - cos_r / 2) ** 5)
     )
@@ -69,11 +73,13 @@ def pole_frame(pole: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(pole, x), pole])
 
 
-def steady(seconds: np.ndarray, pole: np.ndarray, period: float, phase: float, rate: float = 0.0) -> np.ndarray:
+def steady(
+    seconds: np.ndarray, pole: np.ndarray, period: float, phase: float, rate: float = 0.0
+) -> np.ndarray:
     """Body from inertial (T, 3, 3) of a turn about body z; the period grows by ``rate`` s/s."""
     turns = np.log1p(rate * seconds / period) / rate if rate else seconds / period
     angle = 2 * np.pi * (turns + phase)
-    about = Rotation.from_euler("z", -angle).as_matrix()  # inertial frame into the turned one
+    about = Rotation.from_euler("z", -angle[:, None]).as_matrix()  # inertial frame into the turned one
     return about @ pole_frame(pole)
 
 
@@ -162,10 +168,25 @@ def recording(
     mag = mag + noise * rng.normal(size=len(mag))
     stamps = np.datetime64(epoch) + np.round(time * 1e6).astype("timedelta64[us]")
     lines = ["# %ECSV 1.0", "# ---", "# datatype:"]
-    names = ["time", "mag", "mag_err", "exptime", *(f"{who}_{axis}" for who in ("sun", "obs") for axis in "xyz"), "curve"]
+    names = [
+        "time",
+        "mag",
+        "mag_err",
+        "exptime",
+        *(f"{who}_{axis}" for who in ("sun", "obs") for axis in "xyz"),
+        "curve",
+    ]
     for name in names:
         text = name in ("time", "curve")
-        unit = ", unit: km" if name[:3] in ("sun", "obs") else ", unit: mag" if "mag" in name else ", unit: s" if name == "exptime" else ""
+        unit = (
+            ", unit: km"
+            if name[:3] in ("sun", "obs")
+            else ", unit: mag"
+            if "mag" in name
+            else ", unit: s"
+            if name == "exptime"
+            else ""
+        )
         lines.append(f"# - {{name: {name}{unit}, datatype: {'string' if text else 'float64'}}}")
     lines += ["# schema: astropy-2.0", " ".join(names)]
     number = np.concatenate([np.full(len(after), k + 1) for k, (_, after, _) in enumerate(passes)])

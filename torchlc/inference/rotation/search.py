@@ -56,8 +56,9 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 UNSTEADY = 150.0
 """Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
-PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS = 6, 2, 48
-"""Pairs of frequencies of a free rotation that are looked at, this many at once, and states of the grid that are refined."""
+PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS, SECOND_STARTS = 6, 2, 36, 30
+"""Pairs of frequencies of a free rotation that are looked at, this many at once; states of the grid that are refined, first over all bodies
+and then of the best body."""
 TUMBLES = 2
 """Solutions of free rotation, and counts of turns of each, that the model is fitted to."""
 MIN_ROWS = 12
@@ -250,13 +251,16 @@ def _tumbling(
     told: list[str] = []
     for start in range(0, len(pairs), PAIRS_AT_ONCE):
         some = pairs[start : start + PAIRS_AT_ONCE]
-        states = tumble_grid.search(
-            rows, body, some, tumble_grid.bodies(), lambda share: say("free rotations", share)
+        first = tumble_grid.search(
+            rows, body, some, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
         )
-        if states:
-            found += refiner.refined(
-                states[:TUMBLE_STARTS], lambda share: say("least squares of free rotations", share)
-            )
+        rough = refiner.refined(first[:TUMBLE_STARTS], progress=lambda share: say("their bodies", share))
+        # the bodies are known now; with them the grid tells directions of the angular momentum apart
+        refined = []
+        for state in _distinct_tumbles(rough, TUMBLES):
+            states = tumble_grid.search(rows, body, [state.pair], state.moments[None], kept=SECOND_STARTS)
+            refined += refiner.refined(states, progress=lambda share: say("their poles", share))
+        found += rough + refined
         if found and min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
             break
     if not found:
@@ -272,6 +276,17 @@ def _tumbling(
             joined += refiner.joined(one)[:TUMBLES]
     joined.sort(key=lambda one: one.chi2)
     return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2], told
+
+
+def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
+    """The best solutions of different bodies."""
+    kept: list[Tumble] = []
+    for one, _, _ in found:
+        if len(kept) < most and all(
+            bool(((one.moments - other.moments).abs() > 0.05).any()) for other in kept
+        ):
+            kept.append(one)
+    return [one for one in kept if one.chi2 < 2 * kept[0].chi2]
 
 
 def _same(one: Tumble, other: Tumble) -> bool:

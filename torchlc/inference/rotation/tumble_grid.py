@@ -29,6 +29,8 @@ EXPONENT = 20.0
 MASSES = 7
 """Steps of the triangle of the second moments of mass about the planes of the body: 28 bodies."""
 NUTATIONS = 64
+POLES_AT_ONCE = 22
+"""Directions of L whose light is held at once: 120 MB a pass for each instant."""
 KEPT = 6
 """Places of a state that are kept, of different directions of L."""
 MOST_PASSES = 3
@@ -78,22 +80,30 @@ def search(
     body: FacetLight,
     pairs: Sequence[FrequencyPair],
     moments: Tensor,
+    *,
+    kept: int = KEPT,
     progress: Callable[[float], None] | None = None,
 ) -> list[TumbleState]:
-    """The best places of each pair and body, best first."""
-    poles, ways = directions(POLES), directions(BODY)
+    """The best places of each pair and body, ``kept`` of each, of different directions of L; best first."""
+    ways = directions(BODY)
     passes = torch.argsort(rows.span, descending=True)[:MOST_PASSES].tolist()
-    tables = [_table(rows, body, poles, ways, rows.of(one)) for one in passes]
-    found: list[TumbleState] = []
-    for number, pair in enumerate(pairs):
+    paths = []
+    for pair in pairs:
         data = [_binned(rows, rows.of(one), rows.middle[one], pair) for one in passes]
-        for place, one in enumerate(moments):
+        for one in moments:
             nutation = nutation_of(one, pair)
             if nutation is not None:
-                found += _states(rows, passes, tables, data, poles, ways, pair, one, nutation)
+                paths.append((pair, one, nutation, data, *_path(one, nutation, ways)))
+    best: list[list[TumbleState]] = [[] for _ in paths]
+    parts = directions(POLES).split(POLES_AT_ONCE)
+    for number, poles in enumerate(parts):
+        tables = [_table(rows, body, poles, ways, rows.of(one)) for one in passes]
+        for k, path in enumerate(paths):
+            best[k] += _states(rows, passes, tables, poles, kept, *path)
             if progress is not None:
-                progress((number + (place + 1) / len(moments)) / len(pairs))
-    return sorted(found, key=lambda one: one.misfit)
+                progress((number + (k + 1) / len(paths)) / len(parts))
+    leading = [sorted(one, key=lambda state: state.misfit)[:kept] for one in best]
+    return sorted((state for one in leading for state in one), key=lambda one: one.misfit)
 
 
 def _table(rows: Rows, body: FacetLight, poles: Tensor, ways: Tensor, here: Tensor) -> Tensor:
@@ -144,30 +154,36 @@ def _binned(rows: Rows, here: Tensor, middle: Tensor, pair: FrequencyPair) -> tu
     return spectrum.conj().to(torch.complex64), float((weight * rows.flux[here]).square().sum())
 
 
+def _path(moments: Tensor, nutation: float, ways: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Of a body's rotation, at each step of the way: which direction in the body L has, the angle (W,) by which the body is
+    then turned about L against the grid, rad, and the part of that which the way itself brings."""
+    steps = torch.arange(WAY_STEPS, dtype=torch.float64) / WAY_STEPS
+    zero = torch.zeros(1, dtype=torch.float64)
+    nutation_ = torch.tensor([nutation], dtype=torch.float64)
+    path = free_rotation(zero.expand(WAY_STEPS, 1), moments, nutation_, zero + 1, zero, steps[:, None])[:, 0]
+    own = wander(moments.expand(WAY_STEPS, 3), nutation_.expand(WAY_STEPS), steps) * (2 * math.pi)
+    nearest = (path[:, 2] @ ways.T).argmax(-1)  # z of the frame is L
+    # R = Rz(angle) gauge: the angle that is left, with a direction off by half a step of the grid
+    between = path @ _gauge(ways[nearest]).mT
+    angle = torch.atan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1]) + own
+    return nearest, angle, own
+
+
 def _states(
     rows: Rows,
     passes: Sequence[int],
     tables: Sequence[Tensor],
-    data: Sequence[tuple[Tensor, float]],
     poles: Tensor,
-    ways: Tensor,
+    kept: int,
     pair: FrequencyPair,
     moments: Tensor,
     nutation: float,
+    data: Sequence[tuple[Tensor, float]],
+    nearest: Tensor,
+    angle: Tensor,
+    own: Tensor,
 ) -> list[TumbleState]:
     """The best places of one body in one pair's rotation."""
-    steps = torch.arange(WAY_STEPS, dtype=torch.float64) / WAY_STEPS
-    zero = torch.zeros(1, dtype=torch.float64)
-    nutation_ = torch.tensor([nutation], dtype=torch.float64)
-    # at each step of the way, with no turn about L but what the way itself brings
-    path = free_rotation(zero.expand(WAY_STEPS, 1), moments, nutation_, zero + 1, zero, steps[:, None])[:, 0]
-    wander = _wander(moments, nutation, steps)
-    direction = path[:, 2]  # L in the body: z of the frame
-    nearest = (direction @ ways.T).argmax(-1)
-    gauge = _gauge(ways[nearest])
-    # R = Rz(angle) gauge: the angle that is left, with a direction off by half a step of the grid
-    between = path @ gauge.mT
-    angle = torch.atan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1]) + wander
     harmonic = torch.arange(HARMONICS, dtype=torch.float64)
     shift = torch.exp(1j * harmonic * angle[:, None]).to(torch.complex64)  # (W, H)
     total = torch.zeros(len(poles))
@@ -179,42 +195,35 @@ def _states(
         targets = torch.einsum("nwh,wdnch->dcwh", spectrum[1], columns[:, :, :, 3:])
         both = torch.cat([products, targets], 1)
         whole = torch.fft.irfft(torch.fft.ifft(both, dim=-2), n=TURN_STEPS, dim=-1)  # (D, 5, W, S)
-        misfit = size - _gain(*whole.unbind(1))
-        flat = misfit.flatten(1)
-        least, at = flat.min(-1)
+        least, at = (size - _gain(*whole.unbind(1))).flatten(1).min(-1)
         total += least
         places.append(at)
-    best = torch.argsort(total)[:KEPT].tolist()
     found = []
-    for k in best:
-        way = [int(at[k]) // TURN_STEPS for at in places]
-        turn = [int(at[k]) % TURN_STEPS for at in places]
+    for k in torch.argsort(total)[:kept].tolist():
         phases, around = [0.0] * rows.passes, [0.0] * rows.passes
-        for one, w, t in zip(passes, way, turn, strict=True):
-            around[one] = w / WAY_STEPS
-            phases[one] = (t / TURN_STEPS + float(wander[w]) / (2 * math.pi)) % 1.0
+        for one, at in zip(passes, places, strict=True):
+            way, turn = divmod(int(at[k]), TURN_STEPS)
+            around[one] = way / WAY_STEPS
+            phases[one] = (turn / TURN_STEPS + float(own[way]) / (2 * math.pi)) % 1.0
         found.append(
             TumbleState(poles[k], pair.long, moments, nutation, tuple(phases), tuple(around), float(total[k]))
         )
     return found
 
 
-def _wander(moments: Tensor, nutation: float, steps: Tensor) -> Tensor:
-    """The periodic part (W,) of the turn about L, rad, over the way round the body."""
-    motion = frequencies(
-        moments, torch.tensor(nutation, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)
-    )
-    elapsed = steps / motion.polhode
+def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
+    """The periodic part (B,) of the turn about L, in turns, at phases (B,) of the way; 0 at 0."""
+    motion = frequencies(moments, nutation, torch.ones_like(nutation))
+    share = way - torch.floor(way.detach())
+    elapsed = share / motion.polhode
     mean = motion.precession_long + torch.where(motion.short_axis_mode, 0.0, motion.polhode)
-    zero = torch.zeros(1, dtype=torch.float64)
-    nutation_ = torch.tensor([nutation], dtype=torch.float64)
-    with_it = free_rotation(elapsed, moments, nutation_, zero + 1, zero, zero)
-    without = free_rotation(zero.expand(len(steps), 1), moments, nutation_, zero + 1, zero, steps[:, None])[
-        :, 0
-    ]
-    between = with_it @ without.mT
-    angle = torch.atan2(between[:, 1, 0], between[:, 0, 0]) - 2 * math.pi * mean * elapsed
-    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+    zero = torch.zeros_like(way)[:, None]
+    period = torch.ones_like(zero)
+    moved = free_rotation(elapsed[:, None], moments, nutation[:, None], period, zero, zero)[:, 0]
+    still = free_rotation(zero, moments, nutation[:, None], period, zero, share[:, None])[:, 0]
+    between = moved @ still.mT
+    angle = torch.atan2(between[:, 1, 0], between[:, 0, 0]) / (2 * math.pi) - mean * elapsed
+    return angle - torch.round(angle.detach())
 
 
 def _gain(aa: Tensor, ab: Tensor, bb: Tensor, a: Tensor, b: Tensor) -> Tensor:

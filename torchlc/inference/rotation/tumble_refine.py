@@ -2,7 +2,8 @@
 
 First each pass has both of its phases to itself; then the whole turns about the angular momentum and round the body between
 passes are counted, and one rotation is fitted to all. Bodies are coordinates in the logarithms of their second moments of
-mass, so that every point is a possible body. Letters: B states, N passes, T rows, P coordinates, L lobes.
+mass, so that every point is a possible body; with both frequencies these say the nutation, so that a step in the body leaves
+the phases where they are. Letters: B states, N passes, T rows, P coordinates, L lobes.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.geometry.rotation.rigid_body import free_rotation, frequencies
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.pole_grid import frame_of
 from torchlc.inference.rotation.refine import AT_ONCE, LEAST_N, MOST_N, START_N, Refiner
-from torchlc.inference.rotation.tumble_grid import TumbleState
+from torchlc.inference.rotation.tumble_grid import TumbleState, wander
+from torchlc.inference.rotation.two_frequencies import FrequencyPair
 from torchlc.tensors.least_squares import Minimum, minimise
 from torchlc.tensors.vectors import unit
 
-STAGES = ((7, 0.4), (10, 0.15), (25, 0.08))
+STAGES = ((6, 0.5), (7, 0.25), (25, 0.1))
 """Iterations, and the share of the starts that is kept after them."""
 LEAST_KEPT = 4
 MOST_LOG = 6.0
@@ -37,7 +38,11 @@ MOST_COUNTS = 400
 JOINED = 10
 """Counts of turns that one rotation is fitted to."""
 FIXED = 6
-"""Coordinates that the passes share: L (2), its rate, the body (2), the nutation."""
+"""Coordinates that the passes share: L (2), the turns of the long axis, the body (2), the ways round the body."""
+HALVINGS, SECANTS = 10, 5
+"""Steps to the nutation of a ratio of frequencies: to a thousandth by halving, then to rounding."""
+EDGE = 1e-4
+"""Nutations within this of the ends of a mode, rad, are not tried."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,14 @@ class Tumble:
     possible: int = 1
     complete: bool = True
 
+    @property
+    def pair(self) -> FrequencyPair:
+        """Its two frequencies."""
+        motion = frequencies(
+            self.moments, self.moments.new_tensor(self.nutation), self.moments.new_tensor(1 / self.long)
+        )
+        return FrequencyPair(self.long, float(motion.polhode), bool(motion.short_axis_mode), 1.0, 0)
+
 
 def moments_of(logs: Tensor) -> Tensor:
     """Moments of inertia (..., 3), the third 1, of logarithms (..., 2) of second moments of mass along x and y over that along z."""
@@ -72,6 +85,52 @@ def logs_of(moments: Tensor) -> Tensor:
     """The inverse of :func:`moments_of`, (..., 2)."""
     mass = (moments.sum(-1, keepdim=True) / 2 - moments).clamp(min=1e-4)
     return torch.log(mass[..., :2] / mass[..., 2:])
+
+
+@dataclass(frozen=True)
+class _Base:
+    """What the coordinates of a start are about: L, both frequencies, the mode."""
+
+    pole: Tensor
+    long: float
+    polhode: float
+    short_axis_mode: bool
+
+    @classmethod
+    def of(cls, pole: Tensor, long: float, moments: Tensor, nutation: float) -> _Base:
+        motion = frequencies(moments, moments.new_tensor(nutation), moments.new_tensor(1 / long))
+        return cls(pole, long, float(motion.polhode), bool(motion.short_axis_mode))
+
+
+def nutation_at(moments: Tensor, ratio: Tensor, short_axis_mode: bool) -> Tensor:
+    """The nutation (B,), rad, of a body (B, 3) in a mode whose ways round the body are ``ratio`` (B,) of the turns of the long
+    axis; that nearest to it where none is."""
+    small, middle, large = torch.sort(moments, dim=-1).values.unbind(-1)
+    sine2 = (1 / middle - 1 / large) / (1 / small - 1 / large).clamp(min=1e-12)
+    border = torch.asin(torch.sqrt(sine2.clamp(0.0, 1.0)))
+    slow = (border - EDGE if short_axis_mode else border + EDGE).clamp(
+        EDGE, math.pi / 2 - EDGE
+    )  # the ratio is 0 at the border
+    fast = torch.full_like(border, EDGE if short_axis_mode else math.pi / 2 - EDGE)
+
+    def over(angle: Tensor) -> Tensor:
+        motion = frequencies(moments, angle, torch.ones_like(angle))
+        return motion.polhode / motion.precession_long - ratio
+
+    for _ in range(HALVINGS):
+        trial = (slow + fast) / 2
+        above = over(trial) > 0
+        slow, fast = torch.where(above, slow, trial), torch.where(above, trial, fast)
+    a, b = slow, fast
+    at_a, at_b = over(a), over(b)
+    for _ in range(SECANTS):
+        slope = at_b - at_a
+        new = b - at_b * torch.where(
+            slope.abs() > 1e-14, (b - a) / torch.where(slope.abs() > 1e-14, slope, 1.0), 0.0
+        )
+        new = torch.minimum(torch.maximum(new, torch.minimum(slow, fast)), torch.maximum(slow, fast))
+        a, at_a, b, at_b = b, at_b, new, over(new)
+    return b
 
 
 class TumbleRefiner:
@@ -95,9 +154,9 @@ class TumbleRefiner:
         log_n = torch.full((self.lobes,), math.log(START_N), dtype=torch.float64)
         for one in starts:
             phases = torch.tensor([*one.phases, *one.ways], dtype=torch.float64)
-            shared = [0.0, 0.0, 0.0, *logs_of(one.moments).tolist(), one.nutation]
+            shared = [0.0, 0.0, 0.0, *logs_of(one.moments).tolist(), 0.0]
             begin.append(torch.cat([torch.tensor(shared, dtype=torch.float64), phases, log_n]))
-            bases.append((one.pole, one.long))
+            bases.append(_Base.of(one.pole, one.long, one.moments, one.nutation))
         at = self.rows.middle
         best: dict[int, Minimum] = {}
         left = list(range(len(starts)))
@@ -126,10 +185,9 @@ class TumbleRefiner:
         covariance = (
             torch.linalg.pinv(normal / scale[:, None] / scale, hermitian=True) / scale[:, None] / scale
         )
-        base = (state.pole, state.long)
+        base = _Base.of(state.pole, state.long, state.moments, state.nutation)
         y = y.clone()
-        y[:3] = 0.0  # of the state itself
-        y[3:5], y[5] = logs_of(state.moments), state.nutation
+        y[:3] = y[5] = 0.0  # of the state itself
         step = 1e-6 * torch.eye(len(y), dtype=torch.float64)
         off = self._gaps(y[None], base)[0]
         slope = ((self._gaps(y + step, base) - self._gaps(y - step, base)) / 2e-6).T  # (C, P)
@@ -141,10 +199,10 @@ class TumbleRefiner:
             moved = y + covariance @ slope.T @ torch.linalg.solve(spread, one - off)
             shared = torch.cat([moved[:FIXED], moved[FIXED + reference, None]])
             way = moved[FIXED + self.rows.passes + reference, None]
-            shared[2] *= self.total / self.longest
+            shared[[2, 5]] *= self.total / self.longest
             start = torch.cat([shared, way, moved[FIXED + 2 * self.rows.passes :]])
             at = self.rows.middle[reference, None]
-            best = self._minimised(start[None], base, at, self.total, 25)
+            best = self._minimised(start[None], base, at, self.total, 40)
             joined = self._state(best.y, base, at, self.total, float(best.cost[0]))
             pairs = tuple((float(a), float(b)) for a, b in one.reshape(-1, 2))
             found.append(
@@ -152,13 +210,10 @@ class TumbleRefiner:
             )
         return sorted(found, key=lambda one: one.chi2)
 
-    def _minimised(
-        self, start: Tensor, base: tuple[Tensor, float], at: Tensor, length: float, iterations: int
-    ) -> Minimum:
+    def _minimised(self, start: Tensor, base: _Base, at: Tensor, length: float, iterations: int) -> Minimum:
         low, high = torch.full_like(start[0], -math.inf), torch.full_like(start[0], math.inf)
         low[:2], high[:2] = -1.5, 1.5
         low[3:5], high[3:5] = -MOST_LOG, MOST_LOG
-        low[5], high[5] = 1e-4, math.pi / 2 - 1e-4
         lobes = FIXED + 2 * len(at)
         low[lobes:], high[lobes:] = math.log(LEAST_N), math.log(MOST_N)
         size = max(1, AT_ONCE // (len(self.body.normal) * len(self.rows.flux)))
@@ -168,15 +223,15 @@ class TumbleRefiner:
 
         return minimise(residual, start, low, high, iterations=iterations, tolerance=1e-4)
 
-    def _split(self, y: Tensor, base: tuple[Tensor, float], length: float) -> tuple[Tensor, ...]:
+    def _split(self, y: Tensor, base: _Base, length: float) -> tuple[Tensor, ...]:
         """Pole (B, 3), turns of the long axis a second (B,), moments (B, 3), nutation (B,) of coordinates (B, P)."""
-        frame = frame_of(base[0])
-        pole = unit(base[0] + y[:, :1] * frame[0] + y[:, 1:2] * frame[1])
-        return pole, base[1] + y[:, 2] / length, moments_of(y[:, 3:5]), y[:, 5]
+        frame = frame_of(base.pole)
+        pole = unit(base.pole + y[:, :1] * frame[0] + y[:, 1:2] * frame[1])
+        long, moments = base.long + y[:, 2] / length, moments_of(y[:, 3:5])
+        ratio = (base.polhode + y[:, 5] / length) / long
+        return pole, long, moments, nutation_at(moments, ratio, base.short_axis_mode)
 
-    def _light(
-        self, y: Tensor, base: tuple[Tensor, float], at: Tensor, length: float
-    ) -> tuple[Tensor, Tensor]:
+    def _light(self, y: Tensor, base: _Base, at: Tensor, length: float) -> tuple[Tensor, Tensor]:
         """Residuals (B, T) and reflectances (B, K)."""
         pole, long, moments, nutation = self._split(y, base, length)
         epochs = len(at)
@@ -198,7 +253,7 @@ class TumbleRefiner:
             columns[:, here] = self.body.light(sun, observer, exponent[:, None])
         return self.compared(columns)
 
-    def _state(self, y: Tensor, base: tuple[Tensor, float], at: Tensor, length: float, chi2: float) -> Tumble:
+    def _state(self, y: Tensor, base: _Base, at: Tensor, length: float, chi2: float) -> Tumble:
         with torch.no_grad():
             pole, long, moments, nutation = self._split(y, base, length)
             _, weights = self._light(y, base, at, length)
@@ -208,7 +263,7 @@ class TumbleRefiner:
             y[0, FIXED + epochs : FIXED + 2 * epochs], at, torch.exp(y[0, FIXED + 2 * epochs :]), weights[0], chi2,
         )  # fmt: skip
 
-    def _gaps(self, y: Tensor, base: tuple[Tensor, float]) -> Tensor:
+    def _gaps(self, y: Tensor, base: _Base) -> Tensor:
         """Turns and ways (B, 2 (N - 1)) by which the phases of a pass differ from those that the pass before leads to; whole
         numbers if one rotation joins them."""
         _, long, moments, nutation = self._split(y, base, self.longest)
@@ -225,21 +280,6 @@ class TumbleRefiner:
         return torch.stack(found, -1)
 
 
-def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
-    """The periodic part (B,) of the turn about L, in turns, at phases (B,) of the way; 0 at 0."""
-    motion = frequencies(moments, nutation, torch.ones_like(nutation))
-    share = way - torch.floor(way.detach())
-    elapsed = share / motion.polhode
-    mean = motion.precession_long + torch.where(motion.short_axis_mode, 0.0, motion.polhode)
-    zero = torch.zeros_like(way)[:, None]
-    period = torch.ones_like(zero)
-    moved = free_rotation(elapsed[:, None], moments, nutation[:, None], period, zero, zero)[:, 0]
-    still = free_rotation(zero, moments, nutation[:, None], period, zero, share[:, None])[:, 0]
-    between = moved @ still.mT
-    angle = torch.atan2(between[:, 1, 0], between[:, 0, 0]) / (2 * math.pi) - mean * elapsed
-    return angle - torch.round(angle.detach())
-
-
 def advanced(
     moments: Tensor, nutation: Tensor, long: Tensor, turn: Tensor, way: Tensor, elapsed: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -249,11 +289,6 @@ def advanced(
     reached = way + motion.polhode * elapsed
     change = wander(moments, nutation, reached) - wander(moments, nutation, way)
     return turn + mean * elapsed + change, reached
-
-
-def flipped(moments: Tensor) -> Tensor:
-    """A half turn about x, (3, 3): with it the other end of the axis of a mode is along L."""
-    return rotation_about(moments.new_tensor([1.0, 0.0, 0.0]), moments.new_tensor(math.pi))
 
 
 def _counts(off: Tensor, spread: Tensor, symmetric: bool) -> tuple[list[tuple[float, Tensor]], bool]:

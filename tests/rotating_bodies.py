@@ -114,7 +114,7 @@ def tumbling(
 
     first = np.concatenate([momentum * along / moments, start.as_quat()])
     span = (0.0, float(seconds.max()) + 1.0)
-    result = solve_ivp(slope, span, first, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=seconds)
+    result = solve_ivp(slope, span, first, method="DOP853", rtol=1e-9, atol=1e-11, t_eval=seconds)
     to_frame = Rotation.from_quat(result.y[3:].T).as_matrix()  # frame along L from body
     return np.swapaxes(to_frame, -1, -2) @ pole_frame(pole)
 
@@ -198,7 +198,7 @@ def recording(
 
 def scene(body: Body, period_s: tuple[float, float, float], epoch: str = "2023-03-01T00:00:00") -> str:
     """The scene of who knows the shape and a range of periods: value, low and high, s."""
-    value, low, high = (one / 3600 for one in period_s)
+    value, low, high = (float(one) / 3600 for one in period_s)
     return f"""format = "torchlc-scene/1"
 name = "unknown rotation"
 [orbit]

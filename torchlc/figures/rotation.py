@@ -43,9 +43,14 @@ def poles(path: Path, directions: np.ndarray, misfit: np.ndarray, modes: np.ndar
 
 
 def folded(
-    path: Path, phase: np.ndarray, observed: np.ndarray, model: np.ndarray, number: np.ndarray
+    path: Path,
+    phase: np.ndarray,
+    observed: np.ndarray,
+    model: np.ndarray,
+    number: np.ndarray,
+    meaning: str = "phase of a turn",
 ) -> None:
-    """Magnitudes (T,) and the best model's over the phase of a turn (T,), a panel for each pass ``number`` (T,)."""
+    """Magnitudes (T,) and the best model's over a phase (T,) with its ``meaning``, a panel for each pass ``number`` (T,)."""
     from matplotlib.figure import Figure
 
     passes = np.unique(number)[:8]
@@ -58,7 +63,7 @@ def folded(
             axes.invert_yaxis()
             axes.set_ylabel(f"pass {row + 1}, mag")
             if row == len(passes) - 1:
-                axes.set_xlabel("phase of a turn")
+                axes.set_xlabel(meaning)
         figure.savefig(path, dpi=150, format="png", facecolor="white")
 
 

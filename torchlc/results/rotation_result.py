@@ -223,10 +223,17 @@ class RotationResult:
         rows = rows_of(model)
         with torch.no_grad():
             predicted = model(best.theta).numpy()[rows.index.numpy()]
-        phase = (rows.seconds.numpy() / best.period_s) % 1.0
+        seconds, number = rows.seconds.numpy(), rows.number.numpy()
+        phase, meaning = (seconds / best.period_s) % 1.0, "phase of a turn"
+        if best.tumbling:  # no phase of one turn folds it
+            first = np.array([seconds[number == one].min() for one in range(rows.passes)])
+            phase, meaning = (
+                (seconds - first[number]) / best.period_s,
+                "turns of the long axis since the first row",
+            )
         observed = search.recording.observed[rows.index.numpy()]
         directory.write(
-            "folded.png", lambda path: figures.folded(path, phase, observed, predicted, rows.number.numpy())
+            "folded.png", lambda path: figures.folded(path, phase, observed, predicted, number, meaning)
         )
 
     def __repr__(self) -> str:

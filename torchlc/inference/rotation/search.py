@@ -32,6 +32,7 @@ from torchlc.inference.rotation.modes import RotationMode as RotationMode
 from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import GridState
 from torchlc.inference.rotation.refine import Local, Refiner, free_tilts
+from torchlc.inference.rotation.steps import Steps
 from torchlc.inference.rotation.tumble_refine import Tumble, TumbleRefiner
 from torchlc.inference.rotation.two_frequencies import frequency_pairs
 from torchlc.inference.rotation.windows import windows
@@ -71,11 +72,12 @@ def search_rotation(
     *,
     shortest_s: float | None = None,
     longest_s: float | None = None,
-    seed: int = 0,
     progress: Progress | None = None,
+    steps: Steps | None = None,
 ) -> RotationSearch:
     """Rotation states of a body: about a direction fixed in it and in space, or, where that leaves structure, free."""
     say = progress or (lambda _text, _share: None)
+    kept = steps or Steps()
     if scene.attitude.mode not in ("spin-pole", "rigid-body"):
         raise InputError(
             scene.source,
@@ -106,26 +108,41 @@ def search_rotation(
     symmetry = body.symmetry(axis)
     poles = pole_grid.directions(POLES)
     say("poles", 0.0)
-    states = pole_grid.search(
-        rows, body, poles, grid, symmetry=_whole_steps(symmetry), progress=lambda share: say("poles", share)
+    states = kept.of(
+        "poles",
+        GridState,
+        lambda: pole_grid.search(
+            rows,
+            body,
+            poles,
+            grid,
+            symmetry=_whole_steps(symmetry),
+            progress=lambda share: say("poles", share),
+        ),
     )
     count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux)))
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)
     refiner = Refiner(rows, body, FLOOR)
-    locals_ = _distinct(refiner.refined(states[:count], [still] * len(states[:count])))
+    locals_ = kept.of(
+        "least squares",
+        Local,
+        lambda: _distinct(refiner.refined(states[:count], [still] * len(states[:count]))),
+    )
     dof = max(1, len(rows.flux) - 2 * rows.passes - 4)
     tilted = "tilt" in scene.attitude.model_fields_set
     if tilted or locals_[0].chi2 / dof > STRUCTURE:
-        slanted = _tilted(rows, body, poles, grid, states, count, axis)
+        say("tilted bodies", 0.0)
+        slanted = kept.of("tilted", Local, lambda: _tilted(rows, body, poles, grid, states, count, axis))
         if slanted and slanted[0].chi2 < locals_[0].chi2 - CHANGED:
             locals_, tilted, symmetry = slanted, True, 1
     tumbles: list[Tumble] = []
     if scene.attitude.mode == "rigid-body" or locals_[0].chi2 / dof > STRUCTURE:
-        tumbles, told = _tumbling(rows, body, low, high, dof, say)
+        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, say))
+        if not tumbles:
+            warnings.append("no pair of frequencies of a free rotation explains the light")
         tumbles = [one for one in tumbles if one.chi2 < locals_[0].chi2 - CHANGED]
-        warnings += told
     say("model", 0.0)
     found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
     if not found or min(one.chi2 for one in found) > 2 * len(rows.flux):
@@ -238,9 +255,7 @@ def _distinct(found: Sequence[Local]) -> list[Local]:
     return kept
 
 
-def _tumbling(
-    rows: Rows, body: FacetLight, low: float, high: float, dof: int, say: Progress
-) -> tuple[list[Tumble], list[str]]:
+def _tumbling(rows: Rows, body: FacetLight, low: float, high: float, dof: int, say: Progress) -> list[Tumble]:
     """Solutions of free rotation, joined over the passes, best first."""
     axes = torch.eye(3, dtype=torch.float64)
     halves = all(body.symmetry(axis) % 2 == 0 for axis in axes)
@@ -248,7 +263,6 @@ def _tumbling(
     pairs = frequency_pairs(rows, low, high, halves=halves, most=PAIRS)
     refiner = TumbleRefiner(rows, body, FLOOR)
     found: list[tuple[Tumble, Tensor, Tensor]] = []
-    told: list[str] = []
     for start in range(0, len(pairs), PAIRS_AT_ONCE):
         some = pairs[start : start + PAIRS_AT_ONCE]
         first = tumble_grid.search(
@@ -263,8 +277,6 @@ def _tumbling(
         found += rough + refined
         if found and min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
             break
-    if not found:
-        told.append("no pair of frequencies of a free rotation explains the light")
     found.sort(key=lambda one: one[0].chi2)
     kept: list[tuple[Tumble, Tensor, Tensor]] = []
     for one in found:
@@ -275,7 +287,7 @@ def _tumbling(
         if one[0].chi2 < 1.5 * kept[0][0].chi2 + 200:
             joined += refiner.joined(one)[:TUMBLES]
     joined.sort(key=lambda one: one.chi2)
-    return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2], told
+    return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2]
 
 
 def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:

@@ -58,10 +58,12 @@ def folded(
         figure = Figure(figsize=(7, 1.2 + 1.9 * len(passes)), layout="constrained")
         for row, axes in enumerate(np.atleast_1d(np.asarray(figure.subplots(len(passes), sharex=True)))):
             here = number == passes[row]
-            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3)
-            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2)
+            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3, label="recorded")
+            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2, label="best model")
             axes.invert_yaxis()
             axes.set_ylabel(f"pass {row + 1}, mag")
+            if row == 0:
+                axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
             if row == len(passes) - 1:
                 axes.set_xlabel(meaning)
         figure.savefig(path, dpi=150, format="png", facecolor="white")

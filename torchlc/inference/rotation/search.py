@@ -57,7 +57,7 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 UNSTEADY = 150.0
 """Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
-PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS, SECOND_STARTS = 6, 2, 36, 30
+PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS, SECOND_STARTS = 4, 2, 36, 30
 """Pairs of frequencies of a free rotation that are looked at, this many at once; states of the grid that are refined, first over all bodies
 and then of the best body."""
 TUMBLES = 2

@@ -83,6 +83,9 @@ class RotationResult:
             else [one / max(moments) for one in sorted(moments)[:2]],
             "inertia_sd": [sd[f"inertia_{axis}"] for axis in "xy"] if moments else None,
             "chi2": mode.chi2,
+            "above_best": mode.above,
+            "rms_mag": mode.rms,
+            "passes": [{"period_s": period, "period_sd_s": sd_} for period, sd_ in mode.periods],
             "probability": mode.probability,
             "turns_between_passes": list(mode.counts),
             "counts_possible": mode.possible,
@@ -156,6 +159,9 @@ class RotationResult:
             if any(one["turns_between_passes"]):
                 turns = ", ".join(f"{count:+g}" for count in one["turns_between_passes"])
                 parts.append(f"turns between passes {turns} against mode 1")
+            if mode.possible > 1 and mode.periods:
+                each = ", ".join(f"{period:.6g} +- {sd_:.1g}" for period, sd_ in mode.periods)
+                parts.append(f"turns of the passes, each by itself: {each} s")
             if mode.possible > 1:
                 parts.append(f"{mode.possible} counts of turns between passes fit")
             if mode.mirror:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.attitude import epoch_seconds
-from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
 from torchlc.inference.optimiser import laplace, polish
 from torchlc.inference.rotation.connect import Connection, differences
 from torchlc.inference.rotation.facet_light import FacetLight
@@ -42,7 +42,8 @@ NUTATION_DEG = 15.0
 class Trial:
     """A rotation to fit the model to: a scene whose attitude is free near it, its ``numbers``, materials; ``counts``, turns
     between passes, and ``ways``, of the angular momentum round the body; ``possible``, how many counts the phases leave, which spread the
-    numbers by ``spread`` (standard deviations); ``changing``: the period does."""
+    numbers by ``spread`` (standard deviations); ``changing``: the period does; ``periods`` of the passes, each by itself, s, with
+    standard deviations."""
 
     scene: Scene
     numbers: Mapping[str, float]
@@ -55,17 +56,21 @@ class Trial:
     complete: bool = True
     spread: Mapping[str, float] = field(default_factory=dict)
     likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    periods: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A trial fitted: natural values ``theta`` (P,), numbers of the attitude with standard deviations, the unit pole (GCRS)."""
+    """A trial fitted: natural values ``theta`` (P,), numbers of the attitude with standard deviations, the unit pole (GCRS);
+    ``deviance``, -2 ln of the likelihood, in which trials compare also where errors are fitted, and ``rms`` of measured rows, mag."""
 
     trial: Trial
     theta: Tensor
     numbers: Mapping[str, float]
     sd: Mapping[str, float]
     chi2: float
+    deviance: float
+    rms: float
     pole: Tensor
 
 
@@ -86,6 +91,11 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
     natural = parameters.from_flat(best.y[place])
     with torch.no_grad():
         chi2 = float(likelihood.chi2(natural))
+        deviance = -2 * float(likelihood.log_likelihood(natural))
+        left = (model(natural) - likelihood.observed)[likelihood.measured]
+        if likelihood.kind == "flux":
+            left = MAG_PER_LN * left / likelihood.observed[likelihood.measured]
+        rms = float(left.square().mean().sqrt())
     low, high = parameters.flat_bounds()
     covariance, _ = laplace(best.jacobian[place], best.y[place], low, high)
     spread = torch.sqrt(torch.diagonal(covariance).clamp(min=0))
@@ -100,7 +110,7 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
             sd[short] = width
     for name, width in trial.spread.items():
         sd[name] = math.hypot(sd.get(name, 0.0), width)
-    return Candidate(trial, natural, numbers, sd, chi2, pole_of(trial.scene, numbers))
+    return Candidate(trial, natural, numbers, sd, chi2, deviance, rms, pole_of(trial.scene, numbers))
 
 
 def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
@@ -171,7 +181,14 @@ def steady_trial(
         local.weights,
         differences(one.counts, symmetry),
         changing=changing,
+        periods=_periods(local),
     )
+
+
+def _periods(local: Local) -> tuple[tuple[float, float], ...]:
+    """Periods of the passes, s, with standard deviations."""
+    sd = torch.sqrt(torch.diagonal(local.covariance)[: len(local.frequencies)].clamp(min=0))
+    return tuple((1 / f, s / f**2) for f, s in zip(local.frequencies.tolist(), sd.tolist(), strict=True))
 
 
 def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble) -> Trial:

@@ -22,6 +22,8 @@ SAME_PERIOD = 1e-3
 CHANGED = 16.0
 """Fall of chi-square that a change of the period has to bring."""
 ALIKE_DEG = 12.0
+NOISY = 1.3
+"""Rms over the noise of successive rows up to which a rotation fits rows without errors."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,8 @@ class RotationMode:
     """One state that fits: ``numbers`` of the attitude and ``sd`` of the free ones by name (pole deg in the scene's frame,
     period h, phase deg, period_rate ms a day, tilt, nutation and polhode_phase deg); ``counts``, turns less those of the
     most probable mode between passes, and ``possible``, how many counts its phases leave; ``likely``, the likeliest of these as
-    differences from that of the mode, with probabilities; ``probability`` among the modes that were found; ``mirror``, what it is of the best."""
+    differences from that of the mode, with probabilities; ``above``, how far its -2 ln likelihood is above the best; ``rms`` of
+    the rows, mag; ``periods`` of the passes, s, each by itself, with standard deviations; ``probability`` among the modes that were found; ``mirror``, what it is of the best."""
 
     numbers: Mapping[str, float]
     sd: Mapping[str, float]
@@ -41,6 +44,9 @@ class RotationMode:
     scene: Scene
     possible: int = 1
     likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    above: float = 0.0
+    rms: float = math.nan
+    periods: tuple[tuple[float, float], ...] = ()
 
     @property
     def period_s(self) -> float:
@@ -102,14 +108,14 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
         (lambda one: not one.trial.changing, lambda one: one.trial.changing),
         (lambda one: not _tumbling(one), _tumbling),
     ):
-        plain = [one.chi2 for one in kept_kinds if simpler(one)]
-        rich = [one.chi2 for one in kept_kinds if richer(one)]
+        plain = [one.deviance for one in kept_kinds if simpler(one)]
+        rich = [one.deviance for one in kept_kinds if richer(one)]
         if plain and rich and min(rich) > min(plain) - CHANGED:
             kept_kinds = [one for one in kept_kinds if simpler(one)]
-    ranked = sorted(kept_kinds, key=lambda one: one.chi2)
+    ranked = sorted(kept_kinds, key=lambda one: one.deviance)
     kept: list[Candidate] = []
     for one in ranked:
-        if one.chi2 > ranked[0].chi2 + KEPT_CHI2:
+        if one.deviance > ranked[0].deviance + KEPT_CHI2:
             break
         if all(
             apart_deg(one.pole, other.pole) > SAME_DEG
@@ -120,7 +126,7 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
             kept.append(one)
     if not kept:
         return []
-    weights = np.exp(-0.5 * np.array([one.chi2 - kept[0].chi2 for one in kept]))
+    weights = np.exp(-0.5 * np.array([one.deviance - kept[0].deviance for one in kept]))
     weights /= weights.sum()
     base = kept[0].trial.counts
     return [
@@ -135,6 +141,9 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
             one.trial.scene,
             one.trial.possible,
             one.trial.likely,
+            one.deviance - kept[0].deviance,
+            one.rms,
+            one.trial.periods,
         )
         for one, weight in zip(kept, weights, strict=True)
     ]
@@ -160,10 +169,12 @@ def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:
     return None
 
 
-def verdict(modes: Sequence[RotationMode], dof: int, passes: int) -> tuple[bool, str]:
-    """Whether the data decide, and what they say."""
+def verdict(
+    modes: Sequence[RotationMode], dof: int, passes: int, noise: float | None = None
+) -> tuple[bool, str]:
+    """Whether the data decide, and what they say. ``noise``: that of successive rows, mag, where errors are not given."""
     best = modes[0]
-    fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1))
+    fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1)) if noise is None else best.rms < NOISY * noise
     poles = [mode for mode in modes if mode.probability > 0.01]
     period = f"one turn in {best.period_s:.6g} s"
     if best.tumbling:
@@ -175,8 +186,13 @@ def verdict(modes: Sequence[RotationMode], dof: int, passes: int) -> tuple[bool,
         )
     if not fits:
         return False, (
-            f"cannot tell: the best rotation found, {period}, leaves chi-square {best.chi2:.0f} for {dof} degrees of "
-            "freedom; shape, materials or the kind of rotation are not those of the scene"
+            f"cannot tell: the best rotation found, {period}, leaves "
+            + (
+                f"chi-square {best.chi2:.0f} for {dof} degrees of freedom"
+                if noise is None
+                else f"{best.rms:.2f} mag rms where successive rows differ by {noise:.2f} mag"
+            )
+            + "; shape, materials or the kind of rotation are not those of the scene"
         )
     if len(poles) > 1:
         return False, (

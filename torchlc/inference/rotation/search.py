@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchlc.errors import InputError
 from torchlc.geometry.rotation.matrices import rotation_of
+from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid, tumble_grid
 from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
 from torchlc.inference.rotation.facet_light import FacetLight
@@ -155,7 +156,8 @@ def search_rotation(
             recording.source, None, "no rotation with a finite chi-square", "rows that the model can fit"
         )
     left = len(rows.flux) - len(modes[0].theta)
-    decided, words = verdict(modes, left, rows.passes)
+    noise = None if rows.noise is None else MAG_PER_LN * rows.noise
+    decided, words = verdict(modes, left, rows.passes, noise)
     order = {tuple(one.pole.tolist()): one.misfit for one in states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
     connected = rows.passes == 1 or modes[0].possible == 1

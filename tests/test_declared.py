@@ -24,7 +24,6 @@ from torchlc.parameters import ROLES
 ROOT = Path(torchlc.__file__).parent
 LATER = {
     "lightcurve/model.py", "lightcurve/assembly.py",
-    "inference/rotation/facet_light.py", "inference/rotation/passes.py", "inference/rotation/search.py",
     "prediction/brightness.py", "prediction/glints.py", "prediction/result.py",
 }  # fmt: skip
 """Files that still tell some by name."""

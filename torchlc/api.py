@@ -4,6 +4,7 @@ and returns one object.
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import shutil
 import time
@@ -358,9 +359,11 @@ def rotation(
     """Rotation states of a body from one or more recordings: pole, period, phase, with all modes that fit.
 
     The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
-    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there.
+    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed
+    goes on from the last stage that it had finished.
     """
     from torchlc.inference.rotation.search import search_rotation
+    from torchlc.inference.rotation.steps import Steps
     from torchlc.readers.joining import joined
     from torchlc.results.rotation_result import RotationResult
 
@@ -379,8 +382,18 @@ def rotation(
             ]
             directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
         stack.enter_context(resources(None if out is None else Path(out)))
+        kept = Steps()
+        if directory is not None:
+            numbers = (
+                rows.seconds.tobytes(),
+                rows.observed.tobytes(),
+                repr((shortest, longest, __version__)).encode(),
+            )
+            key = hashlib.sha256(b"".join((scene.to_toml().encode(), *numbers))).hexdigest()
+            name, room = "search.pt", directory
+            kept = Steps(key, directory.path / name, lambda fill: room.write(name, fill))
         search = search_rotation(
-            scene, rows, shortest_s=shortest, longest_s=longest, seed=seed, progress=progress
+            scene, rows, shortest_s=shortest, longest_s=longest, progress=progress, steps=kept
         )
         made = provenance(scene, rows, seed, command)
         made["inputs"] |= {
@@ -391,6 +404,7 @@ def rotation(
         result = RotationResult(search, seed, time.monotonic() - began, made)
         if directory is not None:
             result.write(directory)
+            directory.clear(["search.pt"])
     return result
 
 

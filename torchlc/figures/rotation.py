@@ -42,19 +42,27 @@ def poles(directions: np.ndarray, misfit: np.ndarray, modes: np.ndarray) -> Figu
     return figure
 
 
-def folded(phase: np.ndarray, observed: np.ndarray, model: np.ndarray, number: np.ndarray) -> Figure:
-    """Magnitudes (T,) and the best model's over the phase of a turn (T,), a panel for each pass ``number`` (T,)."""
+def folded(
+    phase: np.ndarray,
+    observed: np.ndarray,
+    model: np.ndarray,
+    number: np.ndarray,
+    meaning: str = "phase of a turn",
+) -> Figure:
+    """Magnitudes (T,) and the best model's over a phase (T,) with its ``meaning``, a panel for each pass ``number`` (T,)."""
     passes = np.unique(number)[:8]
     with _styled():
         figure = Figure(figsize=(7, 1.2 + 1.9 * len(passes)), layout="constrained")
         for row, axes in enumerate(np.atleast_1d(np.asarray(figure.subplots(len(passes), sharex=True)))):
             here = number == passes[row]
-            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3)
-            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2)
+            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3, label="recorded")
+            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2, label="best model")
             axes.invert_yaxis()
             axes.set_ylabel(f"pass {row + 1}, mag")
+            if row == 0:
+                axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
             if row == len(passes) - 1:
-                axes.set_xlabel("phase of a turn")
+                axes.set_xlabel(meaning)
     return figure
 
 

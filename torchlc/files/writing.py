@@ -39,7 +39,9 @@ CHAIN_FILE = "chain.h5"
 SAMPLED_FILES = frozenset({CHAIN_FILE, "posterior.nc", "corner.png", "traces.png"})
 FIT_FILES = SAMPLED_FILES | {"fit.json", "report.html", "curve.png", "shares.png", "object.png"}
 DIAGNOSIS_FILES = frozenset({"diagnosis.json", "report.html", "curve.png", "object.png"})
-ROTATION_FILES = frozenset({"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png"})
+ROTATION_FILES = frozenset(
+    {"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png", "search.pt"}
+)
 RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""
 PARTIAL = ".partial"

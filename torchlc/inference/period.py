@@ -217,6 +217,8 @@ def find_period(
         if any(abs(peak / other - 1) < SAME or abs(peak - other) < 1 / span for other in taken):
             continue
         candidate, related = _candidate(search, peak, counts, low, high, span, several_nights)
+        if not candidate.amplitude <= np.ptp(search.y):
+            continue  # rows at two phases of it only: at twice the step no sinusoid is told from its shift
         taken += [peak, *related]
         beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
         within = None if turned is None else turned / span * candidate.period_s**2

@@ -478,7 +478,7 @@ def _context(
 
 def _held_already(wanted: Sequence[str], context: Context) -> dict[str, str]:
     """Entries of a scene's list that a model of these data has without them, and why."""
-    known = every()
+    known = registry()
     asked = ((entry, known.get(Entry.parse(entry).name)) for entry in wanted)
     reasons = {entry: cls().held_already(context) for entry, cls in asked if cls is not None}
     return {entry: reason for entry, reason in reasons.items() if reason is not None}

@@ -92,7 +92,7 @@ def test_rows_that_are_not_there_count_nothing():
 # ------------------------------------------------------------------ importance sampling
 
 
-def normal(size: int, spread: float = 1.0, dof: float = 5.0) -> StudentMixture:
+def normal(size: int, spread: float = 1.0, dof: int = 5) -> StudentMixture:
     return StudentMixture(
         torch.zeros(1, size, dtype=torch.float64),
         spread * torch.eye(size, dtype=torch.float64)[None],
@@ -106,7 +106,9 @@ def test_the_proposal_is_the_t_distribution_of_scipy():
     variance of so heavy tails to some 3 %."""
     scale = np.array([[2.0, 0.6], [0.6, 0.5]])
     one = StudentMixture(
-        torch.tensor([[1.0, -2.0]], dtype=torch.float64), torch.tensor(scale[None]), torch.zeros(1, dtype=torch.float64)
+        torch.tensor([[1.0, -2.0]], dtype=torch.float64),
+        torch.tensor(scale[None]),
+        torch.zeros(1, dtype=torch.float64),
     )
     x = np.array([[0.0, 0.0], [1.0, -2.0], [9.0, 4.0]])
     expected = stats.multivariate_t([1.0, -2.0], scale, df=5).logpdf(x)
@@ -131,7 +133,9 @@ def test_the_evidence_of_a_regression_is_the_normal_one(size):
         return constant - 0.5 * left.square().sum(-1) - 0.5 * x.square().sum(-1)
 
     proposal = StudentMixture(
-        torch.tensor(mean)[None], torch.tensor(np.linalg.inv(precision))[None], torch.zeros(1, dtype=torch.float64)
+        torch.tensor(mean)[None],
+        torch.tensor(np.linalg.inv(precision))[None],
+        torch.zeros(1, dtype=torch.float64),
     )
     found = importance(log_density, proposal, 4000, torch.Generator().manual_seed(3))
     assert found.trusted and 0 < found.error < 0.1
@@ -174,7 +178,7 @@ def test_a_proposal_that_is_too_narrow_says_so_and_is_adapted():
     def log_density(x):
         return -0.5 * x.square().sum(-1) - math.log(2 * math.pi)
 
-    narrow = normal(2, 0.04, dof=40.0)
+    narrow = normal(2, 0.04, dof=40)
     blind = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=0)
     assert not blind.trusted
     seeing = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=12)
@@ -206,7 +210,9 @@ def test_gains_are_the_ratio_of_dense_normal_densities():
     u = random.normal(size=25)
     y, zero = u - j @ mean, np.zeros(25)
     base = np.eye(25) + j @ j.T
-    expected = stats.multivariate_normal(zero, base + f @ f.T).logpdf(y) - stats.multivariate_normal(zero, base).logpdf(y)
+    expected = stats.multivariate_normal(zero, base + f @ f.T).logpdf(y) - stats.multivariate_normal(
+        zero, base
+    ).logpdf(y)
     found = gains(torch.tensor(u), torch.tensor(j), torch.tensor(mean), torch.tensor(f)[None])
     assert float(found[0]) == pytest.approx(expected, abs=1e-9)
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
-from torchlc.diagnosis.posterior import Fitted, Linear, fit
+from torchlc.inference.posterior import Fitted, Linear, fit
 from torchlc.noise.error_law import MAG_PER_LN
 
 ODDS = 0.05
@@ -72,7 +72,9 @@ def process(value: Tensor, length: float) -> Tensor:
     share = (value - value.min()) / (value.max() - value.min())
     order = torch.arange(1, COSINES + 1, dtype=value.dtype)
     height = torch.exp(-0.25 * (math.pi * order * length) ** 2)
-    return torch.cos(math.pi * share[:, None] * order) * (height * math.sqrt(2) / torch.linalg.vector_norm(height))
+    return torch.cos(math.pi * share[:, None] * order) * (
+        height * math.sqrt(2) / torch.linalg.vector_norm(height)
+    )
 
 
 def gains(u: Tensor, tangent: Tensor, mean: Tensor, columns: Tensor) -> Tensor:
@@ -97,7 +99,9 @@ def _along(at: Fitted, name: str, value: Tensor, plain: float, log_odds: float) 
     bases = torch.stack([process(value, length) * a * sizes for length in LENGTHS for a in AMPLITUDES])
     gain = gains(at.delta / at.sigma, at.tangent[: len(at.delta)], at.g, bases / at.sigma[:, None])
     best = int(gain.argmax())
-    return _refitted(at, name, bases[best], plain, log_odds, float(_mean(gain) - gain[best]), torch.ones_like(value) > 0)
+    return _refitted(
+        at, name, bases[best], plain, log_odds, float(_mean(gain) - gain[best]), torch.ones_like(value) > 0
+    )
 
 
 def _event(at: Fitted, plain: float, log_odds: float) -> Discrepancy:
@@ -145,5 +149,7 @@ def _refitted(
     own = slice(posterior.first, posterior.size)
     unit = at.scale if at.likelihood.kind != "mag" else torch.ones_like(at.scale)
     curve = basis @ found.g[own] / unit
-    band = torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
+    band = (
+        torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
+    )
     return Discrepancy(at.hypothesis, name, found.laplace - plain + spread, log_odds, curve, band, rows)

@@ -9,7 +9,6 @@ every way to err, with its evidence. Nothing is decided here: the odds of all th
 from __future__ import annotations
 
 import math
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
 from torchlc.diagnosis.hypotheses import (
     MOST_EFFECTS,
@@ -27,18 +27,18 @@ from torchlc.diagnosis.hypotheses import (
     effect_columns,
     effect_starts,
 )
-from torchlc.diagnosis.posterior import (
+from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
+from torchlc.effects import effect_class
+from torchlc.inference.optimiser import find_modes
+from torchlc.inference.posterior import (
     Fitted,
     Linear,
     Posterior,
     fit,
-    fitted_at,
     integrated,
     material_starts,
     merged,
 )
-from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
-from torchlc.inference.optimiser import find_modes
 
 REACH = 12.0
 """Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
@@ -50,6 +50,8 @@ PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 CLEAN_P = 0.05
 """p-value of what a set leaves above which its rivals are not grown."""
+LEAST_SCORE = 4.0
+"""Twice what a signature has to promise in log density, that an effect is added to a set for it."""
 GROWN = 8
 BEAM = 3
 MOST_LOOKED = 6
@@ -98,6 +100,8 @@ class Search:
     """Why, by entry, a candidate was not refitted."""
     linear: dict[Hypothesis, float] = field(default_factory=dict)
     """Log odds of what was judged by its linear form alone."""
+    invisible: set[str] = field(default_factory=set)
+    """Candidates that would leave no trace in these data, whatever their numbers."""
     _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
 
     def log_odds(self, hypothesis: Hypothesis) -> float:
@@ -124,8 +128,8 @@ class Search:
         """The noise under which candidates are compared: a free scale of the errors and bad rows."""
         if self.bench.base.context.errors is False:
             return ()
-        laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes and kind.name == "outliers"]
-        return (SCALE, *laws)
+        laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes]
+        return (SCALE, *laws[:1])
 
     def noises(self) -> list[tuple[str, ...]]:
         """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
@@ -153,14 +157,18 @@ class Search:
         self.visited[new.hypothesis] = new
         return new
 
-    def refit(self, hypothesis: Hypothesis, starts: Tensor, noise_from: Fitted | None = None, **options) -> Fitted:
+    def refit(
+        self, hypothesis: Hypothesis, starts: Tensor, noise_from: Fitted | None = None, **options
+    ) -> Fitted:
         """A fit from natural values (S, P) kept; noise begins as in another fit, or as its prior has it."""
         posterior = self.posterior(hypothesis)
         g = posterior.coordinates(starts)
         g[:, posterior.noise_columns] = 0.0
         if noise_from is not None:
             for column, name in zip(posterior.noise_columns, _noise_names(posterior), strict=True):
-                known = dict(zip(_noise_names(noise_from.posterior), noise_from.posterior.noise_columns, strict=True))
+                known = dict(
+                    zip(_noise_names(noise_from.posterior), noise_from.posterior.noise_columns, strict=True)
+                )
                 if name in known:
                     g[:, column] = noise_from.g[known[name]]
         return self.keep(fit(hypothesis, posterior, g, **options))
@@ -234,7 +242,9 @@ class Search:
             if not self.clock.left(0.8):
                 break
             hypothesis = at.hypothesis.with_effect(entry)
-            found[entry] = probe(self.bench, at, self.posterior(hypothesis), entry, hypothesis.seed + self.seed)
+            found[entry] = probe(
+                self.bench, at, self.posterior(hypothesis), entry, hypothesis.seed + self.seed
+            )
             self.posterior(hypothesis).model.forget()
         return found
 
@@ -258,7 +268,9 @@ class Search:
             return False
         if self.clock.affords(cost):
             return True
-        self.unexamined[entry] = f"{cost:.0f} s of light worked out anew; its linear form is within reach of the answer"
+        self.unexamined[entry] = (
+            f"{cost:.0f} s of light worked out anew; its linear form is within reach of the answer"
+        )
         return False
 
     def singles(self, entries: Sequence[str]) -> None:
@@ -273,6 +285,8 @@ class Search:
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 self.unexamined[entry] = "there was no time"
+            elif not self.probes[entry].visible:
+                self.invisible.add(entry)
             elif self.affordable(entry, at, self.probes[entry]):
                 self.extend(at, entry, self.probes[entry])
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
@@ -281,7 +295,9 @@ class Search:
     def shared_materials(self) -> None:
         """Each hypothesis of the first round, and the scene's own model, from the materials of the leaders: what an effect
         is blamed for may sit in the materials."""
-        first = [one for one in self.ranked() if len(one.added) <= 1 and one.noise == self.robust and not one.law]
+        first = [
+            one for one in self.ranked() if len(one.added) <= 1 and one.noise == self.robust and not one.law
+        ]
         leaders = [self.visited[one] for one in first[:2]]
         for one in first:
             at = self.visited[one]
@@ -300,39 +316,42 @@ class Search:
 
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,
-        and with each exchanged. A leader that leaves nothing, by the p-value that ``left`` gives, is only asked for what may
-        hide beside it."""
+        and with each exchanged. A leader whose rows err independently that leaves nothing, by the p-value that ``left``
+        gives, is only asked for what may hide beside it."""
         grown: set[frozenset[str]] = set()
         for size in range(1, MOST_EFFECTS):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
-            before = self.log_odds(self.leader)
-            clean = left(self.visited[self.leader]) > CLEAN_P
-            stems = [self.leader] if clean else sized[:BEAM]
-            stems = [one for one in stems if len(one.added) == size and one.noise == self.robust]
+            alike = self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+            clean = left(self.visited[alike]) > CLEAN_P
+            if clean and len(alike.added) < size:
+                break
+            stems = sized[: 1 if clean else BEAM]
             for number, stem in enumerate(stems):
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
                 break
-            for entry in best[0].added if self.log_odds(best[0]) > before - REACH else ():  # shrink, then swap
+            for entry in (
+                best[0].added if self.log_odds(best[0]) > self.log_odds(sized[0]) - REACH else ()
+            ):  # shrink, then swap
                 fewer = best[0].without(entry)
                 at = self.visited[best[0]]
                 theta = carried(self.bench.likelihood(fewer).model.parameter_set, at.theta[None], at.names)
                 if self.clock.left(0.8):
                     self.refit(_sorted_as(self.visited, fewer), theta, at)
                     self.grow(_sorted_as(self.visited, fewer), entries, grown, GROWN // 2)
-            if self.log_odds(self.leader) <= before or len(self.leader.added) <= size:
+            if self.log_odds(best[0]) <= self.log_odds(sized[0]):
                 break
             self.clock.tell(self.state(), 0.5 + 0.2 * size)
 
     def grow(self, stem: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]], most: int) -> None:
         at = self.visited[stem]
-        possible = [entry for entry in entries if self.bench.compatible(stem, entry)]
+        seen = [entry for entry in entries if entry not in self.invisible]
+        possible = [entry for entry in seen if self.bench.compatible(stem, entry)]
         found = self.probe_all(at, possible)
-        ahead = 2 * (self.log_odds(self.leader) - REACH - self.log_odds(stem))
         for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
             members = frozenset((*stem.plain, entry))
-            promising = found[entry].score > max(4.0, ahead) or not found[entry].psi.shape[-1]
+            promising = found[entry].score > LEAST_SCORE or not found[entry].psi.shape[-1]
             if members in grown or not self.clock.left(0.8) or not promising:
                 continue
             if self.affordable(entry, at, found[entry]):
@@ -354,7 +373,9 @@ class Search:
                 if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
                     self.renoise(self.visited[one], noise)
             if number == 0:  # what the leader has no use for, its rivals are not asked under
-                leader = max(self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited)
+                leader = max(
+                    self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited
+                )
                 noises = [
                     noise
                     for noise in noises
@@ -370,16 +391,26 @@ class Search:
                 if self.log_odds(one) < top - NEAR or not self.clock.left(0.95):
                     break
                 if self.visited[one].evidence is None:
-                    self.visited[one] = integrated(self.visited[one], DRAWS)
+                    self.visited[one] = integrated(self.visited[one], DRAWS, one.seed + self.seed)
+
+    def nominal_sizes(self) -> None:
+        """Sizes that are only nominal in the place of the area that the leading set adds."""
+        kept = tuple(entry for entry in self.leader.added if not effect_class(entry).adds_area)
+        if len(kept) < len(self.leader.added) and self.bench.has_free_sizes:
+            self.alternatives([NOMINAL], [kept])
 
     def laws(self) -> None:
         """Other laws of reflection, where the leader leaves structure: the scene's own model and the leading effects."""
         leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:BEAM]
-        for law in self.bench.laws:
-            for added in dict.fromkeys([(), *leaders]):
+        self.alternatives(self.bench.laws, list(dict.fromkeys([(), *leaders])))
+
+    def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
+        """Sets of effects in other scenes than the given one."""
+        for law in laws:
+            for added in sets:
                 hypothesis = Hypothesis(added, self.robust, law)
                 if not self.clock.left(0.85):
-                    self.unexamined[f"law {law}"] = "there was no time"
+                    self.unexamined[law] = "there was no time"
                     break
                 posterior = self.posterior(hypothesis)
                 at = self.best(*(Hypothesis(added).plain))
@@ -413,7 +444,8 @@ def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hyp
         (
             one
             for one in visited
-            if set(one.added) == set(hypothesis.added) and replace(one, added=()) == replace(hypothesis, added=())
+            if set(one.added) == set(hypothesis.added)
+            and replace(one, added=()) == replace(hypothesis, added=())
         ),
         hypothesis,
     )
@@ -422,5 +454,3 @@ def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hyp
 def _noise_names(posterior: Posterior) -> list[str]:
     names = [*posterior.model.names, SCALE]
     return [names[column] for column in posterior.noise_columns]
-
-

@@ -16,7 +16,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.posterior import Fitted
+from torchlc.inference.posterior import Fitted
 
 DRAWS = 2000
 LAGS = (1, 2, 4, 8)

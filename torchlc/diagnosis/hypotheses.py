@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.brdf_alternatives import under_other_laws
+from torchlc.diagnosis.alternatives import NOMINAL, under_other_laws, with_free_sizes
 from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import Assembly, assemble
@@ -30,7 +30,7 @@ SCALE = "error scale"
 NOISE_ODDS = 0.3
 """Of each way to err, one in four: errors that are 30 % off and a few bad rows are what recordings have."""
 LAW_ODDS = 0.1
-"""Of another law of reflection; the scene's author chose this one for a reason."""
+"""Of another law of reflection, or of sizes that are only nominal; the scene's author chose for a reason."""
 MOST_EFFECTS = 3
 LONGEST_CURVE = 1500
 """Rows of a curve that may err together: the factorisation of their covariance takes a tenth of a second."""
@@ -41,7 +41,7 @@ LADDER = (1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0)
 @dataclass(frozen=True)
 class Hypothesis:
     """``added`` effects beyond the scene's own, each ``name`` or ``name[target]``, with ``noise``, the names of kinds of
-    noise and SCALE, and another ``law`` of reflection than the scene's."""
+    noise and SCALE, and another ``law`` of reflection than the scene's, or NOMINAL sizes."""
 
     added: tuple[str, ...] = ()
     noise: tuple[str, ...] = ()
@@ -78,7 +78,9 @@ class Workbench:
     def __init__(self, scene: Scene, recording: Recording) -> None:
         self.scene, self.recording = scene, recording
         self.base = assemble(scene, recording)
+        freed = with_free_sizes(scene)
         self.laws: Mapping[str, Scene] = under_other_laws(scene)
+        self._scenes = {**self.laws, **({} if freed is None else {NOMINAL: freed})}
         self._bases: dict[str, Assembly] = {"": self.base}
         self._likelihoods: dict[tuple[str, tuple[str, ...]], Likelihood] = {}
         self.entries: list[str] = []
@@ -93,7 +95,7 @@ class Workbench:
 
     def _model(self, law: str, entries: Sequence[str]) -> LightCurve:
         if law not in self._bases:
-            self._bases[law] = assemble(self.laws[law], self.recording)
+            self._bases[law] = assemble(self._scenes[law], self.recording)
         base = self._bases[law]
         if not entries:
             return LightCurve(base.scene, self.recording, assembly=base)
@@ -160,6 +162,11 @@ class Workbench:
             reasons[text] = missing[0] if missing else "the scene has nothing that it could be applied to"
         return reasons
 
+    @property
+    def has_free_sizes(self) -> bool:
+        """Whether the scene gives a size as certain that could be free."""
+        return NOMINAL in self._scenes
+
     def divisions(self) -> list[str]:
         """What an offset may be divided by in this recording: curves, and nights where they are not the curves."""
         curves, nights = len(self.recording.curve_ids), len(self.recording.night_ids)
@@ -179,9 +186,9 @@ class Workbench:
             if not issubclass(cls, NoiseKind) or name in {effect.name for effect in present}:
                 continue
             kind = cls()
-            if kind.missing(context) is None and kind.beside(present) is None:
-                if not (kind.correlates and longest > LONGEST_CURVE):
-                    found[name] = kind
+            able = kind.missing(context) is None and kind.beside(present) is None
+            if able and not (kind.correlates and longest > LONGEST_CURVE):
+                found[name] = kind
         return found
 
     def compatible(self, hypothesis: Hypothesis, entry: str) -> bool:

@@ -11,12 +11,12 @@ import torch
 from astropy.time import Time, TimeDelta
 from torch import Tensor
 
-from torchlc.diagnosis.posterior import Fitted, Posterior
 from torchlc.errors import TorchlcError
 from torchlc.geometry.orbit import above_horizon, make_track
 from torchlc.geometry.orbit.grid import observation_grid
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.normal_scores import FARTHEST
+from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import torch
 
-from torchlc.diagnosis.discrepancy import Discrepancy
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.effects import mending_kind
@@ -121,22 +120,20 @@ def worth_of_p(p: float) -> float:
 
 def probabilities(search: Search, p_left: float) -> Probabilities:
     """What was visited, weighed; ``p_left`` is the p-value of what the leader leaves."""
-    rows: list[tuple[str, Hypothesis, Discrepancy | None, float]] = []
-    for hypothesis in search.visited:
-        rows.append(("", hypothesis, None, search.log_odds(hypothesis)))
-    for hypothesis, log_odds in search.linear.items():
-        if hypothesis not in search.visited:
-            rows.append(("", hypothesis, None, log_odds))
-    for odd in search.odd:
-        rows.append(("odd", odd.beside, odd, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds))
-    leader = max(rows, key=lambda row: row[3])
+    rows: list[tuple[str, Hypothesis, float]] = []
+    rows += [("", one, search.log_odds(one)) for one in search.visited]
+    rows += [("", one, log_odds) for one, log_odds in search.linear.items() if one not in search.visited]
+    rows += [
+        ("odd", odd.beside, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds) for odd in search.odd
+    ]
+    leader = max(rows, key=lambda row: row[2])
     if leader[0] == "":
-        rows.append(("odd", leader[1], None, leader[3] + worth_of_p(p_left) + math.log(UNKNOWN_ODDS)))
-    weight = torch.softmax(torch.tensor([row[3] for row in rows], dtype=torch.float64), 0).tolist()
+        rows.append(("odd", leader[1], leader[2] + worth_of_p(p_left) + math.log(UNKNOWN_ODDS)))
+    weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     nothing = noise = unknown = leftover = 0.0
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
-    for (kind, hypothesis, _, _), p in zip(rows, weight, strict=True):
+    for (kind, hypothesis, _), p in zip(rows, weight, strict=True):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
         if not entries and (kind or hypothesis.law):
@@ -155,7 +152,13 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
             effects[name] = effects.get(name, 0.0) + p
     order = sorted(sets.items(), key=lambda item: -item[1])
     return Probabilities(
-        nothing, noise, unknown, dict(sorted(effects.items(), key=lambda item: -item[1])), order, kinds, leftover
+        nothing,
+        noise,
+        unknown,
+        dict(sorted(effects.items(), key=lambda item: -item[1])),
+        order,
+        kinds,
+        leftover,
     )
 
 

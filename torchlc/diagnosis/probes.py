@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
-from torchlc.diagnosis.posterior import Fitted, Posterior
 from torchlc.effects import effect_class
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.stages.effect import Entry
 
 GRID = 24
@@ -19,6 +19,8 @@ GRID = 24
 MOST_S = 1.0
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
+SEEN = 0.3
+"""Root sum of squares, in errors of a row: such a change gains 0.05 in log density at most."""
 LINEAR_GRID = 2
 """Of an effect whose parameter only scales its light, so that one value looks like another."""
 MOST_SCANNED = 400
@@ -44,6 +46,8 @@ class Probe:
     aimed: Tensor
     moved: Tensor
     """Whitened change of the light, (G, T)."""
+    visible: bool
+    """Whether any of the values changes what the scene's own parameters cannot take up by SEEN errors of a row."""
     together: float = 0.0
     """What the parts of a divided offset score together, less the one that each would in pure noise."""
 
@@ -88,9 +92,20 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     signatures = unit[:, : len(at.delta)]
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
-        return Probe(entry, psi[:0], signatures[:0], scores[:0], usable[:0], moved[:0], together)
+        return Probe(
+            entry,
+            psi[:0],
+            signatures[:0],
+            scores[:0],
+            usable[:0],
+            moved[:0],
+            bool((norm > SEEN).any()),
+            together,
+        )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
-    return Probe(entry, psi[usable], signatures, scores, aimed[usable], moved[usable])
+    return Probe(
+        entry, psi[usable], signatures, scores, aimed[usable], moved[usable], bool((norm > SEEN).any())
+    )
 
 
 def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target) -> Tensor:

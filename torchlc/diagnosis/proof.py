@@ -18,9 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.hypotheses import SCALE
-from torchlc.diagnosis.posterior import Fitted, Posterior, fit, fitted_at
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Fitted, Posterior, fit, fitted_at
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.noise import HALF_LOG_2PI, Law
@@ -86,10 +85,12 @@ def _without(at: Fitted, removed: Tensor) -> Fitted | None:
         return None
     some = recording.keep(kept, "unseen")
     entries = [effect.entry for effect in at.model.effects]
-    likelihood = Likelihood(LightCurve(at.model.scene, some, assembly=assemble(at.model.scene, some, entries)))
+    likelihood = Likelihood(
+        LightCurve(at.model.scene, some, assembly=assemble(at.model.scene, some, entries))
+    )
     if likelihood.model.names != at.names:
         return None
-    return fit(at.hypothesis, Posterior(likelihood, SCALE in at.hypothesis.noise), at.g[None], turns=1)
+    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1)
 
 
 def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:

@@ -13,16 +13,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
 from torchlc.diagnosis.plan import Option
-from torchlc.diagnosis.posterior import Fitted
 from torchlc.diagnosis.probabilities import TOLD, Probabilities, noise_name
 from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.diagnosis.words import added_values, lines
+from torchlc.diagnosis.words import added_values, lines, probability
+from torchlc.effects import with_title
 from torchlc.inference.identifiability import bare_view, limits
+from torchlc.inference.posterior import Fitted
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
@@ -215,6 +217,7 @@ class Diagnosis:
                 "improvement": self.improvement(),
                 "materials": {"before": materials(self.baseline), "after": materials(self.final)},
                 "remaining": self.remaining(),
+                "doubt": self.doubt,
                 "limits": self.limits,
                 "probabilities": self.probabilities(),
                 "outliers": self.outliers(time, stations),
@@ -230,6 +233,20 @@ class Diagnosis:
                 "seconds": self.seconds,
             }
         )
+
+    @property
+    def doubt(self) -> str:
+        """Why nothing is named although something is missing: what comes nearest, and how near."""
+        if self.verdict != "unexplained":
+            return ""
+        near = [
+            f"{with_title(name)} {probability(p)}"
+            for name, p in list(self.odds.effects.items())[:3]
+            if p >= 0.005
+        ]
+        if self.law == NOMINAL:
+            return "sizes of the components some per cent from the scene's explain it as well as anything"
+        return f"nearest in the library: {', '.join(near)}" if near else ""
 
     def probabilities(self) -> dict[str, Any]:
         """The probabilities that the verdict is read off."""
@@ -292,12 +309,12 @@ class Diagnosis:
         return [*tried, *sorted(untried, key=lambda row: -row["score"])]
 
     def _foreseen(self, at: Fitted | None) -> float | None:
-        """What a model gains over the scene's own in log density of unseen rows, where it was asked."""
+        """What a model gains over the scene's own, errors as quoted, in log density of unseen rows, where it was asked."""
         shown = {"final": self.final, "null": self.baseline}
         name = next((key for key, one in shown.items() if one is at and key in self.proof), None)
-        if name is None or "null" not in self.proof:
+        if name is None or "as quoted" not in self.proof:
             return None
-        return self.proof[name].total - self.proof["null"].total
+        return self.proof[name].total - self.proof["as quoted"].total
 
     def sets(self) -> list[dict[str, Any]]:
         """The sets beside the final one, best first, with the odds against each; of sets of the same names the best."""
@@ -405,7 +422,7 @@ class Diagnosis:
             note += f"; rows err by {' and '.join(kinds)}"
         if SCALE in at.hypothesis.noise:
             note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]
-        if self.law:
+        if self.law and self.law != NOMINAL:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}
 

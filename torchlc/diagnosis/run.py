@@ -14,12 +14,12 @@ from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.plan import next_nights, sentence
-from torchlc.diagnosis.posterior import Fitted, fitted_at
 from torchlc.diagnosis.probabilities import Probabilities, probabilities
 from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
+from torchlc.inference.posterior import Fitted, fitted_at
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.stages.effect import Entry
@@ -53,7 +53,9 @@ def diagnose(
     if effects is not None:
         check_candidates(effects, bench.base)
     possible = bench.candidates(effects)
-    bench.entries = [entry for entry in possible if not bench.likelihood(Hypothesis((entry,))).model.unaffordable]
+    bench.entries = [
+        entry for entry in possible if not bench.likelihood(Hypothesis((entry,))).model.unaffordable
+    ]
     untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     search = Search(bench, clock, seed)
     clock.tell("baseline", 0.02)
@@ -90,15 +92,16 @@ def diagnose(
     )
 
 
-def _explore(search: Search, found: Mapping[str, Tensor]) -> None:
+def _explore(search: Search, found: dict[str, Tensor]) -> None:
     """Everything that is searched, the most telling first."""
     entries = search.bench.entries
     search.singles(entries)
     search.sets(entries, lambda at: _gate(at, found, {}, search.seed).global_p)
-    if search.bench.laws and not search.bench.recording.error is None:
+    if search.bench.laws and search.bench.recording.error is not None:
         leader = search.visited[search.leader]
         if _gate(leader, found, {}, search.seed).global_p < GROSS_P:
             search.laws()
+    search.nominal_sizes()
     search.noise_of_leaders()
     search.strangers(found)
     search.clock.tell(search.state(), 0.9)
@@ -130,11 +133,12 @@ def _gate(at: Fitted, found: Mapping[str, Tensor], probes: Mapping[str, Probe], 
 
 
 def _proof(search: Search, odds: Probabilities, null: Fitted, final: Fitted) -> dict[str, Unseen]:
-    """Unseen rows by the scene's own model, the answer's, and the best rival's, as far as there is time."""
+    """Unseen rows by the scene's own model, as quoted and under its best noise, the answer's, and the best rival's, as far as
+    there is time."""
     context = search.bench.base.context
     group = context.curve if len(search.bench.recording.curve_ids) >= 4 else context.night
     blocks = make_blocks(context.seconds, group)
-    shown = {"null": null, "final": final}
+    shown = {"null": null, "final": final, "as quoted": search.visited[Hypothesis()]}
     runner = _runner_up(search, odds)
     if runner is not None:
         shown["runner-up"] = runner
@@ -163,7 +167,11 @@ def _where(
         return None
     if odds.verdict == "missing_physics":
         bare = search.posterior(replace(final.hypothesis, added=()))
-        theta = torch.stack([final.theta[final.names.index(name)] for name in bare.model.names]) if bare.own else final.theta[:0]
+        theta = (
+            torch.stack([final.theta[final.names.index(name)] for name in bare.model.names])
+            if bare.own
+            else final.theta[:0]
+        )
         return locate(null, final, fitted_bare(search, final, bare.coordinates(theta)), found)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     odd = search.strongest()

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.gate import runs
-from torchlc.diagnosis.posterior import Fitted
+from torchlc.inference.posterior import Fitted
 from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12

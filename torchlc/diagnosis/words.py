@@ -41,6 +41,8 @@ def headline(content: Mapping[str, Any]) -> str:
         named=_and(noise if content["verdict"] == "noise_model" else told)
     )
     verdict = f"{verdict} (probability {probability(content['probabilities']['told'])})."
+    if content["doubt"]:
+        verdict = f"{verdict} {_first_upper(content['doubt'])}."
     p = chance(content["global_p"])
     return f"{verdict} The chance of structure like this where nothing is missing: {p}."
 
@@ -66,7 +68,10 @@ def bad_rows(content: Mapping[str, Any]) -> str:
     rows = content["outliers"]
     if not rows:
         return ""
-    shown = ", ".join(f"{row['time'][:19].replace('T', ' ')} ({probability(row['probability'])})" for row in rows[:MOST_ROWS])
+    shown = ", ".join(
+        f"{row['time'][:19].replace('T', ' ')} ({probability(row['probability'])})"
+        for row in rows[:MOST_ROWS]
+    )
     more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
     return f"{len(rows)} row{'s' if len(rows) != 1 else ''} probably bad: {shown}{more}."
 

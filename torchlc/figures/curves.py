@@ -159,7 +159,9 @@ def _draw_model(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -
         bad = shown.outlying[rows]
         values = recording.observed[rows][bad]
         for axes, y in ((upper, values), (lower, values - shown.prediction[rows][bad])):
-            axes.plot(elapsed[bad], y, "o", mfc="none", mec=BEFORE, ms=8, label="outlier" if axes is upper else None)
+            axes.plot(
+                elapsed[bad], y, "o", mfc="none", mec=BEFORE, ms=8, label="outlier" if axes is upper else None
+            )
 
 
 def _label(

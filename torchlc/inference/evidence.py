@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-TAILS = 5.0
+TAILS = 5
 """Degrees of freedom of the proposal: its tails fall off as a power, so that no ratio grows without bound where the
 density has tails of a normal one, or of one known by a few rows."""
 TRUSTED_K = 0.7
@@ -51,7 +51,7 @@ class StudentMixture:
     """Student's t of ``dof`` degrees of freedom about ``mean`` (M, P) with scale ``covariance`` (M, P, P), in shares whose
     logarithms are ``log_share`` (M,)."""
 
-    def __init__(self, mean: Tensor, covariance: Tensor, log_share: Tensor, dof: float = TAILS) -> None:
+    def __init__(self, mean: Tensor, covariance: Tensor, log_share: Tensor, dof: int = TAILS) -> None:
         self.mean, self.covariance = mean, covariance
         self.log_share = log_share - torch.logsumexp(log_share, 0)
         self.dof = dof
@@ -64,9 +64,8 @@ class StudentMixture:
         place = (torch.arange(count) + torch.rand((), generator=generator)) / count
         member = torch.searchsorted(edges, place.to(edges)).clamp(max=len(edges) - 1)
         normal = torch.randn(count, self.mean.shape[-1], generator=generator, dtype=self.mean.dtype)
-        half = torch.full((count,), self.dof / 2, dtype=self.mean.dtype)
-        chi2 = 2 * torch._standard_gamma(half, generator=generator)
-        wide = normal * torch.sqrt(self.dof / chi2)[:, None]
+        others = torch.randn(count, self.dof, generator=generator, dtype=self.mean.dtype)
+        wide = normal * torch.sqrt(self.dof / others.square().sum(-1))[:, None]
         return self.mean[member] + (self.factor[member] @ wide[..., None])[..., 0]
 
     def log_parts(self, x: Tensor) -> Tensor:
@@ -96,7 +95,9 @@ class StudentMixture:
         spread = torch.einsum("nm,mnp,mnq->mpq", pull, apart, apart) / total[:, None, None]
         heavy = (torch.exp(-torch.logsumexp(2 * log_weight, 0)) * total > 2 * draws.shape[-1])[:, None]
         mean = torch.where(heavy, mean, self.mean)
-        covariance = torch.where(heavy[..., None], (1 - SHRINK) * spread + SHRINK * self.covariance, self.covariance)
+        covariance = torch.where(
+            heavy[..., None], (1 - SHRINK) * spread + SHRINK * self.covariance, self.covariance
+        )
         return StudentMixture(mean, covariance, torch.log(total), self.dof)
 
 

@@ -113,7 +113,9 @@ def unbounded(prior: Prior) -> bool:
     if prior.kind not in ("normal", "lognormal"):
         return False
     low, high = prior.flat_range()
-    return prior.flat_centre - low > FARTHEST * prior.sigma and high - prior.flat_centre > FARTHEST * prior.sigma
+    return (
+        prior.flat_centre - low > FARTHEST * prior.sigma and high - prior.flat_centre > FARTHEST * prior.sigma
+    )
 
 
 def _unit(prior: Prior) -> bool:

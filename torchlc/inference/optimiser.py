@@ -254,7 +254,9 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, ste
     part, value = trials[values.argmin()], float(values.min())
     damping = 1e-1
     for _ in range(steps):
-        gradient, hessian = second_differences(lambda cut: objective(_with_columns(z, index, cut)), part, 1e-3)
+        gradient, hessian = second_differences(
+            lambda cut: objective(_with_columns(z, index, cut)), part, 1e-3
+        )
         curvature, axes = torch.linalg.eigh(hessian)
         move = -axes @ ((axes.T @ gradient) / (curvature.abs() + damping))
         trial = part + move.clamp(-1.5, 1.5)

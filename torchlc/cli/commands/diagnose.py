@@ -21,7 +21,7 @@ from torchlc.cli.options import (
     Use,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
-from torchlc.terminal import printable, progress_bar, show_json
+from torchlc.terminal import INTERRUPTED, printable, progress_bar, show_json
 
 
 @app.command(
@@ -75,3 +75,5 @@ def diagnose(
         print("\n".join(map(printable, result.lines())))
         warn(result.warnings)
         print(f"written: {out / 'report.html'}, diagnosis.json and figures")
+    if result.search.clock.stopped:
+        raise typer.Exit(INTERRUPTED)

@@ -1,4 +1,4 @@
-"""The posterior of one hypothesis: its minima, its linear form about them, its evidence and draws.
+"""The posterior of one model: its minima, its linear form about them, its evidence and draws.
 
 Everything uncertain is a coordinate g with a standard normal prior (:mod:`torchlc.inference.normal_scores`): materials,
 sizes, attitude, zero points, the effects' parameters, and those of the noise, among them a factor of the quoted errors.
@@ -15,17 +15,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
-from torchlc.inference.evidence import Evidence, StudentMixture, importance
+from torchlc.inference.evidence import TAILS, Evidence, StudentMixture, importance
 from torchlc.inference.likelihood import Likelihood
-from torchlc.diagnosis.starts import regressed
 from torchlc.inference.normal_scores import FARTHEST, NormalScores
 from torchlc.inference.optimiser import noise_columns, second_differences, whitener
 from torchlc.inference.reflectances import linear_columns
+from torchlc.inference.starts import regressed
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals
 from torchlc.stages.noise import HALF_LOG_2PI, Law, Normal
@@ -132,7 +132,9 @@ class Posterior:
 
     def held_density(self, found: Residuals, g: Tensor) -> Tensor:
         """The same of residuals that are worked out already, with sigma as at g."""
-        prior = -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size + self.scores.correction(g[..., : self.own])
+        prior = (
+            -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size + self.scores.correction(g[..., : self.own])
+        )
         return self.likelihood.density(found, self.noise(g)) + prior
 
     def colours(self) -> Colours | None:
@@ -151,11 +153,11 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A hypothesis at one minimum g (P,): its residuals ``found`` with sigma (T,) as fitted, its ``noise``, the ``slopes``
+    """A ``hypothesis``, whatever stands for one, at one minimum g (P,): its residuals ``found`` with sigma (T,) as fitted, its ``noise``, the ``slopes``
     (T, P) = d residual / d g, ``peak``, the log density there, and the Laplace ``covariance`` (P, P). ``others`` are
     further minima that the data leave possible, ``evidence`` what importance sampling made of them all."""
 
-    hypothesis: Hypothesis
+    hypothesis: Any
     posterior: Posterior
     g: Tensor
     found: Residuals
@@ -268,7 +270,7 @@ class Fitted:
             weight = torch.exp(self.evidence.log_weight)
             g = self.evidence.draws[torch.multinomial(weight, count, replacement=True, generator=generator)]
         else:
-            g = _proposal(self.minima, dof=200.0).draw(count, generator)
+            g = _proposal(self.minima, dof=200).draw(count, generator)
         return self.posterior.theta(g)
 
 
@@ -355,7 +357,11 @@ def material_starts(posterior: Posterior, theta: Tensor, count: int, generator: 
     draws = theta.repeat(count, 1)
     draws[:, columns] = parameters.sample_prior(count, generator)[:, columns]
     with torch.no_grad():
-        return torch.cat([draws, regressed(posterior.likelihood, draws)]) if linear_columns(posterior.model) else draws
+        return (
+            torch.cat([draws, regressed(posterior.likelihood, draws)])
+            if linear_columns(posterior.model)
+            else draws
+        )
 
 
 def _noise_objective(posterior: Posterior, g: Tensor) -> Callable[[Tensor], Tensor]:
@@ -377,7 +383,13 @@ def _noise_objective(posterior: Posterior, g: Tensor) -> Callable[[Tensor], Tens
 
 @torch.no_grad()
 def fit(
-    hypothesis: Hypothesis, posterior: Posterior, starts: Tensor, *, steps: int = STEPS, turns: int = 2, most: int = MOST_MINIMA
+    hypothesis: Hypothesis,
+    posterior: Posterior,
+    starts: Tensor,
+    *,
+    steps: int = STEPS,
+    turns: int = 2,
+    most: int = MOST_MINIMA,
 ) -> Fitted:
     """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others."""
     g = starts
@@ -420,7 +432,7 @@ def _distance(first: Fitted, second: Fitted) -> float:
 
 
 @torch.no_grad()
-def fitted_at(hypothesis: Hypothesis, posterior: Posterior, g: Tensor) -> Fitted:
+def fitted_at(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
     """Residuals, slopes and curvature at coordinates g (P,)."""
     found = posterior.residuals(g)
     shape = found.delta.shape
@@ -480,7 +492,7 @@ def _score_changes(at: Fitted) -> Tensor:
     return ((slope[len(index) :] - slope[: len(index)]) / (2 * step)).T
 
 
-def _proposal(minima: Sequence[Fitted], dof: float = 5.0) -> StudentMixture:
+def _proposal(minima: Sequence[Fitted], dof: int = TAILS) -> StudentMixture:
     return StudentMixture(
         torch.stack([one.g for one in minima]),
         torch.stack([one.covariance for one in minima]),
@@ -490,7 +502,7 @@ def _proposal(minima: Sequence[Fitted], dof: float = 5.0) -> StudentMixture:
 
 
 @torch.no_grad()
-def integrated(at: Fitted, draws: int) -> Fitted:
+def integrated(at: Fitted, draws: int, seed: int) -> Fitted:
     """The hypothesis with its evidence by importance sampling; from the linear form where a geometry is dear, and by Laplace's
     method alone where rows err together, for each draw would have a covariance of its own to factorise."""
     posterior = at.posterior
@@ -498,7 +510,7 @@ def integrated(at: Fitted, draws: int) -> Fitted:
         return at
     density = Linear(at).log_density if posterior.dear else posterior.log_density
     minima = (at,) if posterior.dear else at.minima
-    generator = torch.Generator().manual_seed(at.hypothesis.seed)
+    generator = torch.Generator().manual_seed(seed)
     found = importance(density, _proposal(minima), draws, generator)
     return replace(at, evidence=found)
 
@@ -508,7 +520,7 @@ class Linear(Posterior):
     recording's unit, each times a coordinate of its own with a standard normal prior."""
 
     def __init__(self, at: Fitted, basis: Tensor | None = None) -> None:
-        super().__init__(at.likelihood, SCALE in at.hypothesis.noise)
+        super().__init__(at.likelihood, at.posterior.scaled)
         self.at = at
         self.basis = at.slopes.new_zeros(len(at.delta), 0) if basis is None else basis
         self.first = self.size
@@ -522,7 +534,11 @@ class Linear(Posterior):
         sigma = (self.plain * self.factor(g)).expand(delta.shape)
         shape = delta.shape
         return replace(
-            at.found, delta=delta, sigma=sigma, scale=at.scale.expand(shape), prediction=at.prediction.expand(shape)
+            at.found,
+            delta=delta,
+            sigma=sigma,
+            scale=at.scale.expand(shape),
+            prediction=at.prediction.expand(shape),
         )
 
     def colours(self):

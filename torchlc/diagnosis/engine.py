@@ -412,6 +412,8 @@ class Search:
                 if not self.clock.left(0.85):
                     self.unexamined[law] = "there was no time"
                     break
+                if not self.bench.carries(hypothesis):
+                    continue
                 posterior = self.posterior(hypothesis)
                 at = self.best(*(Hypothesis(added).plain))
                 theta = carried(posterior.model.parameter_set, at.theta[None], at.names)[0]

@@ -93,10 +93,19 @@ class Workbench:
             self._likelihoods[key] = Likelihood(self._model(*key))
         return self._likelihoods[key]
 
-    def _model(self, law: str, entries: Sequence[str]) -> LightCurve:
+    def _base(self, law: str) -> Assembly:
         if law not in self._bases:
             self._bases[law] = assemble(self._scenes[law], self.recording)
-        base = self._bases[law]
+        return self._bases[law]
+
+    def carries(self, hypothesis: Hypothesis) -> bool:
+        """Whether every effect of a hypothesis can be applied under its law of reflection."""
+        context = self._base(hypothesis.law).context
+        parsed = [(effect_class(entry), Entry.parse(entry).target) for entry in hypothesis.added]
+        return all(cls(target).missing(context) is None for cls, target in parsed)
+
+    def _model(self, law: str, entries: Sequence[str]) -> LightCurve:
+        base = self._base(law)
         if not entries:
             return LightCurve(base.scene, self.recording, assembly=base)
         own = [effect.entry for effect in base.effects]

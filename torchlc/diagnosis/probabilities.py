@@ -17,6 +17,9 @@ UNKNOWN_ODDS = 0.02
 """Prior odds of something that no hypothesis here describes, beside the leader."""
 FAMILY_SHARE = 0.1
 """Of the named effect's probability that another in its place must have to be told beside it."""
+LEAST_TAKEN, FAR = 0.5, 6.0
+"""A single effect that leaves structure, more likely than not, stands in for something else unless it takes this share of
+the misfit, of which a row counts for FAR errors at most; several together bend a model to much that is none of them."""
 TOLD = 0.5
 """Probability above which something is named."""
 
@@ -127,8 +130,12 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         ("odd", odd.beside, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds) for odd in search.odd
     ]
     leader = max(rows, key=lambda row: row[2])
+    stands_in = False
     if leader[0] == "":
-        rows.append(("odd", leader[1], leader[2] + worth_of_p(p_left) + math.log(UNKNOWN_ODDS)))
+        worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
+        rows.append(("odd", leader[1], leader[2] + worth))
+        several = len(leader[1].added) > 1
+        stands_in = worth > 0 and (several or share_taken(search, leader[1]) < LEAST_TAKEN)
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     nothing = noise = unknown = leftover = 0.0
     sets: dict[tuple[str, ...], float] = {}
@@ -136,7 +143,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     for (kind, hypothesis, _), p in zip(rows, weight, strict=True):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
-        if not entries and (kind or hypothesis.law):
+        if (not entries and (kind or hypothesis.law)) or (stands_in and entries):
             unknown += p
         elif not entries and name:
             noise += p
@@ -160,6 +167,15 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         kinds,
         leftover,
     )
+
+
+def share_taken(search: Search, hypothesis: Hypothesis) -> float:
+    """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, bad rows counted no more
+    than FAR allows."""
+    before, after = search.best(), search.visited[hypothesis]
+    squares = [float((one.delta / one.quoted).square().clamp(max=FAR**2).sum()) for one in (before, after)]
+    excess = squares[0] - len(before.delta)
+    return (squares[0] - squares[1]) / excess if excess > 0 else 0.0
 
 
 def noise_name(search: Search, hypothesis: Hypothesis) -> str:

@@ -18,7 +18,7 @@ from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
 from torchlc.diagnosis.plan import Option
-from torchlc.diagnosis.probabilities import TOLD, Probabilities, noise_name
+from torchlc.diagnosis.probabilities import TOLD, Probabilities
 from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability
@@ -288,21 +288,27 @@ class Diagnosis:
                     "chi2_after": None if at is None else at.chi2,
                 }
             )
-        for hypothesis in [one for one in search.visited if not one.added and one.noise and not one.law]:
+        for hypothesis in search.visited:
+            if (
+                hypothesis.added
+                or hypothesis.law
+                or len(hypothesis.noise) != 1
+                or hypothesis.noise == (SCALE,)
+            ):
+                continue
             at = search.visited[hypothesis]
-            if hypothesis.noise == (SCALE,) or SCALE not in hypothesis.noise:
-                rows.append(
-                    {
-                        **_names(noise_name(search, hypothesis) if hypothesis.noise != (SCALE,) else SCALE),
-                        "score": None,
-                        "p": None,
-                        "probability": self.odds.kinds.get(hypothesis.noise[0], 0.0),
-                        "delta_log_evidence": at.log_z - plain,
-                        "heldout_delta_log_likelihood": self._foreseen(at),
-                        "parameters": {},
-                        "chi2_after": at.chi2,
-                    }
-                )
+            rows.append(
+                {
+                    **_names(hypothesis.noise[0]),
+                    "score": None,
+                    "p": None,
+                    "probability": self.odds.kinds.get(hypothesis.noise[0], 0.0),
+                    "delta_log_evidence": at.log_z - plain,
+                    "heldout_delta_log_likelihood": self._foreseen(at),
+                    "parameters": {},
+                    "chi2_after": at.chi2,
+                }
+            )
         untried = [row for row in rows if row["delta_log_evidence"] is None]
         tried = [row for row in rows if row["delta_log_evidence"] is not None]
         tried.sort(key=lambda row: -row["delta_log_evidence"])

@@ -383,7 +383,7 @@ def _noise_objective(posterior: Posterior, g: Tensor) -> Callable[[Tensor], Tens
 
 @torch.no_grad()
 def fit(
-    hypothesis: Hypothesis,
+    hypothesis: Any,
     posterior: Posterior,
     starts: Tensor,
     *,

@@ -18,7 +18,7 @@ import pytest
 
 import torchlc
 from torchlc.brdf.base import MODELS
-from torchlc.effects import every
+from torchlc.effects import registry
 from torchlc.parameters import ROLES
 
 ROOT = Path(torchlc.__file__).parent
@@ -41,7 +41,7 @@ OTHER_MEANINGS = {
 def defined() -> dict[str, set[Path]]:
     """Names of effects, laws and their quantities, with the files that define them."""
     found: dict[str, set[Path]] = defaultdict(set)
-    for name, cls in [*every().items(), *MODELS.items()]:
+    for name, cls in [*registry().items(), *MODELS.items()]:
         path = Path(sys.modules[cls.__module__].__file__ or "")
         if ROOT not in path.parents:
             continue
@@ -124,8 +124,8 @@ def test_a_comparison_by_name_is_seen(line: str) -> None:
 
 def test_every_title_is_plain_words() -> None:
     """A few words of their own, in which no name of a file or class is."""
-    titles = {name: cls.title for name, cls in every().items() if "title" in vars(cls)}
-    assert set(titles) == set(every())
+    titles = {name: cls.title for name, cls in registry().items() if "title" in vars(cls)}
+    assert set(titles) == set(registry())
     assert len(set(titles.values())) == len(titles)
     for name, title in titles.items():
         assert "_" not in title and 2 <= len(title.split()) <= 12, name
@@ -133,5 +133,5 @@ def test_every_title_is_plain_words() -> None:
 
 
 def test_roles_are_declared_with_their_meaning() -> None:
-    used = {quantity.role for cls in [*every().values(), *MODELS.values()] for quantity in cls.quantities}
+    used = {quantity.role for cls in [*registry().values(), *MODELS.values()] for quantity in cls.quantities}
     assert used - {""} == set(ROLES)

@@ -21,12 +21,12 @@ from torchlc.diagnosis.plan import next_nights
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
 from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import diagnose
+from torchlc.files.numbers import Free
 from torchlc.inference.posterior import Posterior, fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
@@ -81,17 +81,16 @@ def overlap(found: list[dict], truth: list[list[str]], recording) -> float:
     return float((masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum())
 
 
-def test_physics_without_a_name_is_told_and_not_named(tmp_path) -> None:
+def test_wings_that_point_apart_are_named(tmp_path) -> None:
     """Wings 6 deg apart, by the independent program of the examples: a wobble describes them about as well."""
     maker = Path(__file__).parents[1] / "examples" / "calibration" / "make_injections.py"
-    command = [sys.executable, str(maker), str(tmp_path), "--seed", "22", "--only", "outside-split"]
+    command = [sys.executable, str(maker), str(tmp_path), "--seed", "22", "--only", "wing_split-as_is"]
     subprocess.run(command, check=True, capture_output=True)
-    scene = load_scene(tmp_path / "outside-split" / "scene.toml")
-    recording = load_recording(tmp_path / "outside-split" / "recording.ecsv", scene)
+    scene = load_scene(tmp_path / "wing_split-as_is" / "scene.toml")
+    recording = load_recording(tmp_path / "wing_split-as_is" / "recording.ecsv", scene)
     found = diagnose(scene, recording, quick=True)
     content = found.to_json()
-    assert (content["verdict"], content["named"], content["families"]) == ("unexplained", [], [])
-    assert "the wings point apart (deg = " in content["doubt"]
+    assert (content["verdict"], content["named"]) == ("missing_physics", ["wing_split"])
     assert found_values(found)["wing_split.deg"] == pytest.approx(3.0, abs=0.2)
     assert content["remaining"]["global_p"] > 0.01
     assert {one["name"] for one in content["where"]["components"][:2]} == {"panel +Y", "panel -Y"}

@@ -22,10 +22,11 @@ from tests.effects.cases import seen_from, still, unit
 from tests.effects.passes import BODY, CELLS, MATERIALS, TUMBLING, WINGS, orbiting, rows
 from tests.effects.test_every_effect import at, setting
 from torchlc.brdf.base import MODELS
-from torchlc.effects import every
+from torchlc.effects import registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene.parts import Attitude
+from torchlc.shapes import SHAPES
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch.func's own
 NEAR = 1e-5
@@ -152,13 +153,7 @@ def test_by_every_size_of_every_shape(kind, more):
 
 
 def test_the_shapes_here_are_all_that_have_sizes():
-    kinds = {cls.kind for cls in subclasses(torchlc.shapes.Part)}
-    assert kinds == {*SIZES, "mesh"}
-
-
-def subclasses(cls: type) -> set[type]:
-    below = set(cls.__subclasses__())
-    return below.union(*map(subclasses, below))
+    assert {name for name in SHAPES if name not in SHAPES.outside()} == {*SIZES, "mesh"}
 
 
 def test_facets_that_lie_in_one_plane_by_chance_keep_their_own_slopes():
@@ -269,7 +264,7 @@ def test_by_every_number_of_every_attitude(mode):
 SIZED = BODY.replace("[2.0, ", f"[{free(2.0, 0.1, 9.0)}, ")
 
 
-@pytest.mark.parametrize("name", every())
+@pytest.mark.parametrize("name", registry())
 def test_by_every_number_of_every_effect(name):
     """On the scene that shows it, at its typical values; noise by the likelihood."""
     scene, recording = setting(name)
@@ -285,7 +280,7 @@ def test_by_every_number_of_every_effect(name):
         pytest.skip(f"{name} has no number")
     theta = at(model, "typical")
     theta = torch.stack([theta, theta * 1.01])
-    if every()[name].stage == "noise":
+    if registry()[name].stage == "noise":
         likelihood = Likelihood(model)
         check(model, theta, lambda x: torch.atleast_1d(likelihood.log_likelihood(x))[..., None].squeeze(-1))
     else:

@@ -26,6 +26,7 @@ from tests.test_layouts import same
 from torchlc.campaigns.manifest import read_manifest
 from torchlc.cli import run
 from torchlc.errors import InputError
+from torchlc.naming import Replaced
 from torchlc.readers import Format, Head, Header, Recording, load_recording
 from torchlc.readers.format import FORMATS
 from torchlc.scene import Scene, load_scene
@@ -387,17 +388,17 @@ class TestFormatsOfOthers:
             holds(recording, error=False)
             assert recording.warnings[0].startswith("read as diary of a test")
         finally:
-            del FORMATS["diary of a test"]
+            FORMATS.pop("diary of a test")
 
     def test_a_second_format_of_a_name_replaces_the_first_with_a_word(self):
-        before = dict(FORMATS)
+        before = FORMATS["AstroImageJ"]
         try:
-            with pytest.warns(UserWarning, match="the format AstroImageJ of .* is replaced"):
-                type("Other", (FORMATS["AstroImageJ"],), {"name": "AstroImageJ", "__module__": "elsewhere"})
+            with pytest.warns(Replaced, match=r"format 'AstroImageJ' is now elsewhere\.Other, in place of "):
+                type("Other", (before,), {"name": "AstroImageJ", "__module__": "elsewhere"})
             assert FORMATS["AstroImageJ"].__name__ == "Other"
         finally:
-            FORMATS.clear()
-            FORMATS.update(before)
+            with pytest.warns(Replaced):
+                FORMATS.enter("AstroImageJ", before)
 
 
 class TestRowsInMemory:

@@ -16,6 +16,7 @@ from tests.effects.passes import BODY, CELLS, LOW_PASS, TUMBLING, WINGS, orbitin
 from tests.effects.test_finite_sun import CYLINDER
 from tests.paper_orbits import LOW
 from tests.test_gradients import FREE_FOIL, SIZED, clocked, flux, many_boxes, shaped, tumbling
+from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
 from torchlc.scene import Scene
@@ -167,6 +168,34 @@ def test_lobes_tabulated_over_the_exponent_are_the_sums_of_all_pairs(tmp_path, c
     theta[:, curve.names.index("white.n")] = torch.logspace(0, 6, 25, dtype=theta.dtype)
     theta[:, curve.names.index("white.r_diff")] = 0.0
     assert worst_mag(curve, theta) < curve.evaluation.error_mag <= 2e-3
+
+
+def test_a_tabulated_lobe_holds_rows_whose_sources_have_very_different_extents():
+    """Rows are tabulated a few at a time, some of them all dark; a source as wide as a degree ends the smooth part of its rows long before the
+    Sun's disc does, and the table of all rows is still one."""
+    rows = 180
+    draw = np.random.default_rng(4)
+    tensors = {
+        "log_half": -np.abs(draw.normal(size=(6, rows))) * 1e-5,  # the glint of each row is near
+        "normal": draw.uniform(0.1, 1.0, size=(6, rows)) * (np.arange(rows) < 110),  # and then no light
+        "grazing": draw.uniform(0.0, 0.1, size=(6, rows)) * (np.arange(rows) < 110),
+        "diffuse": np.zeros(rows),
+        "spread": np.broadcast_to(np.where(np.arange(rows) < 60, 1e-3, 1e-5), (6, rows)).copy(),
+    }
+    table = {name: torch.as_tensor(value) for name, value in tensors.items()}
+    condensed = AshikhminShirley.condense(table)
+    for n in (1.0, 30.0, 3e3, 1e5, 1e6):
+        values = {
+            name: torch.tensor(value, dtype=torch.float64)
+            for name, value in {"n": n, "r_spec": 0.4, "r_diff": 0.0}.items()
+        }
+        tabulated = AshikhminShirley.parts(condensed, values)[0]
+        wide = np.minimum(n, 1 / tensors["spread"])  # no lobe is narrower than its source
+        light = (0.4 * tensors["normal"] + tensors["grazing"]) * (1 + wide)
+        summed = (light * np.exp(wide * tensors["log_half"])).sum(0)
+        bright = summed > 1e-6 * summed.max()
+        assert float(tabulated[110:].max()) < 1e-250
+        assert np.abs(2.5 * np.log10(tabulated.numpy()[bright] / summed[bright])).max() < 2e-3, n
 
 
 def test_light_between_exposure_times_is_that_of_the_time():

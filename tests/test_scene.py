@@ -13,10 +13,10 @@ from sgp4.io import compute_checksum
 
 from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
 from torchlc.errors import InputError
+from torchlc.files.numbers import CONTROLS
 from torchlc.materials import known as materials
 from torchlc.scene import Free, Scene, load_scene
 from torchlc.scene.checks import MAX_FILE_BYTES
-from torchlc.scene.numbers import CONTROLS
 from torchlc.scene.tle import checksum
 from torchlc.scene.writer import toml_value
 

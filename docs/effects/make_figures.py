@@ -22,11 +22,11 @@ import torch
 
 import torchlc
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.refit import Hypothesis, refit
 from torchlc.effects import registry
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
 from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Posterior, fit
 from torchlc.readers import Recording
 from torchlc.stages.effect import Entry
 
@@ -139,6 +139,9 @@ CASES = {
     "light_time": Case(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0}),
     "spin_rate_offset": Case(SPIN, "time", {"rev_per_hour": 0.3}),
     "attitude_offset": Case(NIGHT, PANEL_GLINT, {"x": 1.0, "y": 0.0, "z": 1.0}),
+    "attitude_jump": Case(NIGHT, "time", {"x": 1.0, "y": 0.0, "z": 1.0, "time": 4.0}),
+    "attitude_drift": Case(NIGHT, PANEL_GLINT, {"x": 0.5, "y": 0.0, "z": 0.5}),
+    "wing_split": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
     "wobble": Case(NIGHT, "cycle of the wobble", {"deg": 1.0, "period_min": 80.0}),
     "panel_offset": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
     "panel_cant": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
@@ -214,7 +217,8 @@ def measured(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.nda
         seen = holding(theta).numpy()
     lacking = torchlc.LightCurve(with_effects(setting.text, [], {}), replace(recording, observed=seen.copy()))
     without = materials_at(lacking, case.materials)
-    again = refit(Likelihood(lacking), Hypothesis(), without[None])
+    posterior = Posterior(Likelihood(lacking), scaled=False)
+    again = fit(None, posterior, posterior.coordinates(without[None]))
     with torch.no_grad():
         plain = seen - lacking(without).numpy()
         along = {key: value.numpy() for key, value in coordinates(lacking, without).items()}

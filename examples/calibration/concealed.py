@@ -103,6 +103,14 @@ def step(rng: Rng) -> Make:
     )
 
 
+def attitude_jump(rng: Rng) -> Make:
+    """A turn, mostly about Y, a little after the middle."""
+    return lambda size, setup: (
+        setup,
+        {"attitude_jump": {"y": size, "x": round(0.47 * size, 5), "time": round(instant(setup, 0.55), 3)}},
+    )
+
+
 def fixed_lobe(setup: Setup) -> Setup:
     """The panel's n known from the laboratory, so that a spread of normals can be told from it."""
     tree = deepcopy(setup.tree)
@@ -185,6 +193,8 @@ RECIPES: dict[str, Recipe] = {
     "panel_offset": ("geo", either_way("panel_offset", "deg"), 0.5, (0.01, 7.5)),
     "panel_cant": ("known", either_way("panel_cant", "deg"), 0.5, (0.01, 5.0)),
     "attitude_offset": ("wing", attitude_offset, 0.3, (0.01, 2.5)),
+    "attitude_jump": ("geo", attitude_jump, 1.5, (1.5, 1.5)),
+    "wing_split": ("geo", one_way("wing_split", "deg"), 3.0, (3.0, 3.0)),
     "wobble": ("box", wobble, 0.3, (0.01, 5.0)),
     "spin_rate_offset": ("box", either_way("spin_rate_offset", "rev_per_hour"), 1e-3, (1e-6, 0.2)),
     "self_shadowing": ("wing", lambda rng: smaller_wings, 0.5, (0.05, 1.0)),

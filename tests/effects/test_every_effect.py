@@ -22,7 +22,7 @@ from torchlc.effects import STAGES, Effect, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 
-NAMES = list(registry())
+NAMES = [name for name, cls in registry().items() if cls.__module__.startswith("torchlc.")]
 NOISE = [name for name in NAMES if registry()[name].stage == "noise"]
 PHYSICS = [name for name in NAMES if name not in NOISE]
 PARAMETRIC = [name for name in PHYSICS if registry()[name].quantities]

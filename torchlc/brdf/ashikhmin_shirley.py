@@ -86,14 +86,18 @@ class AshikhminShirley(Brdf):
     @staticmethod
     def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The sums over K of an isotropic lobe as functions of log(1 + n), for cubic Hermite interpolation of
-        their logarithms (relative error 1e-7 per unit of n log(n.h), 1.5e-3 where a source has an extent): a call
+        their logarithms (relative error 1e-7 per unit of n log(n.h); where a source has an extent 1.5e-3, and 4e-3 per
+        unit of n log(n.h) in the one cell in which the lobe becomes as narrow as its source): a call
         then costs the same however many facets, instants or lights there are. ``lobes`` (2 G, 2 T) has a row for
         the values and one for the slopes at each of G exponents; the normal sums of all T and then the grazing
         ones.
         """
         columns = range(0, table["diffuse"].shape[-1], COLUMNS_AT_ONCE)
         cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
-        pieces = [_condensed({name: one[..., cut] for name, one in table.items()}) for cut in cuts]
+        finer, smooth = _fine_steps(table)
+        pieces = [
+            _condensed({name: one[..., cut] for name, one in table.items()}, finer, smooth) for cut in cuts
+        ]
         return {"diffuse": table["diffuse"], "lobes": torch.cat(pieces, -1).flatten(2).flatten(0, 1)}
 
     @staticmethod
@@ -131,7 +135,24 @@ class AshikhminShirley(Brdf):
         return {**values, "n_u": wider, "n_v": wider if n_u is n_v else n_v / (1 + n_v * variance)}
 
 
-def _condensed(table: Mapping[str, Tensor]) -> Tensor:
+def _widest_exponent(table: Mapping[str, Tensor]) -> Tensor:
+    """The exponent from which on a pair's lobe is as wide as the extent of its source, (P, T)."""
+    if "spread" not in table:
+        return torch.full_like(table["log_half"][:1], math.inf)
+    return 1 / table["spread"].clamp(min=1e-12)
+
+
+def _fine_steps(table: Mapping[str, Tensor]) -> tuple[int, int]:
+    """Grid steps per unit of the table, and how many of them lie below the first exponent at which any pair's lobe
+    reaches its source's extent: there the sums are smooth and every finer step follows from its neighbours."""
+    finer = FINER if "spread" in table else 1
+    idle = (table["normal"] == 0) & (table["grazing"] == 0)
+    most = _widest_exponent(table)
+    first_jump = float(torch.log1p(torch.where(idle, math.inf, most).min()))
+    return finer, finer * math.floor(min(first_jump / GRID_STEP, GRID_STEPS))
+
+
+def _condensed(table: Mapping[str, Tensor], finer: int, smooth: int) -> Tensor:
     """Logarithms of the normal and grazing sums and their derivatives per grid step, (G, 2, 2, T): value and
     slope, normal and grazing; -600 where there is no light."""
     idle = (table["normal"] == 0) & (table["grazing"] == 0)
@@ -143,26 +164,23 @@ def _condensed(table: Mapping[str, Tensor]) -> Tensor:
     log_half = table["log_half"]
     light = torch.stack([table["normal"], table["grazing"]])
     spread = table.get("spread")
-    most = torch.full_like(log_half[:1], math.inf) if spread is None else 1 / spread.clamp(min=1e-12)
+    most = _widest_exponent(table)
     widest = torch.addcmul(torch.log1p(most), most, log_half) if spread is not None else log_half
     # a lobe that an extent keeps wide may outlast narrower ones nearer to their glint: it is left out by what is left of
     # the brightest in the end
     last = 1.0 if spread is None else most.clamp(max=1e6)
     depth = torch.where(idle, -math.inf, last * log_half)
     brightest = depth.amax(0).clamp(min=-1e300)
-    finer = 1 if spread is None else FINER
     grid = torch.arange(finer * GRID_STEPS + 1, dtype=light.dtype, device=light.device) * (GRID_STEP / finer)
-    first_jump = float(torch.log1p(torch.where(idle, math.inf, most).min()))
-    smooth = finer * math.floor(min(first_jump / GRID_STEP, GRID_STEPS))
     logs, slopes, steady = [], [], False
     for step, x in enumerate(grid):
         n = torch.expm1(x)
+        if step % finer and step < smooth:
+            continue  # as good from its neighbours
         if steady:
             logs.append(logs[-1])
             slopes.append(torch.zeros_like(logs[-1]))
             continue
-        if step % finer and step < smooth:
-            continue  # as good from its neighbours
         if step % (finer * STEPS_BETWEEN) == 0 and len(log_half) >= SORTED_FROM:
             depth = (
                 n * (log_half - brightest)

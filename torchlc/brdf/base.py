@@ -15,10 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from torchlc.errors import InputError
+from torchlc.naming import Registry
 from torchlc.parameters import Quantity
 from torchlc.tensors.vectors import dot
 
-MODELS: dict[str, type[Brdf]] = {}
+MODELS: Registry[type[Brdf]] = Registry("law of reflection")
 """Every reflection model by the name a scene uses; a class enters by being defined."""
 
 TINY_COS = 1e-15
@@ -162,7 +163,7 @@ class Brdf(nn.Module):
     ``learnable=False`` every value is kept exactly, as a buffer. Numbers may be tensors of one batch shape.
 
     A model adds ``quantities`` and two pure functions, ``tabulate`` and ``parts``; all evaluation goes
-    through them.
+    through them. One that learns makes its modules in ``build``, and its ``parts`` is a method that uses them.
     """
 
     model: ClassVar[str]
@@ -185,7 +186,7 @@ class Brdf(nn.Module):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        MODELS[cls.model] = cls
+        MODELS.declared(cls, "model")
 
     def __init__(
         self,
@@ -196,6 +197,7 @@ class Brdf(nn.Module):
         **numbers: float | Tensor,
     ) -> None:
         super().__init__()
+        self.build()
         self.learnable = learnable
         natural = {
             name: torch.as_tensor(number, dtype=dtype, device=device).detach().clone()
@@ -209,6 +211,22 @@ class Brdf(nn.Module):
         else:
             for name, value in natural.items():
                 self.register_buffer(f"fixed_{name}", value)
+
+    def build(self) -> None:
+        """Make what the law learns beside its values: modules that ``parts`` uses. The tables of ``tabulate`` are kept,
+        so that it has to do without them."""
+
+    @classmethod
+    def of_material(cls) -> type[Brdf]:
+        """The law as a light curve uses it for one material: itself, or, where it learns, an object that answers as the
+        class does and has modules of its own."""
+        if cls.build is Brdf.build:
+            return cls
+        law = cls.__new__(cls)
+        nn.Module.__init__(law)
+        law.names, law.learnable = (), False
+        law.build()
+        return law  # pyright: ignore[reportReturnType]
 
     @classmethod
     def forms(cls) -> list[type[Brdf]]:

@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchlc.brdf.base import MODELS
+from torchlc.files.numbers import Free
 from torchlc.parameters import REFLECTANCE
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 from torchlc.scene.parts import Material
 
+LEAST_OF_START = 1e-3
+"""Share of its start down to which a number is searched by its logarithm, where the law's own bound is 0: at a thousandth,
+a lobe of any exponent below 1000 is as wide as the hemisphere."""
 SIZES = ("size", "radius", "length")
 SIGMA = 0.1
 """What is believed of a size that the scene gives as certain: this share of it."""
@@ -68,10 +71,12 @@ def _under(law: str, material: Material) -> Material:
 
 def _free(law: str, starts: Mapping[str, float]) -> dict[str, Free]:
     """Numbers of a law, free between their bounds."""
-    quantities: dict[str, Any] = {name: MODELS[law].quantity(name) for name in starts}
-    return {
-        name: Free(
-            value=value, low=quantities[name].low, high=quantities[name].high, prior=quantities[name].prior
+    free = {}
+    for name, start in starts.items():
+        quantity = MODELS[law].quantity(name)
+        logarithmic = quantity.prior == "loguniform"
+        low = max(quantity.low, start * LEAST_OF_START) if logarithmic else quantity.low
+        free[name] = Free(
+            value=start, low=low, high=quantity.high, prior="loguniform" if logarithmic else "uniform"
         )
-        for name, value in starts.items()
-    }
+    return free

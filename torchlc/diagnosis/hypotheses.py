@@ -117,16 +117,15 @@ class Workbench:
         return model
 
     def log_odds(self, hypothesis: Hypothesis) -> float:
-        """ln of the prior odds: an effect has 1 : (N - 1) of N names, or what its class says, shared by its targets and
-        divisions."""
+        """ln of the prior odds: an effect has 1 : (N - 1) of N names, times what its class says, shared by its targets
+        and divisions."""
         total = math.log(NOISE_ODDS) * len(hypothesis.noise)
         total += math.log(LAW_ODDS) * bool(hypothesis.law)
         names = [Entry.parse(entry).name for entry in self.entries]
         usual = 1 / max(len(set(names)) - 1, 1)
         for entry in hypothesis.added:
             name = Entry.parse(entry).name
-            odds = getattr(effect_class(entry), "prior_odds", None) or usual
-            total += math.log(odds / max(names.count(name), 1))
+            total += math.log(effect_class(entry).prior_odds * usual / max(names.count(name), 1))
         return total
 
     # ------------------------------------------------------------------ candidates

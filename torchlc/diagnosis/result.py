@@ -23,12 +23,12 @@ from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability
 from torchlc.effects import with_title
+from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.inference.posterior import Fitted
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
-from torchlc.scene.numbers import Free
 from torchlc.stages.effect import Effect, Entry, View
 
 if TYPE_CHECKING:

@@ -27,7 +27,9 @@ class AttitudeDrift(Effect):
     name = "attitude_drift"
     title = "an attitude that drifts steadily"
     stage = "attitude"
-    listed = False
+    timed_by_rows = True
+    prior_odds = 0.1
+    # an attitude that is controlled does not drift, and one that is not turns by more than this: one recording in ten at most
     order = 1
     quantities = (_rate("x"), _rate("y"), _rate("z"))
 

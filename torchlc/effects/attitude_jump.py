@@ -31,7 +31,10 @@ class AttitudeJump(Effect):
     name = "attitude_jump"
     title = "an attitude that jumps at one moment"
     stage = "attitude"
-    listed = False
+    timed_by_rows = True
+    prior_odds = 0.1
+    # what happens once, within the hours of a recording, is rarer than an attitude that is off throughout: station keeping takes
+    # place every week or two, so one night in ten has it
     order = 1
     scanned = "time"
     turning = "jump"

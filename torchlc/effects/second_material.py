@@ -20,6 +20,7 @@ class SecondMaterial(Effect):
     stage = "material"
     order = 2
     per = "material"
+    simplex = ("r_spec", "r_diff")
     unable = "the material is not of Ashikhmin and Shirley's model"
     quantities = (
         Quantity(

@@ -20,7 +20,6 @@ class WingSplit(Effect):
     name = "wing_split"
     title = "wings that point to either side of the Sun"
     stage = "pointing"
-    listed = False
     order = 1
     quantities = (
         Quantity(

@@ -22,6 +22,7 @@ class Wobble(Effect):
     name = "wobble"
     title = "an attitude that swings periodically"
     stage = "attitude"
+    timed_by_rows = True
     turning = "swing"
     quantities = (
         Quantity("deg", "deg", 0.0, 5.0, "amplitude", off=0.0, typical=0.5, prior="halfnormal", sigma=1.0),

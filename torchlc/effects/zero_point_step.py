@@ -22,6 +22,7 @@ class ZeroPointStep(Effect):
     name = "zero_point_step"
     title = "a zero point that jumps at one moment"
     stage = "detector"
+    timed_by_rows = True
     order = 2
     scanned = "time"
     quantities = (

@@ -10,21 +10,20 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
-from torchlc.effects import GEOMETRY_STAGES, every, registry
+from torchlc.effects import GEOMETRY_STAGES, registry
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import Track, make_track
 from torchlc.geometry.rotation.attitude import Attitude
 from torchlc.naming import Origin
-from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
+from torchlc.parameters import EXPONENT, WIDTH, Free, ParameterSet, Prior, Quantity, prior_of
 from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.scene.checks import PARAMETER_KEY
-from torchlc.scene.parts import AXES_OF_A_MESH, Mesh
 from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
@@ -182,8 +181,21 @@ class Assembly:
 
     @property
     def geometry_free(self) -> bool:
-        """True if a free parameter moves the geometry."""
-        return bool(self.geometry_columns)
+        """True if the tables of the geometry cannot be kept: a free parameter moves it, or an effect learns it."""
+        return bool(self.geometry_columns) or self.learns_geometry
+
+    @cached_property
+    def learns_geometry(self) -> bool:
+        """True if an effect that learns acts where tables would hold what it did: they are then made anew at every call."""
+        held = {*GEOMETRY_STAGES, "scatter"}
+        return any(effect.stage in held and effect.learns for effect in self.effects)
+
+    @property
+    def learners(self) -> dict[str, nn.Module]:
+        """What learns beside the free parameters, by whose it is: effects and laws of materials."""
+        effects = {f"effects.{effect.entry}": effect for effect in self.effects}
+        laws = {f"materials.{name}": law for name, law in self.models.items() if isinstance(law, nn.Module)}
+        return {name: module for name, module in (effects | laws).items() if _has_state(module)}
 
     def effect_of(self, name: str) -> Effect | None:
         """The effect whose number this is, by its full name; None if it is the scene's."""
@@ -284,7 +296,7 @@ def assemble(
             shape = Shape(scene, {name: lobes[name] for name in scene.materials if _uneven(scene, name)})
     else:
         track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
-    models = {name: MODELS[material.model] for name, material in scene.materials.items()}
+    models = {name: _law(MODELS[material.model], name, base) for name, material in scene.materials.items()}
     context = (
         base.context
         if base is not None
@@ -299,6 +311,9 @@ def assemble(
     context = replace(context, finer=finer)
     _check_given(scene, context)
     chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
+    for effect, learned in ((one, other) for one in chosen for other in (base.effects if base else ())):
+        if type(effect) is type(learned) and effect.entry == learned.entry and learned.learns:
+            effect.share(learned)
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
@@ -328,9 +343,19 @@ def assemble(
     )
 
 
+def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:
+    """The law of a material; that of ``base`` if it is the same, with what it has learnt."""
+    own = None if base is None else base.models.get(material)
+    return law.of_material() if own is None or own.__class__ is not law else own
+
+
 def exposures(context: Context) -> Tensor:
     """The longest time that each exposure may take, (T,), s: as recorded, else the cadence."""
     return torch.full_like(context.seconds, context.cadence) if context.exptime is None else context.exptime
+
+
+def _has_state(module: nn.Module) -> bool:
+    return next(module.parameters(), None) is not None or next(module.buffers(), None) is not None
 
 
 def _is_material(model: type[Brdf], short: str) -> bool:
@@ -349,14 +374,16 @@ def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
     finest = {}
     for name, material in scene.materials.items():
         bounds = [1.0]
+        law = MODELS[material.model]
         for key, number in material.parameters.items():
-            if key in ("n", "n_u", "n_v"):
+            role = law.quantity(key).role
+            if role == EXPONENT:
                 if isinstance(number, SceneFree):
                     top = number.high if number.high is not None else number.value + 3 * (number.sigma or 0.0)
                     bounds.append(min(top, max(sharpest, number.value)))
                 else:
                     bounds.append(number)
-            elif key in ("alpha", "m"):
+            elif role == WIDTH:
                 width = number.value if isinstance(number, SceneFree) else number
                 bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
         finest[name] = max(bounds)
@@ -432,7 +459,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
     for entry in wanted:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
-        if name not in every():
+        if name not in known:
             raise InputError(
                 scene.source,
                 "model.effects",
@@ -440,7 +467,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
                 f"one of {', '.join(known)}",
                 did_you_mean(name, known),
             )
-        cls = every()[name]
+        cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
@@ -457,7 +484,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         reason = effect.beside([other for other in found if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
-    order = list(every())
+    order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
 
@@ -503,15 +530,15 @@ def _end(prior: Prior, side: float) -> float:
 
 
 def _check_axes(effect: Effect, scene: Scene, context: Context) -> None:
-    """InputError where an effect on a material gives it numbers along u and v, and a mesh of it has no such axes."""
+    """InputError where an effect on a material gives it numbers along u and v, and the facets of a part of it have no such axes."""
     numbers = {quantity.name for quantity in effect.quantities}
     for component in scene.components if effect.stage == "material" else ():
-        if not isinstance(component, Mesh) or component.has_axes:
+        if component.axes_wanted is None:
             continue
         apart = context.models[component.material].along_axes
         if effect.target in (None, component.material) and len(numbers.intersection(apart)) > 1:
-            found = f"{effect.name} has {' and '.join(apart)} apart, and the mesh says nothing of the direction of u"
-            raise InputError(scene.source, f"component {component.name!r}", found, AXES_OF_A_MESH)
+            found = f"{effect.name} has {' and '.join(apart)} apart, and the {component.shape} says nothing of the direction of u"
+            raise InputError(scene.source, f"component {component.name!r}", found, component.axes_wanted)
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
@@ -532,7 +559,7 @@ def _check_given(scene: Scene, context: Context) -> None:
         if match is None:
             continue
         name, quantity, target = match["effect"], match["quantity"], match["target"]
-        place, known = f'model.parameters."{key}"', every()
+        place, known = f'model.parameters."{key}"', registry()
         if name not in known:
             found, expected = f"unknown effect {shown(name)}", f"one of {', '.join(registry())}"
             raise InputError(scene.source, place, found, expected, did_you_mean(name, registry()))
@@ -651,7 +678,7 @@ def _parameters(
             prior = prior_of(quantity)
             start = quantity.mean if quantity.mean is not None else quantity.typical
             begin = 0.0 if start is None else start
-            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin))
+            free.append(Free(name, prior, begin, quantity.unit, quantity.meaning, origin, quantity.role))
         elif isinstance(number, SceneFree):
             if number.prior == "isotropic" and quantity.prior != "isotropic":
                 raise InputError(
@@ -726,9 +753,9 @@ def _parameters(
         for a, b in zip(models[material].simplex, models[material].simplex[1:], strict=False)
     ]
     simplex += [
-        (effect.full_name("r_spec"), effect.full_name("r_diff"))
+        (effect.full_name(a), effect.full_name(b))
         for effect in effects
-        if {"r_spec", "r_diff"} <= {quantity.name for quantity in effect.quantities}
+        for a, b in zip(effect.simplex, effect.simplex[1:], strict=False)
     ]
     return ParameterSet(free, fixed, simplex), divided, origins
 

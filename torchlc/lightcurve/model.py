@@ -54,7 +54,7 @@ class LightCurve(nn.Module):
     ``sibling``, a model of the same scene and recording, lends its tables where its geometry is the same. The
     free parameters are ``nn.Parameter`` leaves in unconstrained coordinates, grouped as
     ``free.<owner>.<name>`` with "." and "%" in names as %2E and %25; ``names`` lists them in the order of theta and ``theta()`` gives their natural
-    values. Neglects everything that is not among ``effects``.
+    values. What effects and laws learn beside these, such as networks, is in ``learners``. Neglects everything that is not among ``effects``.
     """
 
     def __init__(
@@ -79,6 +79,8 @@ class LightCurve(nn.Module):
                 self.free[owner] = nn.ParameterDict()
             self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
             self._keys.append((owner, short))
+        learners = {module_key(name): module for name, module in self.assembly.learners.items()}
+        self.learners = nn.ModuleDict(learners).to(self.assembly.dtype)
         self.pipeline = Pipeline(self.assembly)
         shared = sibling is not None and sibling.tables_key == self.tables_key
         lending = sibling.evaluator if shared and sibling is not None else None

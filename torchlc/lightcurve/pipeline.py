@@ -87,7 +87,7 @@ class Pipeline:
         """Clock to attitude; kept where no free parameter has a part in it."""
         a = self.assembly
         several = any(effect.nodes > 1 for effect in a.stage("clock"))
-        late = LATE.issuperset(a.moving.values()) and not several
+        late = LATE.issuperset(a.moving.values()) and not several and not a.learns_geometry
         if late and self._placed is not None:
             return replace(self._placed, batch=batch)
         context, row = a.optics, a.instant_row

@@ -22,8 +22,8 @@ from torchlc.occlusion.outline import Joints, outline
 from torchlc.occlusion.polygon_union import covered_area
 from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
-from torchlc.shapes.flat import Plate
 from torchlc.shapes.part import like
+from torchlc.shapes.plate import Plate
 from torchlc.stages.effect import Context, View
 from torchlc.tensors.autodiff_state import traced
 

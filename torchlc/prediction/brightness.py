@@ -14,7 +14,7 @@ import torch
 from scipy.special import ndtri
 from torch import Tensor
 
-from torchlc.effects import every
+from torchlc.effects import registry
 from torchlc.geometry.orbit.earth import julian_dates
 from torchlc.lightcurve.model import LightCurve
 from torchlc.prediction.passes import Pass, Span
@@ -94,9 +94,9 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
     plain = scene.model_copy(update={"orbit": Orbit(vectors="icrs")})
     if listed is None:
         return plain, []
-    kept = [entry for entry in listed if not _of_the_recording(every()[Entry.parse(entry).name])]
+    kept = [entry for entry in listed if not _of_the_recording(registry()[Entry.parse(entry).name])]
     # rows of a prediction are instants: exposures have nothing to smear, and nothing is lost
-    lost = [e for e in listed if e not in kept and not every()[Entry.parse(e).name].spans_exposure]
+    lost = [e for e in listed if e not in kept and not registry()[Entry.parse(e).name].spans_exposure]
     said = f"left out of the prediction, for it belongs to a recording: {', '.join(lost)}"
     model = scene.model.model_copy(update={"effects": kept})
     return plain.model_copy(update={"model": model}), [said] if lost else []
@@ -106,7 +106,7 @@ def _of_the_recording(effect: type[Effect]) -> bool:
     if effect.stage in ("clock", "detector", "noise"):
         return effect.name != JITTER
     moves = effect.stage == "orbit" and bool(effect.quantities)
-    return moves or bool(effect.turning) or not effect.listed
+    return moves or effect.timed_by_rows
 
 
 def drawn(model: LightCurve, posterior: Posterior | None, count: int, seed: int) -> tuple[Tensor, list[str]]:

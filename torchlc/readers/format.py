@@ -5,7 +5,6 @@ A new format is one file in :mod:`torchlc.readers.formats` with one class, or a 
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from torchlc.errors import InputError
 from torchlc.files.reading import readable_file
+from torchlc.naming import Registry
 from torchlc.readers.table import FORMAT, MAX_HEADER_LINES, MAX_ROWS, Header, count_lines, lines_of, too_long
 from torchlc.scene.reading import Reading
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MOST_LINES = 200
 """Lines beside comments that a format may look at to recognise a file."""
-FORMATS: dict[str, type[Format]] = {}
+FORMATS: Registry[type[Format]] = Registry("format")
 """Every format that is defined, by its name."""
 
 
@@ -54,12 +54,7 @@ class Format(ABC):
     columns: ClassVar[Mapping[str, Sequence[str]]] = {}
 
     def __init_subclass__(cls) -> None:
-        if "name" not in cls.__dict__:
-            return
-        known = FORMATS.pop(cls.name, None)
-        if known is not None and known.__module__ != cls.__module__:
-            warnings.warn(f"the format {cls.name} of {known.__module__} is replaced", stacklevel=2)
-        FORMATS[cls.name] = cls
+        FORMATS.declared(cls, "name")
 
     @classmethod
     @abstractmethod

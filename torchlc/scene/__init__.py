@@ -1,44 +1,29 @@
 """Scenes: TOML in, checked tables out."""
 
-from torchlc.scene.numbers import Free, value_of
+from torchlc.files.numbers import Free, value_of
 from torchlc.scene.parts import (
     Attitude,
-    Box,
-    Component,
-    Cone,
-    Cylinder,
-    Dish,
     Material,
-    Mesh,
     Model,
     Orbit,
-    Plate,
-    Sphere,
     Station,
-    Tracks,
 )
 from torchlc.scene.scene import Scene, load_scene
 from torchlc.scene.tle import PLACEHOLDER
+from torchlc.shapes import Component, Tracks
 
 Number = float | Free
 
 __all__ = [
     "PLACEHOLDER",
     "Attitude",
-    "Box",
     "Component",
-    "Cone",
-    "Cylinder",
-    "Dish",
     "Free",
     "Material",
-    "Mesh",
     "Model",
     "Number",
     "Orbit",
-    "Plate",
     "Scene",
-    "Sphere",
     "Station",
     "Tracks",
     "load_scene",

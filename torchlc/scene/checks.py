@@ -12,10 +12,10 @@ from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
 from torchlc.errors import InputError
+from torchlc.files.numbers import Free, value_of, within
 from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
-from torchlc.scene.numbers import Free, value_of, within
-from torchlc.scene.parts import AXES_OF_A_MESH, Material, Mesh
+from torchlc.scene.parts import Material
 from torchlc.scene.problems import shown
 from torchlc.scene.tables import SceneTables
 from torchlc.scene.tle import PLACEHOLDER
@@ -43,7 +43,7 @@ def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None
     if scene.orbit.tle and PLACEHOLDER in scene.orbit.tle[0]:
         scene.warnings.append(f"orbit.tle: the catalogue number is the placeholder {PLACEHOLDER}")
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
-    check.axes_of_meshes(completed)
+    check.axes_of_facets(completed)
     return scene.model_copy(update={"materials": completed})
 
 
@@ -100,10 +100,10 @@ class _Checks:
             raise self.error(place, f"{' + '.join(reflection.simplex)} = {total:g}", "at most 1")
         return material.model_copy(update={"model": reflection.model, "parameters": bounded})
 
-    def axes_of_meshes(self, materials: Mapping[str, Material]) -> None:
-        """A mesh has no axes of its own for a material that needs them."""
+    def axes_of_facets(self, materials: Mapping[str, Material]) -> None:
+        """A mesh, say, has no axes of its own for a material that needs them."""
         for index, component in enumerate(self.scene.components):
-            if not isinstance(component, Mesh) or component.has_axes:
+            if component.axes_wanted is None:
                 continue
             for key, name in component.materials():
                 reflection = brdf.MODELS[materials[name].model]
@@ -111,8 +111,8 @@ class _Checks:
                     apart = " and ".join(reflection.along_axes)
                     raise self.error(
                         f"components[{index}].{key}",
-                        f"{name!r} has {apart} apart, and the mesh says nothing of the direction of u",
-                        AXES_OF_A_MESH,
+                        f"{name!r} has {apart} apart, and the {component.shape} says nothing of the direction of u",
+                        component.axes_wanted,
                     )
 
     def _preset(self, place: str, material: Material) -> tuple[str, Mapping[str, float | Free]]:

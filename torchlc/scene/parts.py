@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import datetime
-import math
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
+    SerializeAsAny,
     field_validator,
     model_validator,
 )
 
-from torchlc.scene.numbers import (
-    SIDES,
-    WHOLE,
+from torchlc.files.numbers import (
     Constant,
     Direction,
     Free,
@@ -26,17 +23,16 @@ from torchlc.scene.numbers import (
     Number,
     Positive,
     Real,
-    Size,
     Table,
-    Vector,
     between,
     problem,
 )
+from torchlc.scene.problems import shown
 from torchlc.scene.timestamps import ISO, UnreadableTime, instant
 from torchlc.scene.tle import checked_lines
+from torchlc.shapes import SHAPES, Component
+from torchlc.suggest import did_you_mean
 
-MAX_PLATE_SKEW = 1e-3
-"""Largest |cos| of the angle between a plate's u and v that counts as a right angle."""
 ROUNDING = 1e-9
 """By which the moments of a flat body may miss the sum of the other two."""
 
@@ -196,174 +192,20 @@ class Attitude(Table):
         return self
 
 
-class Tracks(Table):
-    """The component turns about the line along ``axis`` (body frame) through its centre to face the Sun."""
-
-    target: Literal["sun"]
-    axis: Direction
-
-
-class _Component(Table):
-    """What all shapes share: lengths in metres; ``rotation`` about body x, then y, then z, in degrees."""
-
-    name: Name
-    centre: Vector
-    material: Name
-    rotation: Vector = (0.0, 0.0, 0.0)
-    tracks: Tracks | None = None
-
-    def numbers(self) -> dict[str, float | Free]:
-        """Sizes by the end of their full name, e.g. "size_x"."""
-        return {}
-
-    def materials(self) -> list[tuple[str, str]]:
-        """(key, material name) of everything this component is made of."""
-        return [("material", self.material)]
+def _of_its_shape(given: Any) -> Any:
+    """A component's table, read by the keys of its shape."""
+    if not isinstance(given, Mapping):
+        return given
+    if "shape" not in given:
+        raise problem("missing", 'a shape, such as "box"', "shape")
+    shape = given["shape"]
+    if not isinstance(shape, str) or shape not in SHAPES:
+        expected = f"one of {', '.join(SHAPES)}"
+        raise problem(shown(shape), expected, "shape", did_you_mean(str(shape), SHAPES) or "")
+    return SHAPES[shape].keys.model_validate(given)
 
 
-Side = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
-
-
-class Box(_Component):
-    """``size`` along body X, Y, Z before ``rotation``."""
-
-    shape: Literal["box"]
-    size: tuple[Size, Size, Size]
-    face_materials: dict[Side, Name] = Field(default_factory=dict)
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {f"size_{axis}": size for axis, size in zip("xyz", self.size, strict=True)}
-
-    def materials(self) -> list[tuple[str, str]]:
-        return [
-            *super().materials(),
-            *((f"face_materials.{face}", name) for face, name in self.face_materials.items()),
-        ]
-
-
-class Plate(_Component):
-    """A two-sided rectangle, ``size`` along u and v; the normal of its front is u x v."""
-
-    shape: Literal["plate"]
-    size: tuple[Size, Size]
-    u: Direction
-    v: Direction
-    back_material: Name | None = None
-
-    @model_validator(mode="after")
-    def _right_angle(self) -> Plate:
-        cosine = sum(a * b for a, b in zip(self.u, self.v, strict=True)) / (
-            math.hypot(*self.u) * math.hypot(*self.v)
-        )
-        if abs(cosine) > MAX_PLATE_SKEW:
-            raise problem(
-                f"{math.degrees(math.acos(max(-1.0, min(1.0, cosine)))):.3f} deg between u and v",
-                "90 deg",
-                "v",
-            )
-        return self
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {"size_u": self.size[0], "size_v": self.size[1]}
-
-    def materials(self) -> list[tuple[str, str]]:
-        return [
-            *super().materials(),
-            *([("back_material", self.back_material)] if self.back_material else []),
-        ]
-
-
-Facets = Annotated[int, Field(strict=True, ge=3, le=100_000)]
-
-
-class Cylinder(_Component):
-    """Closed by two caps; ``axis`` points to cap+, ``facets`` is the least number of side facets."""
-
-    shape: Literal["cylinder"]
-    radius: Size
-    length: Size
-    axis: Direction = (0.0, 0.0, 1.0)
-    facets: Facets | None = None
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {"radius": self.radius, "length": self.length}
-
-
-class Cone(_Component):
-    """A frustum from ``radius`` to ``radius_top`` along ``axis``."""
-
-    shape: Literal["cone"]
-    radius: Size
-    radius_top: Annotated[Constant, between(0.0)] = 0.0
-    length: Size
-    axis: Direction = (0.0, 0.0, 1.0)
-    facets: Facets | None = None
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {"radius": self.radius, "radius_top": self.radius_top, "length": self.length}
-
-
-class Dish(_Component):
-    """An open two-sided bowl; ``axis`` points out of its opening."""
-
-    shape: Literal["dish"]
-    radius: Size
-    depth: Size
-    axis: Direction = (0.0, 0.0, 1.0)
-    facets: Facets | None = None
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {"radius": self.radius, "depth": self.depth}
-
-
-class Sphere(_Component):
-    shape: Literal["sphere"]
-    radius: Size
-
-    def numbers(self) -> dict[str, float | Free]:
-        return {"radius": self.radius}
-
-
-AXES_OF_A_MESH = "u = [x, y, z], projected on each facet, or u_around = [x, y, z], an axis that u runs round"
-"""What a mesh needs for an anisotropic material."""
-
-
-def _whole_or_by_side(given: Any) -> str:
-    return SIDES if isinstance(given, dict) else WHOLE
-
-
-class Mesh(_Component):
-    """Triangles of ``file``, ``scale`` metres per unit of the file.
-
-    The axis u of anisotropic materials is the direction ``u`` projected on each facet, or runs round the axis
-    ``u_around``; both turn with ``rotation``. ``u`` may be a table of directions by the side that facets face.
-    """
-
-    shape: Literal["mesh"]
-    file: str
-    scale: Annotated[Real, between(0.0, above=True)] = 1.0
-    u: (
-        Annotated[
-            Annotated[Direction, Tag(WHOLE)] | Annotated[dict[Side, Direction], Tag(SIDES)],
-            Discriminator(_whole_or_by_side),
-        ]
-        | None
-    ) = None
-    u_around: Direction | None = None
-
-    @property
-    def has_axes(self) -> bool:
-        """Whether the scene says where u is on its facets."""
-        return self.u is not None or self.u_around is not None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Mesh:
-        if self.u is not None and self.u_around is not None:
-            raise problem("given beside u", "u or u_around", "u_around")
-        return self
-
-
-Component = Annotated[Box | Plate | Cylinder | Cone | Dish | Sphere | Mesh, Field(discriminator="shape")]
+ComponentOfAnyShape = Annotated[SerializeAsAny[Component], BeforeValidator(_of_its_shape)]
 
 
 class Material(Table):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from torchlc.errors import InputError
-from torchlc.scene.numbers import FIXED, FREE, SIDES, WHOLE
+from torchlc.files.numbers import FIXED, FREE, SIDES, WHOLE
 from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -73,8 +73,6 @@ def shown(value: Any) -> str:
 def place_of(location: Sequence[str | int], key: str = "") -> str | None:
     """``components[1].size[0]`` from pydantic's location, without the tags of unions."""
     parts = [part for part in location if part not in (FIXED, FREE, WHOLE, SIDES)]
-    if parts[:1] == ["components"]:
-        parts = parts[:2] + parts[3:]
     if parts[:1] == ["materials"] and parts[2:3] == ["parameters"]:
         parts = parts[:2] + parts[3:]
     if parts[:2] == ["model", "band_sun_magnitude"]:
@@ -102,10 +100,6 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
             return place, "unknown key", f"one of {', '.join(allowed)}", did_you_mean(key, allowed)
         case "missing":
             return place, "missing", "a value", None
-        case "union_tag_not_found":
-            return place_of(location, "shape"), "missing", 'a shape, such as "box"', None
-        case "union_tag_invalid":
-            return _choice(place_of(location, "shape"), str(context["tag"]), str(context["expected_tags"]))
         case "literal_error":
             return _choice(place, value, str(context["expected"]))
         case "too_long" | "too_short":

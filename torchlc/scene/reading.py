@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError
 
 from torchlc.errors import InputError
-from torchlc.scene.numbers import Real, Table, between, problem
+from torchlc.files.numbers import Real, Table, between, problem
 from torchlc.scene.problems import of_validation
 
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}

@@ -12,9 +12,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import Table
 from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
 from torchlc.scene.checks import checked
-from torchlc.scene.numbers import Table
 from torchlc.scene.problems import of_toml, of_validation
 from torchlc.scene.tables import SceneTables
 from torchlc.scene.writer import toml_key, toml_table, toml_value

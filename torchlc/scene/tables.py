@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import Free, Name, Table, Title, value_of
 from torchlc.files.svg import polygons
 from torchlc.naming import Origin, full_names
-from torchlc.scene.numbers import Free, Name, Table, Title, value_of
-from torchlc.scene.parts import Attitude, Component, Material, Mesh, Model, Orbit, Station
+from torchlc.scene.parts import Attitude, ComponentOfAnyShape, Material, Model, Orbit, Station
 from torchlc.scene.reading import Reading
 
 ASIDE = np.array([[-0.55, 0.84, 0.0], [-0.32, -0.21, 0.92], [0.77, 0.50, 0.38]])
@@ -30,7 +30,7 @@ class SceneTables(Table):
     orbit: Orbit
     stations: list[Station] = Field(default_factory=list)
     attitude: Attitude
-    components: Annotated[list[Component], Field(min_length=1, max_length=1000)]
+    components: Annotated[list[ComponentOfAnyShape], Field(min_length=1, max_length=1000)]
     materials: dict[Name, Material]
     model: Model = Model()
     recording: Reading = Reading()
@@ -136,8 +136,8 @@ class SceneTables(Table):
         """Names of the files that the scene needs, by their place in it."""
         named = {"attitude.file": self.attitude.file}
         named |= {f"orbit.{key}": getattr(self.orbit, key) for key in ("tle_file", "oem_file")}
-        meshes = enumerate(self.components)
-        named |= {f"components[{i}].file": one.file for i, one in meshes if isinstance(one, Mesh)}
+        for index, component in enumerate(self.components):
+            named |= {f"components[{index}].{key}": name for key, name in component.files().items()}
         return {place: name for place, name in named.items() if name is not None}
 
     def file_path(self, name: str) -> Path:

@@ -13,8 +13,8 @@ from pydantic_core import PydanticCustomError
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
+from torchlc.files.numbers import problem
 from torchlc.files.reading import readable_file
-from torchlc.scene.numbers import problem
 from torchlc.suggest import did_you_mean
 
 PLACEHOLDER = "xxxxx"

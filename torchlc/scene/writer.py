@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from torchlc.scene.numbers import Free
+from torchlc.files.numbers import Free
 
 
 def toml_table(path: str, content: Mapping[str, Any], *, array: bool = False) -> str:

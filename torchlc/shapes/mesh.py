@@ -4,22 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import Discriminator, Tag, model_validator
 from torch import Tensor
 
 from torchlc.errors import InputError, MissingExtraError
+from torchlc.files.numbers import SIDES, WHOLE, Direction, Real, between, problem
+from torchlc.shapes.component import Component, Side
 from torchlc.shapes.mesh_files import MOST_FACES, Faces, read_faces
-from torchlc.shapes.part import Facets, Part, frame_about, number, unit
+from torchlc.shapes.part import Facets, Part, Surroundings, frame_about, number, unit
 from torchlc.shapes.triangulation import FLAT, triangles
 
+AXES_OF_A_MESH = "u = [x, y, z], projected on each facet, or u_around = [x, y, z], an axis that u runs round"
+"""What a mesh needs for an anisotropic material."""
 FORMATS = {".obj", ".stl", ".ply"}
 MOST_BYTES = 100_000_000
 PERPENDICULAR = 1e-3
 """Sine of the angle between a facet's normal and a direction below which the direction gives the facet no axis. Files
 in single precision leave up to 1e-4 of it on facets that are meant to be perpendicular."""
+
+
+def _whole_or_by_side(given: Any) -> str:
+    return SIDES if isinstance(given, dict) else WHOLE
+
+
+class MeshKeys(Component):
+    """Triangles of ``file``, ``scale`` metres per unit of the file.
+
+    The axis u of anisotropic materials is the direction ``u`` projected on each facet, or runs round the axis
+    ``u_around``; both turn with ``rotation``. ``u`` may be a table of directions by the side that facets face.
+    """
+
+    file: str
+    scale: Annotated[Real, between(0.0, above=True)] = 1.0
+    u: (
+        Annotated[
+            Annotated[Direction, Tag(WHOLE)] | Annotated[dict[Side, Direction], Tag(SIDES)],
+            Discriminator(_whole_or_by_side),
+        ]
+        | None
+    ) = None
+    u_around: Direction | None = None
+
+    def files(self) -> dict[str, str]:
+        return {"file": self.file}
+
+    @property
+    def axes_wanted(self) -> str | None:
+        return AXES_OF_A_MESH if self.u is None and self.u_around is None else None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> MeshKeys:
+        if self.u is not None and self.u_around is not None:
+            raise problem("given beside u", "u or u_around", "u_around")
+        return self
 
 
 class Mesh(Part):
@@ -32,9 +73,11 @@ class Mesh(Part):
     """
 
     kind = "mesh"
+    keys = MeshKeys
 
-    def __init__(self, component: Any, directory: Path) -> None:
-        super().__init__(component)
+    def __init__(self, component: Any, surroundings: Surroundings) -> None:
+        super().__init__(component, surroundings)
+        directory = surroundings.directory
         triangles, warnings = read_mesh(directory / component.file, f"component {component.name!r}")
         self.warnings += warnings
         self._vertices = triangles * number(component.scale)

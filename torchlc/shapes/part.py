@@ -1,18 +1,26 @@
-"""What every part of an object has in common, whatever its shape."""
+"""What every part of an object has in common, whatever its shape: the contract of a shape."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.naming import Registry
+from torchlc.shapes.component import Component
 from torchlc.shapes.curved import Surface
+
+SHAPES: Registry[type[Part]] = Registry("shape")
+"""Every shape by the name that a scene uses."""
+CORNERS = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""Of a rectangle, over its sides, counter-clockwise."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +62,18 @@ class Hull:
         return cls(np.array(padded), np.array(edges), np.array(sides))
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What a shape may know beyond its component: the scene's ``directory``, where the names of files start, and the
+    largest lobe exponent expected of each material with a different width along u and v."""
+
+    directory: Path = field(default_factory=Path)
+    uneven_n: Mapping[str, float] = field(default_factory=dict)
+
+
 class Part(ABC):
-    """One component: what does not depend on the sizes, and `facets`, which does.
+    """One component: what does not depend on the sizes, and `facets`, which does. A subclass that sets ``kind`` is a
+    shape: the scene's word for it; ``keys`` is the table of its keys.
 
     faces, materials: label and material of each facet. pivot (3,): the centre, about which the part turns.
     tracks_axis (3,): unit body axis about which it follows the Sun, or None. front (3,): what it turns to the
@@ -67,10 +85,15 @@ class Part(ABC):
     """
 
     kind: ClassVar[str]
+    keys: ClassVar[type[Component]]
     thin: ClassVar[bool] = False
     hull: Hull | None = None
 
-    def __init__(self, component: Any) -> None:
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        SHAPES.declared(cls, "kind")
+
+    def __init__(self, component: Any, surroundings: Surroundings) -> None:
         self.name: str = component.name
         self.pivot = np.array([number(x) for x in component.centre])
         self.turn = turn_matrix([number(x) for x in component.rotation])

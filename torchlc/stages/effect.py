@@ -34,10 +34,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchlc.brdf.base import Brdf
-from torchlc.naming import ENTRY, Origin
+from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
 from torchlc.tensors.autodiff_state import apart
@@ -444,17 +444,20 @@ def turned_poses(
     return tuple(pose if pose is None else found.get(id(pose), pose) for pose in poses)
 
 
-class Effect:
+EFFECTS: Registry[type[Effect]] = Registry("effect")
+"""Every effect by the name that a scene uses."""
+
+
+class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
     words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
-    parameters; ``known`` switches it on by default; ``listed`` is false for one that a diagnosis only holds against what
-    it would name; ``nodes`` is by how much it multiplies the instants or
+    parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
     after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
     whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
     about the body axes and the time; ``brdf`` is the
-    reflection model of a surface that it adds; ``linear`` marks an effect of the geometry whose parameters
+    reflection model of a surface that it adds; ``simplex`` names quantities whose sum may not exceed 1; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
@@ -463,7 +466,12 @@ class Effect:
     table of theirs serves it; ``joins_parts`` a surface that every other part has a hand in, and so costs much for a new
     geometry; ``shifts_clock`` a clock whose first quantity is an offset, s, the same for all instants of a row;
     ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
-    the quantity that is the height, km, of the air that takes sunlight away."""
+    the quantity that is the height, km, of the air that takes sunlight away; ``timed_by_rows`` marks numbers that mean
+    something for one recording alone, for they count time from its rows; ``prior_odds`` is how probable the effect is,
+    before a recording is seen, over one of which nothing is known.
+
+    An effect may learn: what ``__init__`` sets as ``nn.Parameter`` or ``nn.Module`` (a small network) is a part of the
+    light curve that has the effect, for an optimiser of its own; fits and samplers leave it as it is."""
 
     name: ClassVar[str]
     title: ClassVar[str]
@@ -471,7 +479,6 @@ class Effect:
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
     known: ClassVar[bool] = False
-    listed: ClassVar[bool] = True
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
@@ -479,6 +486,7 @@ class Effect:
     scanned: ClassVar[str] = ""
     turning: ClassVar[str] = ""
     brdf: ClassVar[type[Brdf] | None] = None
+    simplex: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
     divisible: ClassVar[bool] = False
     by: str | None = None
@@ -491,19 +499,36 @@ class Effect:
     reshapes_lobe: ClassVar[bool] = False
     joins_parts: ClassVar[bool] = False
     shifts_clock: ClassVar[bool] = False
+    timed_by_rows: ClassVar[bool] = False
+    prior_odds: ClassVar[float] = 1.0
     unable: ClassVar[str] = "the scene has nothing of this name"
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """A class that gives itself a name and no title is called by its name."""
         super().__init_subclass__(**keywords)
-        if "name" in vars(cls) and "title" not in vars(cls):
-            cls.title = cls.name.replace("_", " ")
+        if "name" in vars(cls):
+            if getattr(cls, "stage", None) not in STAGES:
+                stage = getattr(cls, "stage", None)
+                raise TypeError(f"effect {cls.name!r}: stage {stage!r}; expected one of {', '.join(STAGES)}")
+            if "title" not in vars(cls):
+                cls.title = cls.name.replace("_", " ")
+        EFFECTS.declared(cls, "name")
 
     def __init__(self, target: str | None = None) -> None:
+        super().__init__()
         self.target = target
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.target or ''})"
+
+    @property
+    def learns(self) -> bool:
+        """Whether it has parameters of its own beside its quantities."""
+        return next(self.parameters(), None) is not None
+
+    def share(self, other: Effect) -> None:
+        """Have the other's parameters, buffers and modules as its own."""
+        self._parameters, self._buffers, self._modules = other._parameters, other._buffers, other._modules
 
     @property
     def entry(self) -> str:

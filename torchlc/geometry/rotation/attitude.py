@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit import State
 from torchlc.geometry.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
 from torchlc.geometry.rotation.matrices import (
@@ -25,7 +26,6 @@ from torchlc.geometry.rotation.matrices import (
 from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
 from torchlc.geometry.rotation.rigid_body import free_rotation
 from torchlc.readers import seconds_since
-from torchlc.scene.numbers import value_of
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.tensors.autodiff_state import transformed
 from torchlc.tensors.vectors import dot, unit

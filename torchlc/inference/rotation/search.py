@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import InputError
+from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.inference.likelihood import Likelihood
@@ -28,7 +29,6 @@ from torchlc.inference.rotation.windows import windows
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, iso_times
 from torchlc.scene import Free, Scene
-from torchlc.scene.numbers import value_of
 from torchlc.scene.parts import Attitude
 
 POLES = 500

@@ -6,6 +6,7 @@ from torchlc.lightcurve.evaluators.clock import ClockTables
 from torchlc.lightcurve.evaluators.contract import Evaluator
 from torchlc.lightcurve.evaluators.exact import ExactGeometry
 from torchlc.lightcurve.evaluators.fixed import FixedTables
+from torchlc.lightcurve.evaluators.learnt import LearntGeometry
 from torchlc.lightcurve.evaluators.stepped import SteppedTables
 from torchlc.lightcurve.pipeline import Pipeline
 
@@ -15,6 +16,8 @@ __all__ = ["Evaluator", "chosen"]
 def chosen(pipeline: Pipeline, sibling: Evaluator | None = None) -> Evaluator:
     """The evaluator of a pipeline. ``sibling``, of a pipeline with the same geometry, lends its tables."""
     assembly = pipeline.assembly
+    if assembly.learns_geometry:
+        return LearntGeometry(pipeline)
     if not assembly.geometry_free:
         kept = sibling.kept if isinstance(sibling, FixedTables) else None
         return FixedTables(pipeline, kept)

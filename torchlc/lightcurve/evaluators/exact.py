@@ -35,12 +35,7 @@ class ExactGeometry(Evaluator):
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
-        found = None
-        if not transformed():
-            if self.gridded:
-                found = self._together(flat, shares)
-            elif not torch.is_grad_enabled():
-                found = self._grouped(flat, shares)
+        found = self._sharing(flat, shares)
         if found is None and theta.ndim == 1:
             return self._single(theta, shares)
         if found is None:
@@ -53,6 +48,14 @@ class ExactGeometry(Evaluator):
             flux, *kept = torch.vmap(one, chunk_size=size)(flat)
             found = Brightness(flux, kept[0] if kept else None, self.assembly.components)
         return self.joined([found], theta)
+
+    def _sharing(self, flat: Tensor, shares: bool) -> Brightness | None:
+        """Rows of theta (B, P) together, with tables that they have in common; None where each stands alone."""
+        if transformed():
+            return None
+        if self.gridded:
+            return self._together(flat, shares)
+        return None if torch.is_grad_enabled() else self._grouped(flat, shares)
 
     @cached_property
     def gridded(self) -> bool:

@@ -87,8 +87,10 @@ class Expansion(Evaluator):
 
     def _check(self) -> None:
         a = self.assembly
-        if not a.geometry_free:
+        if not a.geometry_columns:
             raise UnsuitableError("no free number moves the geometry")
+        if a.learns_geometry:
+            raise UnsuitableError("an effect learns the geometry")
         if len(a.geometry_columns) > MOST_NUMBERS:
             raise UnsuitableError(f"more than {MOST_NUMBERS} numbers move the geometry")
         if a.stage("scatter"):

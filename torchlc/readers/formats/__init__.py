@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pkgutil
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchlc.naming import import_modules
 from torchlc.readers.format import FORMATS, Format, read_head
 from torchlc.readers.roles import assigned
 from torchlc.readers.table import Header, encoding_of
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 def formats() -> list[type[Format]]:
     """Every format in the order in which a file is offered to them."""
-    latest_first = list(reversed(FORMATS.values()))
+    latest_first = [*FORMATS.values()][::-1]
     return sorted(latest_first, key=lambda one: one.order)
 
 
@@ -35,5 +34,4 @@ def read_header(path: Path, reading: Reading | None = None, scene: Scene | None 
     return header
 
 
-for _module in pkgutil.iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+import_modules(__name__, __path__)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from pkgutil import iter_modules
-
+from torchlc.naming import import_modules
 from torchlc.report.figures.contract import Drawn, ReportFigure, by_section, draw_all, png, registry
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+import_modules(__name__, __path__)
 
 __all__ = ["Drawn", "ReportFigure", "by_section", "draw_all", "png", "registry"]

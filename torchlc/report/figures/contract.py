@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from matplotlib.figure import Figure
 
 from torchlc.figures import style
+from torchlc.naming import Registry
 
 INKS = {
     style.INK: "--ink",
@@ -24,14 +25,15 @@ INKS = {
 }
 """Colours of the figures that follow the page's light or dark dress."""
 PNG_DPI = 130
-_KNOWN: dict[str, type[ReportFigure]] = {}
+FIGURES: Registry[type[ReportFigure]] = Registry("figure")
+"""Every figure by its page and name."""
 
 
 class ReportFigure(ABC):
     """One figure of the page of a result. Subclasses set ``name``, the stem of its file, and ``page``, "fit" or
     "diagnosis", whose result their methods get; ``heading`` stands over it, and ``section`` is the section of the
     page that it closes ("" : a section of its own). ``order`` sorts figures of one section. Defining a name again
-    replaces the figure.
+    replaces the figure, with a warning.
     """
 
     name: ClassVar[str]
@@ -43,7 +45,8 @@ class ReportFigure(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        _KNOWN[f"{cls.page}/{cls.name}"] = cls
+        if "name" in cls.__dict__:
+            FIGURES.declared(cls, "name", f"{cls.page}/{cls.name}")
 
     def applies(self, result: Any) -> bool:
         """Whether there is anything to draw."""
@@ -78,8 +81,8 @@ class ReportFigure(ABC):
 
 def registry(page: str) -> list[ReportFigure]:
     """The figures of a page in their order."""
-    found = [cls() for cls in _KNOWN.values() if cls.page == page]
-    return sorted(found, key=lambda one: (one.order, one.name))
+    figures = [cls() for cls in FIGURES.values() if cls.page == page]
+    return sorted(figures, key=lambda figure: (figure.order, figure.name))
 
 
 Drawn = tuple[ReportFigure, Figure]

@@ -8,4 +8,5 @@ from torchlc.report.figures.object import Object
 class DiagnosisObject(Object):
     """The object with the directions of Sun and observer."""
 
+    name = "object"
     page = "diagnosis"

@@ -1,4 +1,4 @@
-"""Shapes that are their own facets: box and plate."""
+"""A box."""
 
 from __future__ import annotations
 
@@ -7,11 +7,28 @@ from typing import Any
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor
 
-from torchlc.shapes.part import Facets, Hull, Part, like, number, unit
+from torchlc.files.numbers import Free, Name, Size
+from torchlc.shapes.component import Component, Side
+from torchlc.shapes.part import CORNERS, Facets, Hull, Part, Surroundings, like, number, unit
 
-CORNERS = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+class BoxKeys(Component):
+    """``size`` along body X, Y, Z before ``rotation``."""
+
+    size: tuple[Size, Size, Size]
+    face_materials: dict[Side, Name] = Field(default_factory=dict)
+
+    def numbers(self) -> dict[str, float | Free]:
+        return {f"size_{axis}": size for axis, size in zip("xyz", self.size, strict=True)}
+
+    def materials(self) -> list[tuple[str, str]]:
+        return [
+            *super().materials(),
+            *((f"face_materials.{face}", name) for face, name in self.face_materials.items()),
+        ]
 
 
 class Box(Part):
@@ -22,9 +39,10 @@ class Box(Part):
     """
 
     kind = "box"
+    keys = BoxKeys
 
-    def __init__(self, component: Any) -> None:
-        super().__init__(component)
+    def __init__(self, component: Any, surroundings: Surroundings) -> None:
+        super().__init__(component, surroundings)
         axes = np.eye(3)
         self.faces = tuple(f"{sign}{axis}" for axis in "XYZ" for sign in "+-")
         special = component.face_materials or {}
@@ -55,39 +73,3 @@ class Box(Part):
 
     def hull_corners(self, facets: Facets) -> Tensor:
         return facets.vertices.flatten(0, 1)[torch.as_tensor(self._corner, device=facets.area.device)]
-
-
-class Plate(Part):
-    """A two-sided rectangle: "front" with normal u x v, and "back" with its own material if it has one."""
-
-    kind = "plate"
-    thin = True
-    hull = Hull.of([[0, 1, 2, 3], [0, 3, 2, 1]])
-
-    def __init__(self, component: Any) -> None:
-        super().__init__(component)
-        self.faces = ("front", "back")
-        self.materials = (component.material, component.back_material or component.material)
-        u = unit(component.u)
-        v = unit(component.v)
-        v = unit(v - (v @ u) * u)
-        normal = np.cross(u, v)
-        self._axes = np.stack([u, v])
-        self._normal = np.stack([normal, -normal])
-        self._corners = np.stack([CORNERS, CORNERS[[0, 3, 2, 1]]])
-        self.front = self.turn @ normal
-
-    def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(self.sizes(values, "size_u", "size_v"))
-        axes = like(self._axes, size)
-        vertices = (like(self._corners, size) * size) @ axes
-        return Facets(
-            vertices=vertices,
-            normal=like(self._normal, size),
-            u=axes[:1].expand(2, 3),
-            area=size.prod().expand(2),
-            centroid=vertices.mean(dim=1),
-        )
-
-    def hull_corners(self, facets: Facets) -> Tensor:
-        return facets.vertices[0]

@@ -327,6 +327,25 @@ def test_what_a_p_value_can_stand_for_is_the_published_bound(p: float, factor: f
     assert math.exp(worth_of_p(p)) == pytest.approx(factor, rel=0.01)
 
 
+def test_an_interruption_gives_the_verdict_so_far(demo) -> None:
+    """Ctrl-C while candidates are refitted: a verdict, with what was examined and what was not."""
+
+    def stop(text: str, _: float) -> None:
+        if text.startswith("leads"):
+            raise KeyboardInterrupt
+
+    found = diagnose(*demo, effects=["zero_point_drift", "background", "saturation"], progress=stop)
+    assert found.verdict in ("adequate", "noise_model")
+    refitted = {
+        row["effect"] for row in found.to_json()["candidates"] if row["delta_log_evidence"] is not None
+    }
+    late = {row["effect"] for row in found.to_json()["unexamined"]}
+    assert (
+        late and late | refitted >= {"zero_point_drift", "background", "saturation"} and not late & refitted
+    )
+    assert any(text.startswith("interrupted") for text in found.warnings)
+
+
 def test_a_budget_that_is_spent_says_what_was_not_examined(demo) -> None:
     """Less than the null takes: every candidate is told, and none is hidden behind a verdict."""
     found = diagnose(*demo, budget=1e-3, effects=["panel_offset", "background"])

@@ -278,19 +278,23 @@ class Search:
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
         self.probes = self.probe_all(at, entries)
-        for entry in entries:
-            if entry not in self.probes:
-                self.unexamined[entry] = "there was no time"
         order = sorted(self.probes, key=lambda entry: -self.probes[entry].score)
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
-                self.unexamined[entry] = "there was no time"
-            elif not self.probes[entry].visible:
+                break
+            if not self.probes[entry].visible:
                 self.invisible.add(entry)
             elif self.affordable(entry, at, self.probes[entry]):
                 self.extend(at, entry, self.probes[entry])
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
+
+    def tell_unexamined(self) -> None:
+        """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""
+        judged = {one.plain for one in (*self.visited, *self.linear)}
+        for entry in self.bench.entries:
+            if (entry,) not in judged and entry not in self.invisible:
+                self.unexamined.setdefault(entry, "there was no time")
 
     def shared_materials(self) -> None:
         """Each hypothesis of the first round, and the scene's own model, from the materials of the leaders: what an effect

@@ -65,6 +65,7 @@ def diagnose(
         _explore(search, found)
     except KeyboardInterrupt:
         clock.stopped = True
+    search.tell_unexamined()
     first_gate = _gate(_as_quoted(search), found, search.probes, seed)
     leader = search.visited[search.leader]
     final_gate = _gate(leader, found, {}, seed)

@@ -16,7 +16,7 @@ from torchlc.stages.effect import Entry
 
 GRID = 24
 """Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""
-MOST_S = 1.0
+MOST_S = 0.5
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
 SEEN = 0.3
@@ -122,10 +122,13 @@ def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target
 
 
 def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Tensor:
-    """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size."""
+    """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size; fewer where each is a
+    geometry that takes long."""
     column = scanned_column(entry)
+    most = max(int(MOST_S / max(seconds_a_geometry(posterior, entry), 1e-9)), FEWEST)
     if column is not None:
         hours = scanned_hours(bench)
+        hours = hours[torch.linspace(0, len(hours) - 1, min(len(hours), most)).long()]
         quantities = effect_class(entry).quantities
         sizes = [torch.full_like(hours, one.typical or 0.0) for one in quantities]
         return torch.stack([*sizes[:column], hours, *sizes[column + 1 :]], -1)
@@ -133,10 +136,9 @@ def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Ten
     count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
     if effect_class(entry).linear:
         count = min(count, LINEAR_GRID)
-    each = seconds_a_geometry(posterior, entry)
-    if each * count > MOST_S:
-        count = max(int(MOST_S / each), FEWEST)
-    return effect_starts(posterior.model.parameter_set, entry, count, torch.Generator().manual_seed(seed))
+    return effect_starts(
+        posterior.model.parameter_set, entry, min(count, most), torch.Generator().manual_seed(seed)
+    )
 
 
 def seconds_a_geometry(posterior: Posterior, entry: str) -> float:

@@ -13,8 +13,10 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnosis import evidence, families, gate, run, search, where
+from torchlc.diagnosis import discrepancy, engine, gate, hypotheses, proof, run, where
+from torchlc.diagnosis import probabilities as odds
 from torchlc.effects import registry
+from torchlc.inference import posterior
 from torchlc.report.listing import effects_listing
 
 project = "torchlc"
@@ -26,26 +28,27 @@ extensions = ["myst_parser", "sphinx.ext.autodoc"]
 html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_substitutions = {
-    "adequate_p": f"{run.ADEQUATE_P:g}",
-    "consistent": f"{search.CONSISTENT:g}",
+    "blocks": proof.BLOCKS,
+    "clean_p": f"{engine.CLEAN_P:g}",
+    "dear": f"{engine.DEAR_FIT_S:g}",
     "draws": gate.DRAWS,
-    "evidence_gain": f"{search.EVIDENCE_GAIN:g}",
-    "excess_share": f"{100 * search.EXCESS_SHARE:g} %",
-    "left_share": f"{100 * search.LEFT_SHARE:g} %",
-    "heldout_gain": f"{search.HELDOUT_GAIN:g}",
-    "longest_tau": f"{evidence.LONGEST_TAU_MIN:g}",
-    "most_effects": search.MOST_EFFECTS,
-    "noise_evidence": f"{run.NOISE_EVIDENCE:g}",
-    "noise_heldout": f"{run.NOISE_HELDOUT:g}",
-    "quick_refits": run.QUICK_REFITS,
+    "draws_z": engine.DRAWS,
+    "family": f"{100 * odds.FAMILY_SHARE:g} %",
+    "gross_p": f"{run.GROSS_P:g}",
+    "law_odds": f"{hypotheses.LAW_ODDS:g}",
+    "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
+    "most_effects": hypotheses.MOST_EFFECTS,
+    "near": f"{engine.NEAR:g}",
+    "noise_odds": f"{hypotheses.NOISE_ODDS:g}",
+    "odd_odds": f"{discrepancy.ODDS:g}",
+    "quick_s": f"{run.QUICK_S:g}",
+    "reach": f"{engine.REACH:g}",
+    "scale_sigma": f"{posterior.SCALE_SIGMA:g}",
     "seen_sigma": f"{where.SEEN_SIGMA:g}",
-    "most_noise": f"{run.MOST_NOISE:g}",
-    "structure_p": f"{run.STRUCTURE_P:g}",
-    "tied": f"{search.TIED:g}",
-    "tied_distance": f"{families.TIED_DISTANCE:g}",
-    "tied_evidence": f"{families.TIED_EVIDENCE:g}",
+    "unknown_odds": f"{odds.UNKNOWN_ODDS:g}",
+    "wide_mag": f"{posterior.WIDE_MAG:g}",
 }
-"""The thresholds of the verdict, as the code has them; fill_numbers.py writes them into the pages."""
+"""The numbers of the verdict, as the code has them; fill_numbers.py writes them into the pages."""
 HERE = Path(__file__).parent
 
 

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 import torchlc
 from tests.bad_input_cases import SCENE
 from torchlc.diagnosis.candidates import check_candidates
-from torchlc.diagnosis.refit import Hypothesis, Workbench
+from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.result import completed_scene
 from torchlc.diagnosis.run import diagnose
-from torchlc.diagnosis.search import candidate_entries
 from torchlc.effects import Entry, registry
 from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood
@@ -63,7 +62,7 @@ def case(tmp_path_factory):
 def every_entry(case) -> list[str]:
     """All effects that a diagnosis could add, noise models too."""
     noise = [name for name, cls in registry().items() if cls.stage == "noise"]
-    return [*candidate_entries(Workbench(case[2]), None), *noise]
+    return [*Workbench(*case[:2]).candidates(None), *noise]
 
 
 def numbers(noise: Noise) -> list[torch.Tensor | None]:
@@ -172,24 +171,22 @@ def test_what_a_diagnosis_completed_is_fitted_from_its_file(case, tmp_path):
     (tmp_path / "completed.toml").write_text(found.completed.to_toml())
     again = torchlc.load(tmp_path / "completed.toml")
     assert again.model.effects == [f"second_material[{ODD}]"]
-    assert_same_model(found.final.refit.model, LightCurve(again, seen))
-    chi2 = float(Likelihood(LightCurve(again, seen)).chi2(found.final.refit.theta))
-    assert chi2 == pytest.approx(found.final.refit.chi2, rel=1e-12)
+    assert_same_model(found.final.model, LightCurve(again, seen))
+    chi2 = float(Likelihood(LightCurve(again, seen)).chi2(found.final.theta))
+    assert chi2 == pytest.approx(found.final.chi2, rel=1e-12)
 
 
 def test_check_candidates_and_diagnose_take_the_same_names(case):
-    _scene, _recording, base = case
-    bench = Workbench(base)
+    scene, recording, base = case
+    bench = Workbench(scene, recording)
     for entry in every_entry(case):
         check_candidates([entry], base)
         if registry()[Entry.parse(entry).name].stage != "noise":
-            assert entry in candidate_entries(bench, [entry])
-            assert all(
-                Entry.parse(one).name == Entry.parse(entry).name for one in candidate_entries(bench, [entry])
-            )
-    only = candidate_entries(bench, ["second_material[body]", "time_offset@curve"])
+            assert entry in bench.candidates([entry])
+            assert all(Entry.parse(one).name == Entry.parse(entry).name for one in bench.candidates([entry]))
+    only = bench.candidates(["second_material[body]", "time_offset@curve"])
     assert only == ["time_offset@curve", "second_material[body]"]
-    assert Workbench(base).likelihood(Hypothesis(("second_material[body]",))).model.names
+    assert bench.likelihood(Hypothesis(("second_material[body]",))).model.names
 
 
 @pytest.mark.parametrize(

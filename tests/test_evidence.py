@@ -1,4 +1,5 @@
-"""The held-out density of outliers: a density, and the right one, by integrals over data and parameter."""
+"""Evidence by importance sampling against closed forms, a grid and a mixture; coordinates with a standard normal prior
+against scipy; the density of unseen rows under outliers against integrals over data and parameter."""
 
 from __future__ import annotations
 
@@ -9,8 +10,12 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from torchlc.diagnosis.evidence import filtered_log_density
+from torchlc.diagnosis.discrepancy import gains
+from torchlc.diagnosis.proof import filtered_log_density
+from torchlc.inference.evidence import StudentMixture, importance, pareto, smoothed
+from torchlc.inference.normal_scores import NormalScores
 from torchlc.noise.outliers import Mixture
+from torchlc.parameters import Free, ParameterSet, Prior
 from torchlc.stages.noise import Law
 
 
@@ -82,3 +87,193 @@ def test_rows_that_are_not_there_count_nothing():
         LAW,
     )
     assert float(cut[0]) == pytest.approx(full, rel=1e-12)
+
+
+# ------------------------------------------------------------------ importance sampling
+
+
+def normal(size: int, spread: float = 1.0, dof: int = 5) -> StudentMixture:
+    return StudentMixture(
+        torch.zeros(1, size, dtype=torch.float64),
+        spread * torch.eye(size, dtype=torch.float64)[None],
+        torch.zeros(1, dtype=torch.float64),
+        dof,
+    )
+
+
+def test_the_proposal_is_the_t_distribution_of_scipy():
+    """Its density, and the covariance of its draws, which for 5 degrees of freedom is 5/3 of its scale; 40,000 draws give a
+    variance of so heavy tails to some 3 %."""
+    scale = np.array([[2.0, 0.6], [0.6, 0.5]])
+    one = StudentMixture(
+        torch.tensor([[1.0, -2.0]], dtype=torch.float64),
+        torch.tensor(scale[None]),
+        torch.zeros(1, dtype=torch.float64),
+    )
+    x = np.array([[0.0, 0.0], [1.0, -2.0], [9.0, 4.0]])
+    expected = stats.multivariate_t([1.0, -2.0], scale, df=5).logpdf(x)
+    np.testing.assert_allclose(one.log_density(torch.tensor(x)), expected, rtol=1e-12)
+    draws = one.draw(40_000, torch.Generator().manual_seed(1)).numpy()
+    np.testing.assert_allclose(np.cov(draws.T), scale * 5 / 3, rtol=0.08)
+
+
+@pytest.mark.parametrize("size", [1, 6, 15])
+def test_the_evidence_of_a_regression_is_the_normal_one(size):
+    """y = M x + noise: log N(y; 0, 1 + M M') within five standard errors, which are what they say."""
+    random = np.random.default_rng(size)
+    m, y = random.normal(size=(30, size)), random.normal(size=30) * 3
+    expected = stats.multivariate_normal(np.zeros(30), np.eye(30) + m @ m.T).logpdf(y)
+    precision = np.eye(size) + m.T @ m
+    mean = np.linalg.solve(precision, m.T @ y)
+    tm, ty = torch.tensor(m), torch.tensor(y)
+
+    def log_density(x):
+        left = ty - x @ tm.T
+        constant = -0.5 * (30 + size) * math.log(2 * math.pi)
+        return constant - 0.5 * left.square().sum(-1) - 0.5 * x.square().sum(-1)
+
+    proposal = StudentMixture(
+        torch.tensor(mean)[None],
+        torch.tensor(np.linalg.inv(precision))[None],
+        torch.zeros(1, dtype=torch.float64),
+    )
+    found = importance(log_density, proposal, 4000, torch.Generator().manual_seed(3))
+    assert found.trusted and 0 < found.error < 0.1
+    assert abs(found.log_z - expected) < 5 * found.error
+    weight = torch.exp(found.log_weight)
+    spread = np.sqrt(np.diag(np.linalg.inv(precision)) / found.effective)
+    np.testing.assert_array_less(np.abs((weight @ found.draws).numpy() - mean), 5 * spread)
+
+
+def test_two_maxima_and_a_bent_ridge_against_a_grid():
+    """A banana and a small peak beside it, in two dimensions: the sum over a grid of 1200 x 1200."""
+
+    def log_density(x):
+        banana = -0.5 * (x[:, 0] / 1.5) ** 2 - 0.5 * ((x[:, 1] - 0.4 * x[:, 0] ** 2) / 0.3) ** 2
+        peak = -0.5 * ((x - x.new_tensor([4.0, -3.0])) / 0.25).square().sum(-1) - 0.7
+        return torch.logaddexp(banana, peak)
+
+    axis = torch.linspace(-9, 12, 1200, dtype=torch.float64)
+    grid = torch.cartesian_prod(axis, axis)
+    step = float(axis[1] - axis[0])
+    expected = float(torch.logsumexp(log_density(grid), 0)) + 2 * math.log(step)
+    proposal = StudentMixture(
+        torch.tensor([[0.0, 0.0], [4.0, -3.0]], dtype=torch.float64),
+        torch.stack([torch.diag(torch.tensor([2.25, 0.09])), 0.0625 * torch.eye(2)]).double(),
+        torch.tensor([0.0, -2.0], dtype=torch.float64),
+    )
+    found = importance(log_density, proposal, 8000, torch.Generator().manual_seed(5), adaptations=3)
+    assert found.log_z == pytest.approx(expected, abs=max(4 * found.error, 0.02))
+    assert found.error < 0.06
+    near = (found.draws - found.draws.new_tensor([4.0, -3.0])).norm(dim=-1) < 1.5
+    share = float(torch.exp(found.log_weight)[near].sum())
+    inside = (grid - grid.new_tensor([4.0, -3.0])).norm(dim=-1) < 1.5
+    height = torch.softmax(log_density(grid), 0)
+    assert share == pytest.approx(float(height[inside].sum()), abs=0.03)
+
+
+def test_a_proposal_that_is_too_narrow_says_so_and_is_adapted():
+    """A normal density of unit variance drawn from one a fifth as wide: k above 0.7, and the integral 1 once adapted."""
+
+    def log_density(x):
+        return -0.5 * x.square().sum(-1) - math.log(2 * math.pi)
+
+    narrow = normal(2, 0.04, dof=40)
+    blind = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=0)
+    assert not blind.trusted
+    seeing = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=12)
+    assert seeing.pareto_k < blind.pareto_k
+    assert abs(seeing.log_z) < 0.15 < abs(blind.log_z)
+
+
+@pytest.mark.parametrize("k", [-0.3, 0.2, 0.8])
+def test_the_shape_of_pareto_excesses_is_found(k):
+    """Draws of scipy's; the estimate's standard deviation is (1 + k) / sqrt(n), 0.02 to 0.04 of 2000."""
+    draws = np.sort(stats.genpareto(k, scale=2.0).rvs(2000, random_state=1))
+    shape, scale = pareto(torch.tensor(draws))
+    assert shape == pytest.approx(k, abs=0.1)
+    assert scale == pytest.approx(2.0, rel=0.15)
+
+
+def test_smoothing_keeps_the_order_and_the_sum():
+    ratio = torch.randn(1000, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    smooth, k = smoothed(ratio)
+    assert k < 0.5
+    assert torch.equal(torch.argsort(smooth), torch.argsort(ratio))
+    assert float(torch.logsumexp(smooth, 0)) == pytest.approx(float(torch.logsumexp(ratio, 0)), abs=0.02)
+
+
+def test_gains_are_the_ratio_of_dense_normal_densities():
+    """log N(y; 0, 1 + J J' + F F') - log N(y; 0, 1 + J J') with full matrices."""
+    random = np.random.default_rng(4)
+    j, f, mean = random.normal(size=(25, 4)), random.normal(size=(25, 3)), random.normal(size=4)
+    u = random.normal(size=25)
+    y, zero = u - j @ mean, np.zeros(25)
+    base = np.eye(25) + j @ j.T
+    expected = stats.multivariate_normal(zero, base + f @ f.T).logpdf(y) - stats.multivariate_normal(
+        zero, base
+    ).logpdf(y)
+    found = gains(torch.tensor(u), torch.tensor(j), torch.tensor(mean), torch.tensor(f)[None])
+    assert float(found[0]) == pytest.approx(expected, abs=1e-9)
+
+
+# ------------------------------------------------------------------ coordinates
+
+
+def parameters(*priors: Prior, pairs: tuple[tuple[int, int], ...] = ()) -> ParameterSet:
+    free = [Free(f"p{index}", prior, 0.5 * (prior.low + prior.high)) for index, prior in enumerate(priors)]
+    return ParameterSet(free, {}, [(f"p{a}", f"p{b}") for a, b in pairs])
+
+
+def test_standard_normal_coordinates_give_the_priors():
+    """Each quantile at Phi(g) against scipy's distributions, and back."""
+    numbers = parameters(
+        Prior("uniform", 2.0, 5.0),
+        Prior("loguniform", 1.0, 1e6),
+        Prior("normal", -math.inf, math.inf, 1.8, 0.2),
+        Prior("normal", 0.0, 1.0, 0.3, 0.4),
+        Prior("halfnormal", 0.0, 2.0, 0.0, 0.05),
+        Prior("lognormal", 0.0, math.inf, 3.0, 0.5),
+        Prior("isotropic", -90.0, 90.0),
+    )
+    scores = NormalScores(numbers)
+    g = torch.linspace(-3, 3, 13, dtype=torch.float64)[:, None].expand(-1, 7)
+    p = stats.norm.cdf(g[:, 0])
+    cut = stats.truncnorm((0 - 0.3) / 0.4, (1 - 0.3) / 0.4, 0.3, 0.4)
+    half = stats.truncnorm(0, 40, 0, 0.05)
+    expected = np.stack(
+        [
+            2 + 3 * p, 10 ** (6 * p), stats.norm(1.8, 0.2).ppf(p), cut.ppf(p), half.ppf(p),
+            stats.lognorm(0.5, scale=3.0).ppf(p), np.degrees(np.arcsin(2 * p - 1)),
+        ],
+        -1,
+    )  # fmt: skip
+    np.testing.assert_allclose(scores.theta(g), expected, rtol=1e-9)
+    torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-6)
+
+
+def test_two_reflectances_are_uniform_on_their_triangle():
+    """20,000 normal coordinates: shares of four equal parts of the triangle, and back."""
+    scores = NormalScores(parameters(Prior("uniform", 0.0, 1.0), Prior("uniform", 0.0, 1.0), pairs=((0, 1),)))
+    g = torch.randn(20_000, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    first, second = scores.theta(g).unbind(-1)
+    assert bool((first + second <= 1).all())
+    corners = [first > 0.5, second > 0.5, first + second < 0.5]
+    shares = [float(one.double().mean()) for one in corners]
+    np.testing.assert_allclose(shares, 0.25, atol=0.01)  # 3 standard deviations
+    torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-5)
+    assert float(scores.correction(g).abs().max()) == 0.0
+
+
+def test_a_pair_with_peaked_priors_has_the_density_of_the_parameter_set():
+    """ln prior + ln |d theta / d g| - ln N(g) - correction is one constant, by finite differences."""
+    numbers = parameters(
+        Prior("normal", 0.0, 1.0, 0.3, 0.2), Prior("normal", 0.0, 1.0, 0.5, 0.3), pairs=((0, 1),)
+    )
+    scores = NormalScores(numbers)
+    g = 0.8 * torch.randn(40, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    step = 1e-5 * torch.eye(2, dtype=torch.float64)
+    columns = [(scores.theta(g + step[k]) - scores.theta(g - step[k])) / 2e-5 for k in range(2)]
+    log_det = torch.linalg.slogdet(torch.stack(columns, -1))[1]
+    density = numbers.log_prior(scores.theta(g)) + log_det + 0.5 * g.square().sum(-1) - scores.correction(g)
+    assert float(density.max() - density.min()) < 1e-6

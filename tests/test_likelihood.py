@@ -14,10 +14,11 @@ from scipy import integrate, stats
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
 from torchlc.diagnosis.gate import Battery, gate
-from torchlc.diagnosis.refit import Hypothesis, linearised
+from torchlc.diagnosis.hypotheses import Hypothesis
 from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood, power_difference
 from torchlc.inference.optimiser import fit_map
+from torchlc.inference.posterior import Posterior, fitted_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.outliers import Mixture
 from torchlc.noise.red_noise import Matern32
@@ -494,7 +495,9 @@ def test_the_gate_of_clean_recordings_is_uniform(tmp_path, ratio):
     for seed in range(50):
         scene, recording, _, _ = faint(tmp_path, ratio, 100, 300 + seed)
         likelihood = Likelihood(LightCurve(scene, recording))
-        best = linearised(likelihood, Hypothesis(), fit_map(likelihood, starts=2, adam_steps=10).theta)
+        posterior = Posterior(likelihood, scaled=False)
+        found = fit_map(likelihood, starts=2, adam_steps=10).theta
+        best = fitted_at(Hypothesis(), posterior, posterior.coordinates(found))
         seconds = likelihood.model.assembly.context.seconds
         battery = Battery(seconds, likelihood.curve, {"time": seconds}, {}, with_chi2=True)
         p.append(gate(best, battery, seed, draws=400).global_p)

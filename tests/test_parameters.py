@@ -12,7 +12,6 @@ from scipy import integrate, stats
 
 import torchlc
 from tests.effects.cases import seen_from, still
-from torchlc.diagnosis.refit import gaussian_prior
 from torchlc.effects import registry
 from torchlc.errors import InputError
 from torchlc.lightcurve.assembly import assemble
@@ -153,15 +152,6 @@ def test_the_sampler_of_the_prior_alone_gives_it_back():
     sines = np.sin(np.radians(theta[:, 0]))
     assert stats.kstest(sines, stats.uniform(-1.0, 1.0 + math.sin(math.radians(60.0))).cdf).pvalue > 1e-3
     assert stats.kstest(theta[:, 1], stats.uniform(-180.0, 360.0).cdf).pvalue > 1e-3
-
-
-def test_the_gaussian_of_an_isotropic_prior_has_the_variance_of_its_sines():
-    parameters = one_by_one(Prior("isotropic", -90.0, 90.0), Prior("isotropic", 0.0, 90.0))
-    _, precision, _ = gaussian_prior(parameters, parameters.to_flat(parameters.start()))
-    normals = np.random.default_rng(7).normal(size=(1_000_000, 3))
-    sines = normals[:, 2] / np.linalg.norm(normals, axis=1)
-    expected = [1 / sines.var(), 1 / sines[sines > 0].var()]
-    np.testing.assert_allclose(torch.diagonal(precision).numpy(), expected, rtol=5e-3)  # a million draws
 
 
 def test_every_direction_of_the_library_is_isotropic():

@@ -314,6 +314,7 @@ def diagnose(
     quick: bool = False,
     effects: Sequence[str] | None = None,
     seed: int = 0,
+    budget: float | None = None,
     out: str | Path | None = None,
     use: str | None = None,
     columns: Columns = None,
@@ -323,8 +324,8 @@ def diagnose(
 ) -> Diagnosis:
     """Say whether physics is missing from the scene's model, which, where, and what that changes.
 
-    ``effects`` limits the candidates (noise is always among them); ``quick`` does without the sampler and
-    most refits. With ``out`` diagnosis.json, figures and report.html are
+    ``effects`` limits the candidates (noise is always among them); ``budget`` is in CPU seconds, after which the verdict
+    says what was not examined; ``quick`` is a budget of 20 s. With ``out`` diagnosis.json, figures and report.html are
     written there.
     """
     from torchlc.diagnosis.candidates import check_candidates
@@ -335,7 +336,7 @@ def diagnose(
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
-        result = run(scene, rows, quick=quick, effects=effects, seed=seed, progress=progress)
+        result = run(scene, rows, quick=quick, effects=effects, seed=seed, budget=budget, progress=progress)
         if directory is not None:
             from torchlc.report.diagnosis_page import write_diagnosis
 

@@ -23,11 +23,11 @@ import torch
 
 import torchlc
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.refit import Hypothesis, refit
 from torchlc.effects import registry
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
 from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Posterior, fit
 from torchlc.readers import Recording
 from torchlc.stages.effect import Entry
 from torchlc.stages.showing import (
@@ -281,7 +281,8 @@ def measured(name: str, case: Shown) -> tuple[dict[str, Any], Mapping[str, np.nd
         seen = holding(theta).numpy()
     lacking = torchlc.LightCurve(with_effects(setting.text, [], {}), replace(recording, observed=seen.copy()))
     without = materials_at(lacking, case.materials)
-    again = refit(Likelihood(lacking), Hypothesis(), without[None])
+    posterior = Posterior(Likelihood(lacking), scaled=False)
+    again = fit(None, posterior, posterior.coordinates(without[None]))
     with torch.no_grad():
         plain = seen - lacking(without).numpy()
         along = {key: value.numpy() for key, value in coordinates(lacking, without).items()}

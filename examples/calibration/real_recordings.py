@@ -19,9 +19,9 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.diagnosis.refit import Refit
 from torchlc.diagnosis.result import effect_parameters
 from torchlc.diagnosis.run import diagnose
+from torchlc.inference.posterior import Fitted
 from torchlc.terminal import quiet_libraries
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -37,7 +37,7 @@ def recordings() -> Iterator[tuple[str, Path, Path]]:
         yield f"mmt9 {number}", track.with_name(f"scene_{number}.toml"), track
 
 
-def scatter(refit: Refit) -> dict[str, float]:
+def scatter(refit: Fitted) -> dict[str, float]:
     """Robust sigma of all residuals, mag, and the median over curves of their rms, in mag or of their mean."""
     left = (refit.delta / refit.scale).numpy()
     curve = refit.model.recording.curve
@@ -64,12 +64,12 @@ def told(scene_file: Path, recording_file: Path) -> dict[str, Any]:
         **{key: content[key] for key in keys},
         "law": found.law,
         "parameters": {
-            entry: effect_parameters(found.final.refit, entry)
+            entry: effect_parameters(found.final, entry)
             for entry in found.final.hypothesis.added
             if "@" not in entry  # offsets of single curves are too many to tell
         },
-        "before": scatter(found.baseline.refit),
-        "after": scatter(found.final.refit),
+        "before": scatter(found.baseline),
+        "after": scatter(found.final),
         "candidates": [
             {key: row[key] for key in ("effect", "target", "per", "delta_log_evidence")}
             for row in content["candidates"][:MOST]

@@ -16,8 +16,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.evidence import NoiseModel, Scorer
-from torchlc.diagnosis.refit import Refit
+from torchlc.inference.posterior import Fitted
 
 DRAWS = 2000
 LAGS = (1, 2, 4, 8)
@@ -128,47 +127,34 @@ def runs(mask: Tensor) -> list[tuple[int, int]]:
     )
 
 
-def residual_projection(refit: Refit) -> Tensor:
-    """Orthonormal basis Q (T + n, P) of what the baseline can absorb, prior rows below the data.
+def normal_scores(at: Fitted) -> Tensor:
+    """Residuals (T,) as standard normal numbers if the noise is right: the normal deviates of the law's own, whitened where
+    rows err together."""
+    if at.noise.processes:
+        return at.whitened(at.delta[:, None])[:, 0]
+    u = at.delta / at.wide
+    if at.noise.normal:
+        return u
+    below = torch.exp(at.noise.law.log_below(-u.abs()))
+    return torch.sign(u) * -torch.special.ndtri(below.clamp(min=1e-300))
 
-    Flat priors give no row; a peaked prior gives one.
+
+def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gate:
+    """The battery on a fit's residuals against draws of its null, under its noise.
+
+    Strained peaked priors count as rows of their own; how a flat one is strained says nothing.
     """
-    m = refit.slopes / refit.sigma[:, None]
-    whole = torch.cat([m, refit.prior_rows])
-    if refit.likelihood.gains:
-        prediction = refit.prediction / refit.sigma
-        gains = torch.zeros(len(whole), refit.likelihood.curves, dtype=m.dtype)
-        gains[torch.arange(len(m)), refit.likelihood.curve] = prediction
-        whole = torch.cat([whole, gains], 1)
-    u, s, _ = torch.linalg.svd(whole, full_matrices=False)
-    keep = s > 1e-10 * s.max() if len(s) else s > 0
-    return u[:, keep]
-
-
-def gate(
-    refit: Refit,
-    battery: Battery,
-    seed: int = 0,
-    draws: int = DRAWS,
-    noise: NoiseModel | None = None,
-    scorer: Scorer | None = None,
-) -> Gate:
-    """The battery on a refit's residuals against draws of its null; whitened by a noise model first if one is
-    given."""
-    if noise is not None and scorer is not None and noise.kind is not None:
-        refit = scorer.whitened(refit, noise)
-    basis = residual_projection(refit)
-    rows = len(refit.delta)
+    basis = torch.linalg.qr(at.tangent)[0]
+    rows = len(at.delta)
+    free = at.model.parameter_set.free
+    peaked = [rows + index for index, one in enumerate(free) if one.prior.peaked]
     generator = torch.Generator().manual_seed(seed)
-    z = torch.randn(draws, len(basis), generator=generator, dtype=refit.delta.dtype)
+    z = torch.randn(draws, len(basis), generator=generator, dtype=at.delta.dtype)
     z = z - (z @ basis) @ basis.T
-    u = (refit.delta / refit.sigma)[None]
-    prior = refit.model.parameter_set.prior_residuals(refit.theta)[None]
-    null_u, null_prior = z[:, :rows], z[:, rows:]
-    if refit.likelihood.fitted_errors:
-        u, null_u = (
-            _studentised(one, refit.likelihood.curve, refit.likelihood.curves) for one in (u, null_u)
-        )
+    u, null_u = normal_scores(at)[None], z[:, :rows]
+    prior, null_prior = at.g[None, [index - rows for index in peaked]], z[:, peaked]
+    if at.likelihood.fitted_errors:
+        u, null_u = (_studentised(one, at.likelihood.curve, at.likelihood.curves) for one in (u, null_u))
     observed = battery.statistics(u, prior)
     null = battery.statistics(null_u, null_prior)
     marginal, null_minimum = {}, torch.zeros(draws, dtype=u.dtype)

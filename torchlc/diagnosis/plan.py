@@ -11,11 +11,12 @@ import torch
 from astropy.time import Time, TimeDelta
 from torch import Tensor
 
-from torchlc.diagnosis.refit import Refit
-from torchlc.diagnosis.search import Found
 from torchlc.errors import TorchlcError
 from torchlc.geometry.orbit import above_horizon, make_track
 from torchlc.geometry.orbit.grid import observation_grid
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.normal_scores import FARTHEST
+from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording
@@ -40,16 +41,16 @@ class Option:
     margin: float
 
 
-def next_nights(first: Found, second: Found) -> list[Option]:
+def next_nights(first: Fitted, second: Fitted) -> list[Option]:
     """Candidate nights in order of the expected margin between two refits; empty where the orbit cannot be
     carried to another night."""
-    model = first.refit.model
+    model = first.model
     scene, recording = model.scene, model.recording
     if not scene.orbit.known:
         return []
     hours = float(recording.seconds[-1] - recording.seconds[0]) / 3600
     hours = min(max(hours, 0.5), 10.0)
-    error = float(torch.median(first.refit.sigma / first.refit.scale))
+    error = float(torch.median(first.wide / first.scale))
     exposure = None if recording.exptime is None else float(np.median(recording.exptime))
     options = []
     for station in scene.stations:
@@ -58,7 +59,7 @@ def next_nights(first: Found, second: Found) -> list[Option]:
             grid = _grid(scene, start, hours, station.id, error, exposure)
             if grid is None:
                 continue
-            margin = _margin(first.refit, second.refit, scene, grid)
+            margin = _margin(first, second, scene, grid)
             if margin is not None:
                 options.append(Option(str(start.isot)[:16], station.id, hours, hours * 3600 / ROWS, margin))
     return sorted(options, key=lambda one: -one.margin)
@@ -81,7 +82,7 @@ def _grid(
     return replace(grid, observed=np.zeros(rows), error=np.full(rows, error), exptime=exptime, kind="mag")
 
 
-def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float | None:
+def _margin(first: Fitted, second: Fitted, scene: Scene, grid: Recording) -> float | None:
     """Half the squared distance between the two predictions, less what the uncertainty of either's parameters
     could absorb."""
     try:
@@ -96,24 +97,23 @@ def _margin(first: Refit, second: Refit, scene: Scene, grid: Recording) -> float
     difference = (a - b)[usable] / sigma
     slopes = [slope[usable] / sigma[:, None] for slope in (slopes_a, slopes_b)]
     spread = torch.eye(len(difference), dtype=difference.dtype)
-    for slope, refit in zip(slopes, (first, second), strict=True):
-        spread = spread + slope @ refit.covariance() @ slope.T
+    for slope, fitted in zip(slopes, (first, second), strict=True):
+        spread = spread + slope @ fitted.covariance @ slope.T
     return 0.5 * float(difference @ torch.linalg.solve(spread, difference))
 
 
-def _prediction(refit: Refit, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
-    """Magnitudes (T,) and their slopes (T, P) in flat coordinates at a refit's parameters on another
-    night."""
-    entries = [one.entry for one in refit.model.effects if one.stage != "noise"]
+def _prediction(fitted: Fitted, scene: Scene, grid: Recording) -> tuple[Tensor, Tensor]:
+    """Magnitudes (T,) and their slopes (T, P) at a fit's coordinates on another night."""
+    entries = [one.entry for one in fitted.model.effects]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
-    parameters = model.parameter_set
-    if parameters.names != refit.names:
+    if model.parameter_set.names != fitted.names:
         raise TorchlcError("the night has other parameters than the recording")
-    low, high = parameters.flat_bounds()
+    night = Posterior(Likelihood(model), scaled=fitted.posterior.scaled)
+    far = torch.full_like(fitted.g, FARTHEST + 1)
     with torch.no_grad():
-        magnitude = model(refit.theta)
-        slopes = differences(lambda y: model(parameters.from_flat(y)), refit.y[None], low, high)[0]
-    return magnitude, torch.where(refit.held, 0.0, slopes)
+        magnitude = model(fitted.theta)
+        slopes = differences(lambda g: model(night.theta(g)), fitted.g[None], -far, far)[0]
+    return magnitude, slopes
 
 
 def sentence(options: Sequence[Option], first: str, second: str, fixed_orbit: bool) -> str:

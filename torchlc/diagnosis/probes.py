@@ -8,15 +8,19 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
-from torchlc.diagnosis.gate import residual_projection
-from torchlc.diagnosis.refit import Refit, Workbench, effect_columns, effect_starts, is_slow
+from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
 from torchlc.effects import effect_class
 from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.stages.effect import Entry
 
 GRID = 24
 """Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""
-SLOW_GRID = 16
+MOST_S = 0.5
+"""CPU seconds that the values of one effect may take where each is a geometry of its own."""
+FEWEST = 4
+SEEN = 0.3
+"""Root sum of squares, in errors of a row: such a change gains 0.05 in log density at most."""
 LINEAR_GRID = 2
 """Of an effect whose parameter only scales its light, so that one value looks like another."""
 MOST_SCANNED = 400
@@ -40,6 +44,10 @@ class Probe:
     signatures: Tensor
     scores: Tensor
     aimed: Tensor
+    moved: Tensor
+    """Whitened change of the light, (G, T)."""
+    visible: bool
+    """Whether any of the values changes what the scene's own parameters cannot take up by SEEN errors of a row."""
     together: float = 0.0
     """What the parts of a divided offset score together, less the one that each would in pure noise."""
 
@@ -48,14 +56,14 @@ class Probe:
         return float(self.scores.max()) if len(self.scores) else self.together
 
 
-def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
-    """Signatures of ``entry`` added to a refit, over a ladder or cloud of its parameters; of a divided offset
-    only what its parts score together."""
-    hypothesis = at.hypothesis.with_effect(entry)
-    likelihood = bench.likelihood(hypothesis)
-    columns = effect_columns(likelihood.model.parameter_set, entry)
+def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: int) -> Probe:
+    """Signatures of ``entry`` added to a refit, whose ``posterior`` is that with it, over a ladder or cloud of its
+    parameters; of a divided offset only what its parts score together."""
+    likelihood = posterior.likelihood
+    parameters = likelihood.model.parameter_set
+    columns = effect_columns(parameters, entry)
     per = Entry.parse(entry).per
-    theta = bench.start(hypothesis, at.theta[None], at.names)
+    theta = carried(parameters, at.theta[None], at.names)
 
     def change(psi: Tensor) -> Tensor:
         many = theta.repeat(len(psi), 1)
@@ -65,18 +73,16 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
         return torch.nan_to_num(moved)
 
     context = bench.base.context
-    basis = residual_projection(at)
-    u = torch.cat([at.delta / at.sigma, at.model.parameter_set.prior_residuals(at.theta)])
-    u[len(at.delta) :] = -u[len(at.delta) :]
-    psi = _tried(bench, likelihood, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
+    basis = torch.linalg.qr(at.tangent)[0]
+    u = torch.cat([at.delta / at.sigma, at.g])
+    psi = _tried(bench, posterior, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
     sought = psi[:0] if per is not None else _sought(bench, likelihood, entry, Target(u, basis, change))
     psi = torch.cat([psi, sought])
     moved = change(psi)
-    likelihood.model.forget()
     if per is not None:
         part = context.curve if per == "curve" else context.night
         moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)
-    padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.prior_rows))], 1)
+    padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
     projected = padded - (padded @ basis) @ basis.T
     norm = torch.linalg.vector_norm(projected, dim=1)
     raw = torch.linalg.vector_norm(moved, dim=1)
@@ -86,9 +92,20 @@ def probe(bench: Workbench, at: Refit, entry: str, seed: int) -> Probe:
     signatures = unit[:, : len(at.delta)]
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
-        return Probe(entry, psi[:0], signatures[:0], scores[:0], usable[:0], together)
+        return Probe(
+            entry,
+            psi[:0],
+            signatures[:0],
+            scores[:0],
+            usable[:0],
+            moved[:0],
+            bool((norm > SEEN).any()),
+            together,
+        )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
-    return Probe(entry, psi[usable], signatures, scores, aimed[usable])
+    return Probe(
+        entry, psi[usable], signatures, scores, aimed[usable], moved[usable], bool((norm > SEEN).any())
+    )
 
 
 def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target) -> Tensor:
@@ -104,21 +121,32 @@ def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target
     return target.residual.new_zeros(0, len(columns))
 
 
-def _tried(bench: Workbench, likelihood: Likelihood, entry: str, seed: int) -> Tensor:
-    """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size."""
+def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Tensor:
+    """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size; fewer where each is a
+    geometry that takes long."""
     column = scanned_column(entry)
+    most = max(int(MOST_S / max(seconds_a_geometry(posterior, entry), 1e-9)), FEWEST)
     if column is not None:
         hours = scanned_hours(bench)
+        hours = hours[torch.linspace(0, len(hours) - 1, min(len(hours), most)).long()]
         quantities = effect_class(entry).quantities
         sizes = [torch.full_like(hours, one.typical or 0.0) for one in quantities]
         return torch.stack([*sizes[:column], hours, *sizes[column + 1 :]], -1)
-    dimensions = len(effect_columns(likelihood.model.parameter_set, entry))
+    dimensions = len(effect_columns(posterior.model.parameter_set, entry))
     count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
     if effect_class(entry).linear:
         count = min(count, LINEAR_GRID)
-    if is_slow(likelihood.model):
-        count = min(count, SLOW_GRID)
-    return effect_starts(likelihood, entry, count, torch.Generator().manual_seed(seed))
+    return effect_starts(
+        posterior.model.parameter_set, entry, min(count, most), torch.Generator().manual_seed(seed)
+    )
+
+
+def seconds_a_geometry(posterior: Posterior, entry: str) -> float:
+    """CPU seconds that each value of an effect's own parameters takes, 0 where they leave the geometry as it is."""
+    model = posterior.model
+    if not set(model.assembly.geometry_columns) & set(effect_columns(model.parameter_set, entry)):
+        return 0.0
+    return posterior.seconds_each
 
 
 def divided_step(entry: str) -> float:

@@ -13,17 +13,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.evidence import Scorer
+from torchlc.diagnosis.alternatives import NOMINAL
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
+from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
 from torchlc.diagnosis.plan import Option
-from torchlc.diagnosis.probes import Probe
-from torchlc.diagnosis.refit import Refit, effect_columns
-from torchlc.diagnosis.rejected_hypotheses import told
-from torchlc.diagnosis.search import Found
+from torchlc.diagnosis.probabilities import TOLD, Probabilities
+from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.diagnosis.words import added_values, lines
+from torchlc.diagnosis.words import added_values, lines, probability
+from torchlc.effects import with_title
 from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
+from torchlc.inference.posterior import Fitted
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
@@ -36,41 +38,56 @@ if TYPE_CHECKING:
 
     from torchlc.figures.curves import Comparison
 
-SCHEMA = "torchlc-diagnosis/1"
+SCHEMA = "torchlc-diagnosis/2"
 DRAWS = 4000
+MOST_SETS = 12
+BAD_ROW = 0.5
+"""Probability above which a row is told to be an outlier."""
+CURVE_POINTS = 64
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """``verdict`` with what it rests on: ``gate`` of the baseline and ``final_gate`` of the final model,
-    every first-round refit in ``first`` (best first), the ``named`` effects with their ``families``, and
-    ``where`` they act."""
+    """What a ``search`` found and how probable it is (``odds``), from which ``verdict``, ``named`` and ``families`` are read
+    off; ``gate`` of the scene's own model, ``baseline``, and ``final_gate`` of the ``final`` one, ``where`` they differ, and
+    the ``proof``: how models predict rows that they have not seen, by name."""
 
-    verdict: str
+    search: Search
+    odds: Probabilities
     gate: Gate
     final_gate: Gate
-    baseline: Found
-    final: Found
-    named: Sequence[str]
-    families: Sequence[Sequence[str]]
-    first: Sequence[Found]
-    probes: Mapping[str, Probe]
+    baseline: Fitted
+    final: Fitted
     where: Where | None
     coordinates: Mapping[str, Tensor]
-    scorer: Scorer
+    proof: Mapping[str, Unseen]
     quick: bool
-    seed: int
     seconds: float
     untried: Mapping[str, str] = field(default_factory=dict)
     """Why, by entry, an effect was no candidate although it was asked for, or could act."""
-    others: Sequence[Found] = ()
-    """Every refit of more effects than one that was made on the way."""
-    doubt: str = ""
-    """Why what describes the recording best is not named, where that is so."""
-    law: str = ""
-    """Another law of reflection under which the recording is described better than under the scene's own."""
     nights: Sequence[Option] = ()
     next_observation: str = ""
+
+    @property
+    def verdict(self) -> str:
+        return self.odds.verdict
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        return self.odds.named
+
+    @property
+    def families(self) -> tuple[tuple[str, ...], ...]:
+        return self.odds.families
+
+    @property
+    def seed(self) -> int:
+        return self.search.seed
+
+    @property
+    def law(self) -> str:
+        """Another law of reflection under which the recording is described better than under the scene's own."""
+        return self.final.hypothesis.law
 
     def __repr__(self) -> str:
         return "\n".join(["Diagnosis: " + self.verdict, *self.lines()])
@@ -83,7 +100,11 @@ class Diagnosis:
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
         untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
-        return list(dict.fromkeys([*left_out(self.recording), *self.model.warnings, *untried, *self.limits]))
+        late = [f"{entry} was not examined: {reason}" for entry, reason in self.search.unexamined.items()]
+        warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
+        if self.search.clock.stopped:
+            warned.append("interrupted: the verdict is that of what had been examined")
+        return list(dict.fromkeys(warned))
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
@@ -117,12 +138,12 @@ class Diagnosis:
     @property
     def model(self) -> LightCurve:
         """The final model."""
-        return self.final.refit.model
+        return self.final.model
 
     @cached_property
     def view(self) -> View:
         """Geometry of every row at the final model's best parameters."""
-        return bare_view(self.model, self.final.refit.theta)
+        return bare_view(self.model, self.final.theta)
 
     @property
     def recording(self) -> Recording:
@@ -131,41 +152,42 @@ class Diagnosis:
     @property
     def prediction(self) -> np.ndarray:
         """The final model in the recording's unit, (T,)."""
-        return self.final.refit.prediction.numpy()
+        return self.final.prediction.numpy()
 
     @property
     def comparison(self) -> Comparison:
         """Recording, the baseline refitted, and the final model; rows where they differ are marked."""
         from torchlc.figures.curves import Comparison
 
-        before, after = self.baseline.refit, self.final.refit
+        before, after = self.baseline, self.final
         return Comparison(
             self.recording,
             self.prediction,
-            after.sigma.expand(len(self.recording)).numpy(),
+            after.wide.numpy(),
             before=before.prediction.numpy() if after.hypothesis.added else None,
             marked=None if self.where is None else self.where.rows.numpy(),
+            outlying=(self.final.outlying() > BAD_ROW).numpy(),
         )
 
     @property
     def added(self) -> dict[str, str]:
         """Values of the parameters that the final model adds, by effect and name, ready to print."""
-        refit = self.final.refit
+        refit = self.final
         return added_values({entry: effect_parameters(refit, entry) for entry in self.final.hypothesis.added})
 
     @property
     def completed(self) -> Scene:
         """The scene with the named effects in its list, to be fitted next; the scene itself where nothing is
         named."""
-        scene = self.baseline.refit.model.scene
+        scene = self.baseline.model.scene
         if self.verdict != "missing_physics":
             return scene
-        return completed_scene(scene, self.final.refit.model.effects)
+        return completed_scene(scene, self.final.model.effects)
 
     @cached_property
     def limits(self) -> list[str]:
         """What the approximations of the final model amount to, where that is worth telling."""
-        return limits(self.final.refit.model, self.final.refit.theta)
+        return limits(self.final.model, self.final.theta)
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
@@ -174,7 +196,7 @@ class Diagnosis:
     @cached_property
     def content(self) -> dict[str, Any]:
         """What :meth:`to_json` gives, worked out once."""
-        recording = self.baseline.refit.model.recording
+        recording = self.baseline.model.recording
         time = [str(one) for one in cast(Any, recording.time.isot)]
         stations = (
             [recording.station_ids[i] for i in recording.station]
@@ -193,98 +215,220 @@ class Diagnosis:
                 "candidates": self.candidates(),
                 "where": None if self.where is None else as_json(self.where, time, stations),
                 "improvement": self.improvement(),
-                "materials": {"before": materials(self.baseline.refit), "after": materials(self.final.refit)},
+                "materials": {"before": materials(self.baseline), "after": materials(self.final)},
                 "remaining": self.remaining(),
                 "doubt": self.doubt,
                 "limits": self.limits,
+                "probabilities": self.probabilities(),
+                "outliers": self.outliers(time, stations),
+                "discrepancy": self.discrepancy(),
+                "proof": self.proven(),
                 "next_observation": self.next_observation,
-                "sets": told(self.others, self.final, self.baseline),
+                "sets": self.sets(),
                 "nights": [vars(night) for night in self.nights[:8]],
                 "untried": [{"effect": entry, "reason": reason} for entry, reason in self.untried.items()],
+                "unexamined": [
+                    {"effect": entry, "reason": reason} for entry, reason in self.search.unexamined.items()
+                ],
                 "seconds": self.seconds,
             }
         )
 
-    def candidates(self) -> list[dict[str, Any]]:
-        """Every effect tried, best first: refitted ones by evidence, noise models among them, the rest by
-        score.
+    @property
+    def doubt(self) -> str:
+        """Why nothing is named although something is missing: what comes nearest, and how near."""
+        if self.verdict != "unexplained":
+            return ""
+        near = [
+            f"{with_title(name)} {probability(p)}"
+            for name, p in list(self.odds.effects.items())[:3]
+            if p >= 0.005
+        ]
+        if self.law == NOMINAL:
+            return "sizes of the components some per cent from the scene's explain it as well as anything"
+        return f"nearest in the library: {', '.join(near)}" if near else ""
 
-        Gains are over the baseline with white noise: of an effect with white noise too, of noise alone.
+    def probabilities(self) -> dict[str, Any]:
+        """The probabilities that the verdict is read off."""
+        odds = self.odds
+        return {
+            "told": odds.told,
+            "nothing_missing": odds.nothing,
+            "noise": odds.noise,
+            "noise_kinds": dict(odds.kinds),
+            "effects": dict(odds.effects),
+            "not_in_library": odds.unknown,
+            "something_beside": odds.leftover,
+        }
+
+    def candidates(self) -> list[dict[str, Any]]:
+        """Every effect tried, best first: refitted ones by evidence, kinds of noise among them, the rest by score.
+
+        Gains are over the scene's own model with the errors as quoted.
         """
-        rows = []
-        base = self.baseline
-        white, heldout_white = base.score.white
-        for found in self.first:
-            (entry,), (plain,) = found.hypothesis.added, found.hypothesis.plain
+        search, rows = self.search, []
+        plain = search.visited[Hypothesis()].log_z
+
+        def best(added: tuple[str, ...]) -> Fitted | None:
+            chosen = [one for one in search.visited if one.plain == added and (one.noise or not one.added)]
+            chosen += [one for one in search.visited if one.plain == added and not one.noise and one.added]
+            return search.visited[search.ranked(chosen)[0]] if chosen else None
+
+        for entry, found in search.probes.items():
+            at = best((entry,))
             rows.append(
                 {
-                    **_names(entry),
-                    "score": self.probes[plain].score,
-                    "p": self.gate.marginal.get(f"signature {plain}"),
-                    "delta_log_evidence": found.score.white[0] - white,
-                    "heldout_delta_log_likelihood": found.score.white[1] - heldout_white,
-                    "parameters": effect_parameters(found.refit, entry),
-                    "chi2_after": found.refit.chi2,
+                    **_names(entry if at is None else at.hypothesis.added[0]),
+                    "score": found.score,
+                    "p": self.gate.marginal.get(f"signature {entry}"),
+                    "probability": self.odds.effects.get(Entry.parse(entry).name, 0.0),
+                    "delta_log_evidence": None if at is None else at.log_z - plain,
+                    "heldout_delta_log_likelihood": self._foreseen(at),
+                    "parameters": {} if at is None else effect_parameters(at, entry),
+                    "chi2_after": None if at is None else at.chi2,
                 }
             )
-        rows += [
-            {
-                **_names(kind),
-                "score": None,
-                "p": None,
-                "delta_log_evidence": value - white,
-                "heldout_delta_log_likelihood": heldout - heldout_white,
-                "parameters": {},
-                "chi2_after": base.refit.chi2,
-            }
-            for kind, (value, heldout) in base.score.by_kind.items()
-        ]
-        rows.sort(key=lambda row: -row["delta_log_evidence"])
-        tried = {found.hypothesis.plain[0] for found in self.first}
-        untried = [entry for entry in self.probes if entry not in tried]
-        rows += [
-            {
-                **_names(entry),
-                "score": self.probes[entry].score,
-                "p": self.gate.marginal.get(f"signature {entry}"),
-                "delta_log_evidence": None,
-                "heldout_delta_log_likelihood": None,
-                "parameters": {},
-                "chi2_after": None,
-            }
-            for entry in sorted(untried, key=lambda one: -self.probes[one].score)
-        ]
-        return rows
+        for hypothesis in search.visited:
+            if (
+                hypothesis.added
+                or hypothesis.law
+                or len(hypothesis.noise) != 1
+                or hypothesis.noise == (SCALE,)
+            ):
+                continue
+            at = search.visited[hypothesis]
+            rows.append(
+                {
+                    **_names(hypothesis.noise[0]),
+                    "score": None,
+                    "p": None,
+                    "probability": self.odds.kinds.get(hypothesis.noise[0], 0.0),
+                    "delta_log_evidence": at.log_z - plain,
+                    "heldout_delta_log_likelihood": self._foreseen(at),
+                    "parameters": {},
+                    "chi2_after": at.chi2,
+                }
+            )
+        untried = [row for row in rows if row["delta_log_evidence"] is None]
+        tried = [row for row in rows if row["delta_log_evidence"] is not None]
+        tried.sort(key=lambda row: -row["delta_log_evidence"])
+        return [*tried, *sorted(untried, key=lambda row: -row["score"])]
+
+    def _foreseen(self, at: Fitted | None) -> float | None:
+        """What a model gains over the scene's own, errors as quoted, in log density of unseen rows, where it was asked."""
+        shown = {"final": self.final, "null": self.baseline}
+        name = next((key for key, one in shown.items() if one is at and key in self.proof), None)
+        if name is None or "as quoted" not in self.proof:
+            return None
+        return self.proof[name].total - self.proof["as quoted"].total
+
+    def sets(self) -> list[dict[str, Any]]:
+        """The sets beside the final one, best first, with the odds against each; of sets of the same names the best."""
+        known = {frozenset(self.final.hypothesis.names)}
+        rows = []
+        for one in self.search.ranked():
+            members = frozenset(one.names)
+            if members in known or len(one.added) < 2:
+                continue
+            known.add(members)
+            at = self.search.visited[one]
+            behind = self.search.log_odds(self.final.hypothesis) - self.search.log_odds(one)
+            rows.append(
+                {
+                    "effects": list(one.plain),
+                    "delta_log_evidence": at.log_z - self.final.log_z,
+                    "heldout_delta_log_likelihood": None,
+                    "chi2_after": at.chi2,
+                    "why_not": f"odds of {math.exp(min(behind, 30.0)):.2g} to 1 against it"
+                    if behind > 0
+                    else "no more probable than the answer, noise and targets taken together",
+                }
+            )
+        return rows[:MOST_SETS]
 
     def improvement(self) -> dict[str, Any]:
-        before, after = self.baseline.refit, self.final.refit
+        before, after = self.baseline, self.final
+        unseen = {key: self.proof[key].rms if key in self.proof else None for key in ("null", "final")}
         return {
             "chi2_before": before.chi2,
             "chi2_after": after.chi2,
             "dof": after.likelihood.degrees_of_freedom,
             "rms_before": _rms(before.off_mag),
             "rms_after": _rms(after.off_mag),
-            "heldout_rms_before": self.scorer.heldout_rms(before),
-            "heldout_rms_after": self.scorer.heldout_rms(after),
+            "heldout_rms_before": unseen["null"],
+            "heldout_rms_after": unseen["final"],
+        }
+
+    def proven(self) -> dict[str, Any]:
+        """Log density and root mean square of rows that the fits had not seen, and what the answer gains over the others."""
+        models = {"null": self.baseline, "final": self.final}
+        rows = {
+            name: {
+                "effects": list(models[name].hypothesis.plain) if name in models else None,
+                "log_density": found.total,
+                "rms_mag": found.rms,
+                "blocks": len(found.log_density),
+            }
+            for name, found in self.proof.items()
+        }
+        gains = {
+            name: dict(zip(("difference", "error"), difference(self.proof["final"], found), strict=True))
+            for name, found in self.proof.items()
+            if name != "final" and "final" in self.proof
+        }
+        return {"models": rows, "gain_of_final_over": gains}
+
+    def outliers(self, time: Sequence[str], stations: Sequence[str]) -> list[dict[str, Any]]:
+        """Rows that are probably bad, in order of time."""
+        bad = self.final.outlying()
+        order = np.argsort(self.recording.seconds)
+        return [
+            {"time": time[row], "station": stations[row], "probability": float(bad[row])}
+            for row in order.tolist()
+            if float(bad[row]) > BAD_ROW
+        ]
+
+    def discrepancy(self) -> dict[str, Any] | None:
+        """The shape of what no effect describes, in its best coordinate, with its probability; null where none is likely."""
+        odd = self.search.strongest()
+        if odd is None or self.odds.unknown + self.odds.leftover < TOLD:
+            return None
+        name = "time" if odd.coordinate not in self.coordinates else odd.coordinate
+        value = self.coordinates[name]
+        order = torch.argsort(value)
+        some = order[torch.linspace(0, len(order) - 1, min(CURVE_POINTS, len(order))).long()]
+        rows = self.coordinates["time"][odd.rows]
+        return {
+            "coordinate": odd.coordinate,
+            "beside": list(odd.beside.plain),
+            "log_evidence_gained": odd.log_gain,
+            "values": value[some].tolist(),
+            "mag": odd.curve[some].tolist(),
+            "band_mag": odd.band[some].tolist(),
+            "rows": int(odd.rows.sum()),
+            "seconds": [float(rows.min()), float(rows.max())],
         }
 
     def remaining(self) -> dict[str, Any]:
-        p = self.final_gate.global_p
-        refit = self.final.refit
-        left = (
-            f"rms {_rms(refit.off_mag):.3f} mag"
-            if refit.likelihood.fitted_errors
-            else f"chi2 {refit.chi2:.0f} for {refit.likelihood.degrees_of_freedom} degrees of freedom"
-        )
-        if p >= 0.01:
+        p, at = self.final_gate.global_p, self.final
+        left = f"rms {_rms(at.off_mag):.3f} mag"
+        if not at.likelihood.fitted_errors and at.noise.normal and not at.noise.processes:
+            left = f"chi2 {at.chi2:.0f} for {at.likelihood.degrees_of_freedom} degrees of freedom"
+        beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unknown
+        if beside < TOLD:
             note = f"nothing that the data show: {left}"
         else:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
             note = f"structure is left: {left}, strongest in the statistic '{worst}'"
-            kind = self.final.score.noise.kind
-            if kind is not None:
-                note += f"; described by {kind.name} ({kind.title})"
-        if self.law:
+            odd = self.search.strongest()
+            if odd is not None and odd.log_gain > 0:
+                note += f"; it follows {odd.coordinate}"
+        if at.hypothesis.noise:
+            kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
+            note += f"; rows err by {' and '.join(kinds)}"
+        if SCALE in at.hypothesis.noise:
+            note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]
+        if self.law and self.law != NOMINAL:
             note += f"; the surfaces follow the law {self.law} better than that of the scene"
         return {"global_p": p, "note": note}
 
@@ -315,26 +459,13 @@ def _names(entry: str) -> dict[str, str | None]:
     return {"effect": parsed.name, "target": parsed.target, "per": parsed.per}
 
 
-def materials(refit: Refit) -> dict[str, dict[str, float]]:
-    """Median, sd and 90 % interval of every free material parameter, from the posterior's minima, each linear in
-    flat coordinates and weighed by its mass."""
-    parameters = refit.model.parameter_set
+def materials(at: Fitted) -> dict[str, dict[str, float]]:
+    """Median, sd and 90 % interval of every free material parameter, from the draws of its evidence."""
+    parameters = at.model.parameter_set
     names = [i for i, free in enumerate(parameters.free) if free.origin.role == "materials"]
     if not names:
         return {}
-    generator = torch.Generator().manual_seed(0)
-    low, high = parameters.flat_bounds()
-    modes = [refit, *refit.others]
-    weight = torch.softmax(torch.tensor([mode.log_mass for mode in modes], dtype=refit.y.dtype), 0)
-    member = torch.multinomial(weight, DRAWS, replacement=True, generator=generator)
-    draws = refit.y.new_empty(DRAWS, len(parameters))
-    for number, mode in enumerate(modes):
-        values, vectors = torch.linalg.eigh(mode.covariance())
-        noise = torch.randn(DRAWS, len(parameters), generator=generator, dtype=refit.y.dtype)
-        spread = mode.y + noise @ (vectors * torch.sqrt(values.clamp(min=0))).T
-        draws = torch.where((member == number)[:, None], spread, draws)
-    draws = torch.minimum(torch.maximum(draws, low), high)
-    theta = parameters.from_flat(draws)
+    theta = at.draws(DRAWS)
     found = {}
     for i in names:
         column = theta[:, i]
@@ -343,18 +474,21 @@ def materials(refit: Refit) -> dict[str, dict[str, float]]:
     return found
 
 
-def effect_parameters(refit: Refit, entry: str) -> dict[str, dict[str, Any]]:
-    """Median, sd and unit of the parameters of one effect entry."""
-    parameters = refit.model.parameter_set
+def effect_parameters(at: Fitted, entry: str) -> dict[str, dict[str, Any]]:
+    """Value, sd and unit of the parameters of one effect entry."""
+    parameters = at.model.parameter_set
     columns = effect_columns(parameters, entry)
-    covariance = refit.covariance()
-    found = {}
-    for column in columns:
-        free = parameters.free[column]
-        sd = float(torch.sqrt(covariance[column, column].clamp(min=0)))
-        sd *= math.exp(float(free.prior.log_slope(refit.y[column])))
-        found[free.origin.short] = {"median": float(refit.theta[column]), "sd": sd, "unit": free.unit}
-    return found
+    if not columns:
+        return {}
+    sd = at.draws(DRAWS)[:, columns].std(0)
+    return {
+        parameters.free[column].origin.short: {
+            "median": float(at.theta[column]),
+            "sd": float(sd[place]),
+            "unit": parameters.free[column].unit,
+        }
+        for place, column in enumerate(columns)
+    }
 
 
 def _rms(value: Tensor) -> float:

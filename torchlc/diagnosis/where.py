@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.gate import runs
-from torchlc.diagnosis.refit import Refit
+from torchlc.inference.posterior import Fitted
 from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12
@@ -33,19 +33,19 @@ class Where:
     ranking: Mapping[str, float]
 
 
-def locate(before: Refit, after: Refit, coordinates: Mapping[str, Tensor]) -> Where:
-    """Where two refits differ by more than SEEN_SIGMA of a row."""
-    difference = (before.delta - after.delta) / after.sigma
+def locate(before: Fitted, after: Fitted, bare: Fitted, coordinates: Mapping[str, Tensor]) -> Where:
+    """Where two fits differ by more than SEEN_SIGMA of a row; ``bare`` is the second without its effects."""
+    difference = (before.delta - after.delta) / after.wide
     rows = difference.abs() > SEEN_SIGMA
     return Where(
         rows,
         intervals(rows, difference, after),
-        component_shares(before, after, rows),
+        component_shares(bare, after, rows),
         *best_coordinate(difference, coordinates, rows),
     )
 
 
-def intervals(rows: Tensor, strength: Tensor, refit: Refit) -> list[tuple[int, int, float]]:
+def intervals(rows: Tensor, strength: Tensor, refit: Fitted) -> list[tuple[int, int, float]]:
     """Runs of marked rows in time order within each station, with the root sum of squares of their
     strength."""
     context = refit.model.assembly.context
@@ -71,23 +71,18 @@ def joined(pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     return found
 
 
-def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[str, float]]:
-    """Share of each component in the sum of |change of flux| / sigma over the marked rows, largest first."""
+def component_shares(bare: Fitted, after: Fitted, rows: Tensor) -> list[tuple[str, float]]:
+    """Share of each component in the sum of |change of flux| / sigma over the marked rows, largest first, as effects change
+    it while every material stays: a refit without them would blame those whose materials take up the slack."""
     light = []
-    for refit in (before, after):
+    for fitted in (bare, after):
         with torch.no_grad():
-            brightness = refit.model.brightness(refit.theta, shares=True)
+            brightness = fitted.model.brightness(fitted.theta, shares=True)
         assert brightness.shares is not None  # asked for
-        gain = (
-            1.0
-            if refit.likelihood.kind == "mag"
-            else refit.likelihood.profile_gain(brightness.flux)[refit.likelihood.curve]
-        )
-        flux = brightness.shares * brightness.flux * gain
-        light.append(dict(zip(brightness.components, flux, strict=True)))
+        light.append(dict(zip(brightness.components, brightness.shares * brightness.flux, strict=True)))
     with torch.no_grad():
         total = after.model.brightness(after.theta).flux
-    sigma = after.sigma * (total / MAG_PER_LN if after.likelihood.kind == "mag" else 1.0)
+    sigma = total * after.wide / after.scale / MAG_PER_LN
     names = list(dict.fromkeys([*light[0], *light[1]]))
     pick = rows if bool(rows.any()) else torch.ones_like(rows)
     zero = torch.zeros_like(total)
@@ -95,7 +90,9 @@ def component_shares(before: Refit, after: Refit, rows: Tensor) -> list[tuple[st
         name: float(((light[1].get(name, zero) - light[0].get(name, zero)).abs() / sigma)[pick].sum())
         for name in names
     }
-    whole = sum(change.values()) or 1.0
+    whole = sum(change.values())
+    if not whole:
+        return []
     return sorted(((name, value / whole) for name, value in change.items()), key=lambda item: -item[1])
 
 

@@ -14,11 +14,13 @@ from torchlc.stages.effect import Entry, first_sentence
 
 MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""
+MOST_ROWS = 12
+"""Bad rows that are listed in a sentence."""
 VERDICTS = {
-    "adequate": "Nothing is missing that these data could show.",
-    "missing_physics": "The model lacks {named}.",
-    "noise_model": "The misfit is noise, not physics: {named}.",
-    "unexplained": "Something is missing, and no effect of the library explains it.",
+    "adequate": "Nothing is missing that these data could show",
+    "missing_physics": "The model lacks {named}",
+    "noise_model": "The misfit is noise, not physics: {named}",
+    "unexplained": "Something is missing, and no effect of the library explains it",
 }
 
 
@@ -32,22 +34,63 @@ def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 
 
 def headline(content: Mapping[str, Any]) -> str:
-    """The verdict in one line, from the content of diagnosis.json."""
+    """The verdict in one line with its probability, from the content of diagnosis.json."""
     told = [_or(family) for family in content["families"]]
     noise = [with_title(name) for name in content["named"]]
     verdict = VERDICTS[content["verdict"]].format(
         named=_and(noise if content["verdict"] == "noise_model" else told)
     )
+    verdict = f"{verdict} (probability {probability(content['probabilities']['told'])})."
     if content["doubt"]:
         verdict = f"{verdict} {_first_upper(content['doubt'])}."
     p = chance(content["global_p"])
     return f"{verdict} The chance of structure like this where nothing is missing: {p}."
 
 
+def probability(p: float) -> str:
+    """A probability as a person says it: per cent, and no more certain than a search of this kind can be."""
+    if p > 0.995:
+        return "over 99 %"
+    return "below 1 %" if p < 0.005 else f"{100 * p:.0f} %"
+
+
+def odds(content: Mapping[str, Any]) -> str:
+    """The probabilities of every kind of answer in one sentence."""
+    p = content["probabilities"]
+    told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
+    told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
+    told.append(("something that is not in the library", p["not_in_library"]))
+    return "Probabilities: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+
+
+def bad_rows(content: Mapping[str, Any]) -> str:
+    """Which rows are probably outliers, in a sentence; nothing where none is."""
+    rows = content["outliers"]
+    if not rows:
+        return ""
+    shown = ", ".join(
+        f"{row['time'][:19].replace('T', ' ')} ({probability(row['probability'])})"
+        for row in rows[:MOST_ROWS]
+    )
+    more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
+    return f"{len(rows)} row{'s' if len(rows) != 1 else ''} probably bad: {shown}{more}."
+
+
+def shape(content: Mapping[str, Any]) -> str:
+    """What no effect describes, in a sentence; nothing where none is likely."""
+    odd = content["discrepancy"]
+    if odd is None:
+        return ""
+    size = max(map(abs, odd["mag"]))
+    beside = f" beside {' and '.join(odd['beside'])}" if odd["beside"] else ""
+    return f"What no effect describes{beside} follows {odd['coordinate']}, up to {size:.2g} mag."
+
+
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
     """What a terminal shows, from the content of diagnosis.json: the verdict, what was found, the materials before and
     after, what to do next; ``completed`` is the list of effects to fit with."""
-    told = [headline(content)]
+    told = [headline(content), odds(content)]
+    told += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
     told += [f"  {name} = {value}" for name, value in added.items()]
     if content["named"]:
         rows = [(f"  {name}", before, f"→ {after}") for name, before, after in changes(content["materials"])]
@@ -68,7 +111,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     diagnosis.json.
     """
     named, gains = content["named"], content["improvement"]
-    paragraphs = [headline(content)]
+    paragraphs = [headline(content), odds(content)]
     if content["verdict"] == "missing_physics":
         proof = (
             f"With it in the model the residuals fall from {gains['rms_before']:.3f} to "
@@ -77,10 +120,11 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
             else f"With it in the model chi-square falls from {gains['chi2_before']:.0f} to "
             f"{gains['chi2_after']:.0f} for {gains['dof']} degrees of freedom"
         )
-        if gains["heldout_rms_after"] is not None and gains["heldout_rms_before"] is not None:
+        gain = content["proof"]["gain_of_final_over"].get("null")
+        if gain is not None:
             proof += (
-                f", and rows that the fit had not seen are predicted to {gains['heldout_rms_after']:.3g} mag "
-                f"instead of {gains['heldout_rms_before']:.3g}"
+                f", and data that the fit has not seen are {gain['difference']:.0f} more probable in logarithm "
+                f"(standard error {gain['error']:.0f})"
             )
         meant = [
             f"{name}: {_lowered(first_sentence(registry()[name]))}" for name in named if name in registry()
@@ -91,6 +135,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         paragraphs.append(f"{proof}.{values} {' '.join(meant)}")
     if content["where"] is not None:
         paragraphs.append(_place(content["where"]))
+    paragraphs += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
     paragraphs.append(f"What is left: {content['remaining']['note']}.")
     if content["next_observation"]:
         paragraphs.append(_first_upper(content["next_observation"]).rstrip(".") + ".")

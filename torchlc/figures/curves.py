@@ -31,7 +31,7 @@ class Comparison:
     """A recording with what a model predicts for its rows, (T,), in its unit; ``error`` (T,) of each row.
 
     ``band`` (2, T) bounds the prediction; ``before`` (T,) is the prediction of a model that lacks
-    something, and ``marked`` (T,) tells the rows where that shows.
+    something, and ``marked`` (T,) tells the rows where that shows, ``outlying`` (T,) those that are probably bad.
     """
 
     recording: Recording
@@ -40,6 +40,7 @@ class Comparison:
     band: np.ndarray | None = None
     before: np.ndarray | None = None
     marked: np.ndarray | None = None
+    outlying: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,13 @@ def _draw_model(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -
         for first, last in _runs(shown.marked[rows]):
             for axes in (upper, lower):
                 axes.axvspan(elapsed[first], elapsed[last], color=MARK, alpha=0.22, lw=0, zorder=0)
+    if shown.outlying is not None and bool(shown.outlying[rows].any()):
+        bad = shown.outlying[rows]
+        values = recording.observed[rows][bad]
+        for axes, y in ((upper, values), (lower, values - shown.prediction[rows][bad])):
+            axes.plot(
+                elapsed[bad], y, "o", mfc="none", mec=BEFORE, ms=8, label="outlier" if axes is upper else None
+            )
 
 
 def _label(

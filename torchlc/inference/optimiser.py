@@ -254,7 +254,9 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, ste
     part, value = trials[values.argmin()], float(values.min())
     damping = 1e-1
     for _ in range(steps):
-        gradient, hessian = _differences(lambda cut: objective(_with_columns(z, index, cut)), part, 1e-3)
+        gradient, hessian = second_differences(
+            lambda cut: objective(_with_columns(z, index, cut)), part, 1e-3
+        )
         curvature, axes = torch.linalg.eigh(hessian)
         move = -axes @ ((axes.T @ gradient) / (curvature.abs() + damping))
         trial = part + move.clamp(-1.5, 1.5)
@@ -312,7 +314,7 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
             y = parameters.to_flat(one)
             objective = _noise_objective(likelihood, one, parameters.from_flat)
             part, step = _inside(y[index], *(bound[index] for bound in parameters.flat_bounds()))
-            _, hessian = _differences(lambda cut: objective(_with_columns(y, index, cut)), part, step)  # noqa: B023
+            _, hessian = second_differences(lambda cut: objective(_with_columns(y, index, cut)), part, step)  # noqa: B023
             curvature, axes = torch.linalg.eigh(hessian)
             extra[number][:, index] = torch.sqrt(curvature.clamp(min=0))[:, None] * axes.T
     return Minimum(
@@ -366,7 +368,7 @@ def _inside(y: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
     return torch.maximum(torch.minimum(y, high - 2 * step), low + 2 * step), step
 
 
-def _differences(
+def second_differences(
     function: Callable[[Tensor], Tensor], at: Tensor, step: Tensor | float
 ) -> tuple[Tensor, Tensor]:
     """Gradient (k,) and Hessian (k, k) at a point (k,) by central differences, all in one call of (B, k) ->

@@ -54,7 +54,8 @@ def render_diagnosis(
 
 def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[str, Any]:
     """What the template's part for a diagnosis shows."""
-    content, kinds = diagnosis.content, diagnosis.scorer.kinds
+    content = diagnosis.content
+    kinds = {row["effect"] for row in content["candidates"] if row["score"] is None}
     where = content["where"] or {"intervals": [], "components": [], "coordinate": None}
     tried = [row for row in content["candidates"] if row["delta_log_evidence"] is not None]
     physics = [row for row in tried if row["effect"] not in kinds]

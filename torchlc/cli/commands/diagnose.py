@@ -21,7 +21,7 @@ from torchlc.cli.options import (
     Use,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
-from torchlc.terminal import printable, progress_bar, show_json
+from torchlc.terminal import INTERRUPTED, printable, progress_bar, show_json
 
 
 @app.command(
@@ -40,7 +40,15 @@ def diagnose(
             autocompletion=completion.effects,
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="No sampler, few refits.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A budget of 20 s.")] = False,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            help="CPU seconds, after which the verdict says what was not examined.",
+            show_default=False,
+        ),
+    ] = None,
     use: Use = None,
     columns: Columns = None,
     seed: Seed = 0,
@@ -58,7 +66,7 @@ def diagnose(
     candidates = None if effects is None else Entry.split(effects)
     with progress_bar(not (quiet or json)) as progress:
         result = api.diagnose(
-            scene, recording, out=out, quick=quick, effects=candidates, seed=seed, use=use, columns=columns, trust=trust,
+            scene, recording, out=out, quick=quick, effects=candidates, seed=seed, budget=budget, use=use, columns=columns, trust=trust,
             progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:
@@ -67,3 +75,5 @@ def diagnose(
         print("\n".join(map(printable, result.lines())))
         warn(result.warnings)
         print(f"written: {out / 'report.html'}, diagnosis.json and figures")
+    if result.search.clock.stopped:
+        raise typer.Exit(INTERRUPTED)

@@ -1,9 +1,10 @@
-"""Other laws of reflection for the surfaces of a scene: tried where no effect explains a mismatch under the
-scene's own, for a lobe of another shape bends every refit."""
+"""Scenes that a scene may have meant: surfaces of another law of reflection, for a lobe of another shape bends every refit;
+and sizes that are only nominal, which stand for area that an effect adds."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from torchlc.brdf.base import MODELS
 from torchlc.files.numbers import Free
@@ -14,6 +15,29 @@ from torchlc.scene.parts import Material
 LEAST_OF_START = 1e-3
 """Share of its start down to which a number is searched by its logarithm, where the law's own bound is 0: at a thousandth,
 a lobe of any exponent below 1000 is as wide as the hemisphere."""
+SIZES = ("size", "radius", "length")
+SIGMA = 0.1
+"""What is believed of a size that the scene gives as certain: this share of it."""
+NOMINAL = "nominal sizes"
+
+
+def with_free_sizes(scene: Scene) -> Scene | None:
+    """The scene with a normal prior about each size that it gives as certain; None where there is none."""
+    components = [
+        part.model_copy(update={name: _freed(getattr(part, name)) for name in SIZES if hasattr(part, name)})
+        for part in scene.components
+    ]
+    if components == list(scene.components):
+        return None
+    return scene.model_copy(update={"components": components})
+
+
+def _freed(size: Any) -> Any:
+    if isinstance(size, tuple):
+        return tuple(_freed(one) for one in size)
+    if isinstance(size, Free):
+        return size
+    return Free(value=size, low=0.5 * size, high=2.0 * size, sigma=SIGMA * size, prior="normal")
 
 
 def under_other_laws(scene: Scene) -> dict[str, Scene]:

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.refit import is_slow
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
 from torchlc.noise.error_law import MAG_PER_LN
@@ -25,73 +24,6 @@ PARENTS = 3
 STRIDE = 0.5
 MOST_CROSSED = 4e6
 """Facet-row pairs whose angles are worked out for descendants with geometries of their own."""
-
-
-def screened(
-    likelihood: Likelihood, trials: Tensor, count: int, group: Tensor, generator: torch.Generator
-) -> Tensor:
-    """The best ``count`` of natural trials (N, P) and of as many descendants of the best of them, by the objective
-    that they reach with reflectances found anew, as natural values (count, P); at most a third of them from one
-    ``group`` (N,).
-
-    A trial is judged both as it is given and with its reflectances from the regression.
-    """
-    with torch.no_grad():
-        made = len(trials)
-        trials, cost, group = _judged(likelihood, trials, group)
-        best = torch.argsort(cost)[: PARENTS * count]
-        children, own = crossed(likelihood, trials[best], group[best], made, generator)
-        children, further, own = _judged(likelihood, children, own)
-    trials, cost, group = torch.cat([trials, children]), torch.cat([cost, further]), torch.cat([group, own])
-    room = {int(one): max(1, -(-count // 3)) for one in torch.unique(group)}
-    chosen: list[int] = []
-    for index in torch.argsort(cost).tolist():
-        if room[int(group[index])] > 0 and len(chosen) < count:
-            room[int(group[index])] -= 1
-            chosen.append(index)
-    return trials[chosen]
-
-
-def _judged(likelihood: Likelihood, trials: Tensor, group: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    if linear_columns(likelihood.model):
-        trials, group = torch.cat([trials, regressed(likelihood, trials)]), group.repeat(2)
-    return trials, objective(likelihood, trials), group
-
-
-def crossed(
-    likelihood: Likelihood, parents: Tensor, group: Tensor, count: int, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Natural values (count, P), each parameter of which is one of two parents' (M, P), some of them moved by STRIDE
-    of what two others differ by (as in Storn & Price 1997, J. Global Optim. 11, 341), and the first parent's
-    group (count,); where a geometry is dear, it is the first parent's, which has been worked out."""
-    parameters, assembly = likelihood.model.parameter_set, likelihood.model.assembly
-    dear = is_slow(likelihood.model) or count * assembly.pairs > MOST_CROSSED
-    still = assembly.geometry_columns if dear else []
-    low, high = parameters.flat_bounds()
-    y = parameters.to_flat(parents)
-    first, second, third, fourth = torch.randint(len(y), (4, count), generator=generator)
-    mixed = torch.where(_coin(y, count, generator), y[first], y[second])
-    moved = mixed + STRIDE * (y[third] - y[fourth])
-    child = torch.where(_coin(y, count, generator), mixed, moved).clamp(low, high)
-    child[:, still] = y[first][:, still]
-    return parameters.from_flat(child), group[first]
-
-
-def _coin(like: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    return (torch.rand(count, like.shape[-1], generator=generator, dtype=torch.float32) < 0.5).to(like.device)
-
-
-def objective(likelihood: Likelihood, theta: Tensor) -> Tensor:
-    """Chi-square with prior rows, (N,), of natural theta (N, P); where errors are fitted, what the logarithm
-    of the residuals' scatter stands for."""
-    found = likelihood.residuals(theta)
-    pull = likelihood.model.parameter_set.prior_residuals(theta).square().sum(-1)
-    if likelihood.fitted_errors:
-        square = likelihood.by_curve(found.delta**2) / likelihood.count
-        cost = (likelihood.count * torch.log(square.clamp(min=1e-300))).sum(-1)
-    else:
-        cost = likelihood.normalised(found).square().sum(-1)
-    return torch.nan_to_num(cost + pull, torch.inf, torch.inf, torch.inf)
 
 
 def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:

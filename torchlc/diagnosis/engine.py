@@ -1,0 +1,462 @@
+"""The search: what may be missing is fitted, and what can matter is integrated, as long as there is time.
+
+Signatures rank the candidates; each is then refitted from what its signature says; the leaders' materials are tried under
+every other; sets of effects grow, shrink and swap; and whatever comes within reach of the leader is told apart under
+every way to err, with its evidence. Nothing is decided here: the odds of all that was visited are
+:mod:`torchlc.diagnosis.probabilities`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.alternatives import NOMINAL
+from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
+from torchlc.diagnosis.hypotheses import (
+    MOST_EFFECTS,
+    SCALE,
+    Hypothesis,
+    Workbench,
+    carried,
+    effect_columns,
+    effect_starts,
+)
+from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
+from torchlc.effects import effect_class
+from torchlc.inference.optimiser import find_modes
+from torchlc.inference.posterior import (
+    Fitted,
+    Linear,
+    Posterior,
+    fit,
+    integrated,
+    material_starts,
+    merged,
+)
+
+REACH = 12.0
+"""Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
+NEAR = 6.0
+"""The same within which its evidence is integrated, and told under every noise: one in 400."""
+STARTS = 12
+"""Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed."""
+PLACES = 3
+"""Values of an effect's own parameters that a refit begins from."""
+CLEAN_P = 0.05
+"""p-value of what a set leaves above which its rivals are not grown."""
+LEAST_SCORE = 4.0
+"""Twice what a signature has to promise in log density, that an effect is added to a set for it."""
+GROWN = 8
+BEAM = 3
+MOST_LOOKED = 6
+DRAWS = 500
+DEAR_STEPS = 12
+DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
+"""CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all."""
+
+
+class Clock:
+    """CPU seconds since the start against a budget; None is no bound."""
+
+    def __init__(self, budget: float | None, progress: Callable[[str, float], None] | None = None) -> None:
+        self.began, self.budget, self.progress = time.process_time(), budget, progress
+        self.stopped = False
+
+    @property
+    def spent(self) -> float:
+        return time.process_time() - self.began
+
+    def left(self, share: float = 1.0) -> bool:
+        """Whether less than a share of the budget is spent."""
+        return not self.stopped and (self.budget is None or self.spent < share * self.budget)
+
+    def affords(self, seconds: float) -> bool:
+        """Whether a step of so many seconds is worth it: within half of what is left of the budget, and MOST_FIT_S."""
+        left = math.inf if self.budget is None else self.budget - self.spent
+        return not self.stopped and seconds < min(MOST_FIT_S, 0.5 * left)
+
+    def tell(self, text: str, part: float) -> None:
+        if self.progress is not None:
+            self.progress(text, part)
+
+
+@dataclass
+class Search:
+    """What has been visited: every hypothesis at its minima, the probes of candidates, what was left out and why."""
+
+    bench: Workbench
+    clock: Clock
+    seed: int
+    visited: dict[Hypothesis, Fitted] = field(default_factory=dict)
+    probes: dict[str, Probe] = field(default_factory=dict)
+    odd: list[Discrepancy] = field(default_factory=list)
+    unexamined: dict[str, str] = field(default_factory=dict)
+    """Why, by entry, a candidate was not refitted."""
+    linear: dict[Hypothesis, float] = field(default_factory=dict)
+    """Log odds of what was judged by its linear form alone."""
+    invisible: set[str] = field(default_factory=set)
+    """Candidates that would leave no trace in these data, whatever their numbers."""
+    _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
+
+    def log_odds(self, hypothesis: Hypothesis) -> float:
+        """ln of posterior odds, up to a constant."""
+        return self.visited[hypothesis].log_z + self.bench.log_odds(hypothesis)
+
+    def ranked(self, among: Iterable[Hypothesis] | None = None) -> list[Hypothesis]:
+        """Visited hypotheses, best first."""
+        return sorted(self.visited if among is None else among, key=self.log_odds, reverse=True)
+
+    @property
+    def leader(self) -> Hypothesis:
+        return self.ranked()[0]
+
+    def best(self, *added: str) -> Fitted:
+        """The best of what was visited with exactly these effects."""
+        chosen = [one for one in self.visited if set(one.plain) == set(added)]
+        return self.visited[self.ranked(chosen)[0]]
+
+    # ------------------------------------------------------------------ noise
+
+    @property
+    def robust(self) -> tuple[str, ...]:
+        """The noise under which candidates are compared: a free scale of the errors and bad rows."""
+        if self.bench.base.context.errors is False:
+            return ()
+        laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes]
+        return (SCALE, *laws[:1])
+
+    def noises(self) -> list[tuple[str, ...]]:
+        """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
+        between rows."""
+        kinds = self.bench.kinds()
+        found: list[tuple[str, ...]] = [(), *((name,) for name in kinds)]
+        if self.bench.base.context.errors:
+            found += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
+        return found
+
+    # ------------------------------------------------------------------ fits
+
+    def posterior(self, hypothesis: Hypothesis) -> Posterior:
+        if hypothesis not in self._posteriors:
+            likelihood = self.bench.likelihood(hypothesis)
+            self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
+        return self._posteriors[hypothesis]
+
+    def keep(self, new: Fitted) -> Fitted:
+        """The hypothesis with its minima and those that it had before."""
+        old = self.visited.get(new.hypothesis)
+        if old is not None:
+            new = merged([*old.minima, *new.minima])
+            new = old if new.laplace <= old.laplace + 1e-3 and len(new.minima) == len(old.minima) else new
+        self.visited[new.hypothesis] = new
+        return new
+
+    def refit(
+        self, hypothesis: Hypothesis, starts: Tensor, noise_from: Fitted | None = None, **options
+    ) -> Fitted:
+        """A fit from natural values (S, P) kept; noise begins as in another fit, or as its prior has it."""
+        posterior = self.posterior(hypothesis)
+        g = posterior.coordinates(starts)
+        g[:, posterior.noise_columns] = 0.0
+        if noise_from is not None:
+            for column, name in zip(posterior.noise_columns, _noise_names(posterior), strict=True):
+                known = dict(
+                    zip(_noise_names(noise_from.posterior), noise_from.posterior.noise_columns, strict=True)
+                )
+                if name in known:
+                    g[:, column] = noise_from.g[known[name]]
+        return self.keep(fit(hypothesis, posterior, g, **options))
+
+    def null(self) -> None:
+        """The scene's own model, under the robust noise and under every other."""
+        hypothesis = Hypothesis().under(*self.robust)
+        posterior = self.posterior(hypothesis)
+        theta = posterior.theta(torch.zeros(posterior.size, dtype=torch.float64))
+        generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+        starts = [posterior.model.parameter_set.start()[None], theta[None]]
+        starts.append(material_starts(posterior, theta, STARTS, generator))
+        if posterior.likelihood.fitted_errors:
+            modes = find_modes(posterior.likelihood, starts=2 * STARTS, adam_steps=60, seed=self.seed)[0]
+            starts = [torch.stack([mode.theta for mode in modes[:BEAM]])]
+        found = self.refit(hypothesis, torch.cat(starts))
+        for noise in self.noises():
+            if noise != self.robust:
+                self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
+
+    def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
+        """A hypothesis under another noise, from its minima."""
+        hypothesis = at.hypothesis.under(*noise)
+        parameters = self.bench.likelihood(hypothesis).model.parameter_set
+        begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
+        if starts is not None:
+            begin.append(carried(parameters, starts, at.names))
+        return self.refit(hypothesis, torch.cat(begin), at, turns=1, most=2)
+
+    def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
+        """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
+        hypothesis = at.hypothesis.with_effect(entry)
+        posterior = self.posterior(hypothesis)
+        parameters = posterior.model.parameter_set
+        columns = effect_columns(parameters, entry)
+        generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+        places = PLACES if columns and not posterior.dear else 1
+        psi = effect_starts(parameters, entry, places, generator)
+        if found is not None and len(found.psi) and columns:
+            likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
+            psi[: len(likely)] = likely[:places]
+        pool = [carried(parameters, one.theta[None], one.names) for one in (*at.minima[:2], *others)]
+        pool = pool[:1] if posterior.dear else pool
+        starts = torch.cat([one.repeat(len(psi), 1) for one in pool])
+        starts[:, columns] = psi.repeat(len(pool), 1)
+        new = self.refit(hypothesis, starts, at, turns=1, most=2)
+        posterior.model.forget()
+        return self.rescanned(entry, new)
+
+    def rescanned(self, entry: str, at: Fitted) -> Fitted:
+        """A fit of an effect that no descent finds the row of, tried again at every row from where it came to."""
+        column = scanned_column(entry)
+        if column is None or at.posterior.dear:
+            return at
+        place = effect_columns(at.model.parameter_set, entry)[column]
+        hours = scanned_hours(self.bench)
+        theta = at.theta.repeat(len(hours), 1)
+        theta[:, place] = hours
+        g = at.posterior.coordinates(theta)
+        g[:, at.posterior.noise_columns] = at.g[at.posterior.noise_columns]
+        with torch.no_grad():
+            density = at.posterior.log_density(g)
+        best = torch.argsort(density, descending=True)[:PLACES]
+        return self.refit(at.hypothesis, theta[best], at, turns=1, most=1)
+
+    # ------------------------------------------------------------------ rounds
+
+    def probe_all(self, at: Fitted, entries: Sequence[str]) -> dict[str, Probe]:
+        found = {}
+        for entry in entries:
+            if not self.clock.left(0.8):
+                break
+            hypothesis = at.hypothesis.with_effect(entry)
+            found[entry] = probe(
+                self.bench, at, self.posterior(hypothesis), entry, hypothesis.seed + self.seed
+            )
+            self.posterior(hypothesis).model.forget()
+        return found
+
+    def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
+        """Whether an effect is refitted. One whose geometry is dear is judged by its linear form, which is kept, and refitted
+        only if that could be the answer and there is time."""
+        hypothesis = at.hypothesis.with_effect(entry)
+        posterior = self.posterior(hypothesis)
+        cost = posterior.seconds_each * (1 + len(posterior.model.assembly.geometry_columns)) * DEAR_STEPS
+        if cost < DEAR_FIT_S:
+            return True
+        if not len(found.scores):
+            return False
+        best = int(found.scores.argmax())
+        moved = replace(at.found, delta=at.delta - found.moved[best] * at.sigma)
+        shifted = replace(at, found=moved)
+        with torch.no_grad():
+            linear = fit(at.hypothesis, Linear(shifted), shifted.g[None], turns=1)
+        self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
+        if self.linear[hypothesis] < self.log_odds(self.leader) - NEAR:
+            return False
+        if self.clock.affords(cost):
+            return True
+        self.unexamined[entry] = (
+            f"{cost:.0f} s of light worked out anew; its linear form is within reach of the answer"
+        )
+        return False
+
+    def singles(self, entries: Sequence[str]) -> None:
+        """Every candidate alone, first what its signature promises most; then from the leaders' materials."""
+        at = self.best()
+        at = self.visited[at.hypothesis.under(*self.robust)]
+        self.probes = self.probe_all(at, entries)
+        order = sorted(self.probes, key=lambda entry: -self.probes[entry].score)
+        for number, entry in enumerate(order):
+            if not self.clock.left(0.6):
+                break
+            if not self.probes[entry].visible:
+                self.invisible.add(entry)
+            elif self.affordable(entry, at, self.probes[entry]):
+                self.extend(at, entry, self.probes[entry])
+            self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
+        self.shared_materials()
+
+    def tell_unexamined(self) -> None:
+        """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""
+        judged = {one.plain for one in (*self.visited, *self.linear)}
+        for entry in self.bench.entries:
+            if (entry,) not in judged and entry not in self.invisible:
+                self.unexamined.setdefault(entry, "there was no time")
+
+    def shared_materials(self) -> None:
+        """Each hypothesis of the first round, and the scene's own model, from the materials of the leaders: what an effect
+        is blamed for may sit in the materials."""
+        first = [
+            one for one in self.ranked() if len(one.added) <= 1 and one.noise == self.robust and not one.law
+        ]
+        leaders = [self.visited[one] for one in first[:2]]
+        for one in first:
+            at = self.visited[one]
+            if not self.clock.left(0.7) or at.posterior.dear or not at.posterior.physical:
+                continue
+            starts = []
+            for leader in leaders:
+                if leader.hypothesis == one:
+                    continue
+                theta = carried(at.model.parameter_set, leader.theta[None], leader.names)
+                columns = [c for entry in one.added for c in effect_columns(at.model.parameter_set, entry)]
+                theta[:, columns] = at.theta[columns]
+                starts.append(theta)
+            if starts:
+                self.refit(one, torch.cat(starts), at, turns=1, most=1)
+
+    def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
+        """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,
+        and with each exchanged. A leader whose rows err independently that leaves nothing, by the p-value that ``left``
+        gives, is only asked for what may hide beside it."""
+        grown: set[frozenset[str]] = set()
+        for size in range(1, MOST_EFFECTS):
+            sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+            alike = self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+            clean = left(self.visited[alike]) > CLEAN_P
+            if clean and len(alike.added) < size:
+                break
+            stems = sized[: 1 if clean else BEAM]
+            for number, stem in enumerate(stems):
+                self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2)
+            best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
+            if not best:
+                break
+            for entry in (
+                best[0].added if self.log_odds(best[0]) > self.log_odds(sized[0]) - REACH else ()
+            ):  # shrink, then swap
+                fewer = best[0].without(entry)
+                at = self.visited[best[0]]
+                theta = carried(self.bench.likelihood(fewer).model.parameter_set, at.theta[None], at.names)
+                if self.clock.left(0.8):
+                    self.refit(_sorted_as(self.visited, fewer), theta, at)
+                    self.grow(_sorted_as(self.visited, fewer), entries, grown, GROWN // 2)
+            if self.log_odds(best[0]) <= self.log_odds(sized[0]):
+                break
+            self.clock.tell(self.state(), 0.5 + 0.2 * size)
+
+    def grow(self, stem: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]], most: int) -> None:
+        at = self.visited[stem]
+        seen = [entry for entry in entries if entry not in self.invisible]
+        possible = [entry for entry in seen if self.bench.compatible(stem, entry)]
+        found = self.probe_all(at, possible)
+        for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
+            members = frozenset((*stem.plain, entry))
+            promising = found[entry].score > LEAST_SCORE or not found[entry].psi.shape[-1]
+            if members in grown or not self.clock.left(0.8) or not promising:
+                continue
+            if self.affordable(entry, at, found[entry]):
+                grown.add(members)
+                self.extend(at, entry, found[entry])
+
+    def noise_of_leaders(self) -> None:
+        """What is within reach under every way to err, then its evidence."""
+        top = self.log_odds(self.leader)
+        near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
+        sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
+        null = Hypothesis(law=self.leader.law).under(*self.robust)
+        noises, kinds = self.noises(), self.bench.kinds()
+        for number, one in enumerate(dict.fromkeys((*sets, null))):
+            if one not in self.visited:
+                continue
+            for noise in noises:
+                joint = any(kinds[kind].correlates for kind in noise if kind in kinds)
+                if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
+                    self.renoise(self.visited[one], noise)
+            if number == 0:  # what the leader has no use for, its rivals are not asked under
+                leader = max(
+                    self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited
+                )
+                noises = [
+                    noise
+                    for noise in noises
+                    if one.under(*noise) in self.visited and self.log_odds(one.under(*noise)) > leader - NEAR
+                ]
+        self.integrate()
+
+    def integrate(self) -> None:
+        """Evidence by importance sampling of what is near the leader, until the order of the leaders stands."""
+        for _ in range(2):
+            top = self.log_odds(self.leader)
+            for one in self.ranked()[: 2 * MOST_LOOKED]:
+                if self.log_odds(one) < top - NEAR or not self.clock.left(0.95):
+                    break
+                if self.visited[one].evidence is None:
+                    self.visited[one] = integrated(self.visited[one], DRAWS, one.seed + self.seed)
+
+    def nominal_sizes(self) -> None:
+        """Sizes that are only nominal in the place of the area that the leading set adds."""
+        kept = tuple(entry for entry in self.leader.added if not effect_class(entry).adds_area)
+        if len(kept) < len(self.leader.added) and self.bench.has_free_sizes:
+            self.alternatives([NOMINAL], [kept])
+
+    def laws(self) -> None:
+        """Other laws of reflection, where the leader leaves structure: the scene's own model and the leading effects."""
+        leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:BEAM]
+        self.alternatives(self.bench.laws, list(dict.fromkeys([(), *leaders])))
+
+    def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
+        """Sets of effects in other scenes than the given one."""
+        for law in laws:
+            for added in sets:
+                hypothesis = Hypothesis(added, self.robust, law)
+                if not self.clock.left(0.85):
+                    self.unexamined[law] = "there was no time"
+                    break
+                if not self.bench.carries(hypothesis):
+                    continue
+                posterior = self.posterior(hypothesis)
+                at = self.best(*(Hypothesis(added).plain))
+                theta = carried(posterior.model.parameter_set, at.theta[None], at.names)[0]
+                generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+                if not posterior.dear:
+                    self.refit(hypothesis, material_starts(posterior, theta, STARTS, generator), at)
+                    continue
+                self.refit(hypothesis, theta[None], at)
+
+    def strangers(self, coordinates: dict[str, Tensor]) -> None:
+        """What the library does not hold, beside nothing and beside the leading set."""
+        for added in dict.fromkeys([(), self.leader.added]):
+            chosen = [one for one in self.visited if one.added == added]
+            self.odd += discrepancies(self.visited[self.ranked(chosen)[0]], coordinates, self.bench)
+
+    def strongest(self) -> Discrepancy | None:
+        """The discrepancy of highest odds."""
+        return max(self.odd, key=lambda one: self.log_odds(one.beside) + one.log_gain, default=None)
+
+    def state(self) -> str:
+        """The leader with its odds against the second, for a progress bar."""
+        order = self.ranked()
+        name = " + ".join(order[0].names) or ("noise" if order[0].noise else "nothing missing")
+        return f"leads: {name}"
+
+
+def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis in the order of effects in which it was visited, if it was."""
+    return next(
+        (
+            one
+            for one in visited
+            if set(one.added) == set(hypothesis.added)
+            and replace(one, added=()) == replace(hypothesis, added=())
+        ),
+        hypothesis,
+    )
+
+
+def _noise_names(posterior: Posterior) -> list[str]:
+    names = [*posterior.model.names, SCALE]
+    return [names[column] for column in posterior.noise_columns]

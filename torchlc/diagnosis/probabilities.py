@@ -1,0 +1,190 @@
+"""The one object that verdict, names, families and what remains are read off: posterior probabilities of what was visited."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchlc.diagnosis.engine import Search
+from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
+from torchlc.effects import mending_kind
+from torchlc.stages.effect import Entry
+
+UNKNOWN_ODDS = 0.02
+"""Prior odds of something that no hypothesis here describes, beside the leader."""
+FAMILY_SHARE = 0.1
+"""Of the named effect's probability that another in its place must have to be told beside it."""
+LEAST_TAKEN, FAR = 0.5, 6.0
+"""A single effect that leaves structure, more likely than not, stands in for something else unless it takes this share of
+the misfit, of which a row counts for FAR errors at most; several together bend a model to much that is none of them."""
+TOLD = 0.5
+"""Probability above which something is named."""
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """Of ``nothing`` missing, of ``noise`` alone, of each effect of the library by name, and of something ``unknown`` alone;
+    ``sets`` are the sets of entries, best first, with theirs, ``kinds`` those of the noise by name; ``leftover`` is that of
+    something unknown beside the best set."""
+
+    nothing: float
+    noise: float
+    unknown: float
+    effects: Mapping[str, float]
+    sets: Sequence[tuple[tuple[str, ...], float]]
+    kinds: Mapping[str, float]
+    leftover: float
+
+    @property
+    def some_effect(self) -> float:
+        return max(1.0 - self.nothing - self.noise - self.unknown, 0.0)
+
+    @property
+    def verdict(self) -> str:
+        """The answer of highest probability; where none has half, what is missing cannot be told."""
+        answers = {
+            "adequate": self.nothing,
+            "noise_model": self.noise,
+            "missing_physics": self.some_effect,
+            "unexplained": self.unknown,
+        }
+        best = max(answers, key=lambda name: answers[name])
+        if best in ("adequate", "noise_model") or answers[best] > TOLD:
+            return best
+        return "adequate" if self.nothing + self.noise > TOLD else "unexplained"
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        if self.verdict == "noise_model":
+            return (max(self.kinds, key=lambda name: self.kinds[name]),)
+        if self.verdict != "missing_physics":
+            return ()
+        return tuple(dict.fromkeys(Entry.parse(entry).name for entry in self.best))
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """Entries of the best set that holds anything."""
+        return next((entries for entries, _ in self.sets if entries), ())
+
+    @property
+    def families(self) -> tuple[tuple[str, ...], ...]:
+        """For each named effect, itself and what may stand in its place beside the other named ones, most probable first."""
+        if self.verdict != "missing_physics":
+            return tuple((name,) for name in self.named)
+        found = []
+        whole = _named_sets(self.sets)
+        members = frozenset(self.named)
+        for name in self.named:
+            others = members - {name}
+            own = whole.get(members, 0.0)
+            rivals = {
+                next(iter(rival)): p
+                for names, p in whole.items()
+                if others <= names and len(rival := names - others) == 1 and len(names) == len(members)
+            }
+            rivals.pop(name, None)
+            near = [one for one, p in rivals.items() if p >= FAMILY_SHARE * own]
+            found.append((name, *sorted(near, key=lambda one: -rivals[one])))
+        return tuple(found)
+
+    @property
+    def told(self) -> float:
+        """Probability of the answer as it is told, its families included."""
+        verdict = self.verdict
+        if verdict != "missing_physics":
+            return {"adequate": self.nothing, "noise_model": self.noise, "unexplained": self.unknown}[verdict]
+        allowed = [frozenset(family) for family in self.families]
+        return sum(
+            p
+            for names, p in _named_sets(self.sets).items()
+            if len(names) == len(allowed) and all(names & family for family in allowed)
+        )
+
+
+def _named_sets(sets: Sequence[tuple[tuple[str, ...], float]]) -> dict[frozenset[str], float]:
+    whole: dict[frozenset[str], float] = {}
+    for entries, p in sets:
+        names = frozenset(Entry.parse(entry).name for entry in entries)
+        whole[names] = whole.get(names, 0.0) + p
+    return whole
+
+
+def worth_of_p(p: float) -> float:
+    """ln of the largest Bayes factor that a p-value can stand for, 1 / (-e p ln p) (Sellke, Bayarri & Berger 2001, Am. Stat.
+    55, 62); 0 above 1/e."""
+    if p >= 1 / math.e:
+        return 0.0
+    log_p = math.log(max(p, 1e-300))
+    return -1.0 - log_p - math.log(-log_p)
+
+
+def probabilities(search: Search, p_left: float) -> Probabilities:
+    """What was visited, weighed; ``p_left`` is the p-value of what the leader leaves."""
+    rows: list[tuple[str, Hypothesis, float]] = []
+    rows += [("", one, search.log_odds(one)) for one in search.visited]
+    rows += [("", one, log_odds) for one, log_odds in search.linear.items() if one not in search.visited]
+    rows += [
+        ("odd", odd.beside, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds) for odd in search.odd
+    ]
+    leader = max(rows, key=lambda row: row[2])
+    stands_in = False
+    if leader[0] == "":
+        worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
+        rows.append(("odd", leader[1], leader[2] + worth))
+        several = len(leader[1].added) > 1
+        stands_in = worth > 0 and (several or share_taken(search, leader[1]) < LEAST_TAKEN)
+    weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
+    nothing = noise = unknown = leftover = 0.0
+    sets: dict[tuple[str, ...], float] = {}
+    kinds: dict[str, float] = {}
+    for (kind, hypothesis, _), p in zip(rows, weight, strict=True):
+        entries = tuple(sorted(hypothesis.plain))
+        name = "" if entries else noise_name(search, hypothesis)
+        if (not entries and (kind or hypothesis.law)) or (stands_in and entries):
+            unknown += p
+        elif not entries and name:
+            noise += p
+            kinds[name] = kinds.get(name, 0.0) + p
+        elif not entries:
+            nothing += p
+        else:
+            sets[entries] = sets.get(entries, 0.0) + p
+            leftover += p * (kind != "")
+    effects: dict[str, float] = {}
+    for entries, p in sets.items():
+        for name in {Entry.parse(entry).name for entry in entries}:
+            effects[name] = effects.get(name, 0.0) + p
+    order = sorted(sets.items(), key=lambda item: -item[1])
+    return Probabilities(
+        nothing,
+        noise,
+        unknown,
+        dict(sorted(effects.items(), key=lambda item: -item[1])),
+        order,
+        kinds,
+        leftover,
+    )
+
+
+def share_taken(search: Search, hypothesis: Hypothesis) -> float:
+    """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, bad rows counted no more
+    than FAR allows."""
+    before, after = search.best(), search.visited[hypothesis]
+    squares = [float((one.delta / one.quoted).square().clamp(max=FAR**2).sum()) for one in (before, after)]
+    excess = squares[0] - len(before.delta)
+    return (squares[0] - squares[1]) / excess if excess > 0 else 0.0
+
+
+def noise_name(search: Search, hypothesis: Hypothesis) -> str:
+    """What noise of a hypothesis is called: its kinds; a scale of the errors alone is what mends errors that are too small, or
+    nothing where they are too large."""
+    kinds = [one for one in hypothesis.noise if one != SCALE]
+    if kinds:
+        return kinds[0]
+    if not hypothesis.noise:
+        return ""
+    fitted = search.visited[hypothesis]
+    return mending_kind().name if float(fitted.g[-1]) > 0 else ""

@@ -1,0 +1,148 @@
+"""The proof: blocks of rows predicted by fits that have not seen them.
+
+Each of a few models is fitted anew without the rows of every block, noise and all, from its minimum; the log density of the
+block's rows under what is then known, parameters and their covariance, is added up. Under a law of errors that is not
+normal the rows of a block have no joint density in closed form: theirs is the product of every row's density given the
+rest and the block's rows before it, the law blurred by what is not known (assumed density filtering; Opper 1998, in
+On-line Learning in Neural Networks, 363), which is a density whatever is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import Fitted, Posterior, fit, fitted_at
+from torchlc.lightcurve.assembly import assemble
+from torchlc.lightcurve.model import LightCurve
+from torchlc.stages.noise import HALF_LOG_2PI, Law
+
+BLOCKS = 5
+GAP = 0.025
+"""Of the rows, left out on either side of a block that is a run of rows, so that noise that rows share is forgotten."""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """How a model predicts rows that its fit has not seen: log density of each block, and the root mean square, mag."""
+
+    log_density: Tensor
+    rms: float
+
+    @property
+    def total(self) -> float:
+        return float(self.log_density.sum())
+
+
+def make_blocks(seconds: Tensor, group: Tensor, count: int = BLOCKS) -> list[tuple[Tensor, Tensor]]:
+    """Rows of each block, and the rows left out with it: whole groups (curves or nights) if there are at least four, dealt
+    into at most ``count`` blocks; else runs of rows of equal number, with a gap on either side."""
+    ids = torch.unique(group)
+    if len(ids) >= 4:
+        folds = min(count, len(ids))
+        rows = [torch.nonzero(torch.isin(group, ids[fold::folds]))[:, 0] for fold in range(folds)]
+        return [(one, one) for one in rows]
+    order = torch.argsort(seconds)
+    total = len(order)
+    folds = min(count, max(2, total // 4))
+    edges = [round(total * k / folds) for k in range(folds + 1)]
+    gap = max(1, round(GAP * total))
+    return [(order[a:b], order[max(0, a - gap) : min(total, b + gap)]) for a, b in pairwise(edges)]
+
+
+def difference(first: Unseen, second: Unseen) -> tuple[float, float]:
+    """How much more probable the first model makes the unseen rows, in log density, and its standard error from the spread
+    of the blocks."""
+    each = first.log_density - second.log_density
+    return float(each.sum()), float(each.std()) * math.sqrt(len(each)) if len(each) > 1 else math.inf
+
+
+def unseen(at: Fitted, blocks: Sequence[tuple[Tensor, Tensor]]) -> Unseen:
+    """Every block predicted by a fit without it."""
+    densities, squares, count = [], 0.0, 0
+    for rows, removed in blocks:
+        rest = _without(at, removed)
+        known = at if rest is None else fitted_at(at.hypothesis, at.posterior, rest.g)
+        densities.append(log_density(known, rest or at, rows))
+        squares += float((known.off_mag[rows] ** 2).sum())
+        count += len(rows)
+    return Unseen(torch.stack(densities), math.sqrt(squares / max(count, 1)))
+
+
+def _without(at: Fitted, removed: Tensor) -> Fitted | None:
+    """The model fitted to all other rows; None where nothing is free, or no two rows are left."""
+    recording = at.model.recording
+    kept = np.ones(len(recording), dtype=bool)
+    kept[removed.numpy()] = False
+    if not at.posterior.size or kept.sum() < 2:
+        return None
+    some = recording.keep(kept, "unseen")
+    entries = [effect.entry for effect in at.model.effects]
+    likelihood = Likelihood(
+        LightCurve(at.model.scene, some, assembly=assemble(at.model.scene, some, entries))
+    )
+    if likelihood.model.names != at.names:
+        return None
+    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1)
+
+
+def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:
+    """ln of the density of some rows of a fit at the values that the rest gave, whose covariance is the rest's."""
+    physical = torch.tensor(known.posterior.physical, dtype=torch.long)
+    spread = rest.covariance[physical][:, physical]
+    slopes = known.slopes[rows][:, physical]
+    delta, sigma = known.delta[rows], known.wide[rows]
+    if known.noise.processes:
+        covariance = torch.diag(sigma**2) + slopes @ spread @ slopes.T
+        for process in known.noise.processes:
+            sd = (process.sd * known.scale)[rows]
+            same = known.likelihood.curve[rows][:, None] == known.likelihood.curve[rows]
+            covariance = covariance + process.correlation(rows) * same * sd[:, None] * sd
+        return torch.distributions.MultivariateNormal(torch.zeros_like(delta), covariance).log_prob(delta)
+    if known.noise.normal:
+        root = torch.linalg.cholesky(spread) if len(physical) else spread
+        inner = (slopes / sigma[:, None]) @ root
+        u = delta / sigma
+        small = torch.linalg.cholesky(torch.eye(len(physical), dtype=u.dtype) + inner.T @ inner)
+        side = torch.linalg.solve_triangular(small, (inner.T @ u)[:, None], upper=False)
+        half = torch.log(torch.diagonal(small)).sum()
+        square = u @ u - side.square().sum()
+        return -0.5 * square - half - torch.log(sigma).sum() - HALF_LOG_2PI * len(rows)
+    everything = torch.ones(1, len(rows), dtype=torch.bool)
+    mean = torch.zeros(1, len(physical), dtype=delta.dtype)
+    return filtered_log_density(
+        mean, spread[None], delta[None], -slopes[None], sigma[None], everything, known.noise.law
+    )[0]
+
+
+def filtered_log_density(
+    mean: Tensor,
+    covariance: Tensor,
+    delta: Tensor,
+    slopes: Tensor,
+    sigma: Tensor,
+    inside: Tensor,
+    law: Law,
+) -> Tensor:
+    """Log density (N,) of N sequences of rows delta = slopes x + noise, (N, n), whose noise over sigma follows a law
+    that is the same for all rows, where x is normal with mean (N, K) and covariance (N, K, K): each row's density given
+    those before, after which x is the normal of the same mean and covariance. Rows not ``inside`` (N, n) are skipped."""
+    total = torch.zeros_like(delta[:, 0])
+    for row in range(delta.shape[1]):
+        m, there = slopes[:, row], inside[:, row]
+        spread = (covariance @ m[..., None])[..., 0]
+        known = (m * spread).sum(-1)
+        left = delta[:, row] - (m * mean).sum(-1)
+        log_row, slope, shrink = law.blurred(left, sigma[:, row], known)
+        total = total + torch.where(there, log_row, 0.0)
+        mean = mean + torch.where(there, slope, 0.0)[:, None] * spread
+        reduction = spread[:, :, None] * spread[:, None, :]
+        covariance = covariance - torch.where(there, shrink, 0.0)[:, None, None] * reduction
+    return total

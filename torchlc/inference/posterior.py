@@ -1,0 +1,545 @@
+"""The posterior of one model: its minima, its linear form about them, its evidence and draws.
+
+Everything uncertain is a coordinate g with a standard normal prior (:mod:`torchlc.inference.normal_scores`): materials,
+sizes, attitude, zero points, the effects' parameters, and those of the noise, among them a factor of the quoted errors.
+Minus the log density of a row is half the square of a deviance residual, so that a minimum is one of least squares
+whatever the law of errors, outliers included; noise is fitted in turn with the rest by Newton's method.
+
+Letters: S starts, T rows, P coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchlc.inference.evidence import TAILS, Evidence, StudentMixture, importance
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.normal_scores import FARTHEST, NormalScores
+from torchlc.inference.optimiser import noise_columns, second_differences, whitener
+from torchlc.inference.reflectances import linear_columns
+from torchlc.inference.starts import regressed
+from torchlc.lightcurve.model import LightCurve
+from torchlc.noise import Noise, Residuals
+from torchlc.stages.noise import HALF_LOG_2PI, Law, Normal
+from torchlc.tensors.least_squares import Colours, differences, minimise
+
+SCALE_SIGMA = 0.3
+"""What is believed of quoted errors: a third too small or too large."""
+LEAST_PRECISION = 0.3
+"""Of a coordinate in a Laplace approximation; the prior alone has 1, a likelihood that bends away may take some."""
+NEAR_ZERO = 1e-3
+"""Deviate below which a deviance residual is taken as linear, for its square root has no slope at 0."""
+AT_ONCE = 256
+"""Draws that are worked out together."""
+DEAR_S = 4e-3
+"""CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
+SPREAD = 1e-13
+"""Of a coordinate: a ten-millionth of the step by which slopes are taken."""
+WIDE_MAG = 0.1
+"""Standard deviation, mag, that errors are given on the way from a start, where residuals are of the order of a
+magnitude: at the quoted errors every row would be an outlier there, and pull at nothing."""
+APART = 2.0
+"""Standard deviations between minima that count as two."""
+DEPTH = 8.0
+"""Log density below the best within which a minimum is kept: 1/3000 of the mass, if it is as wide."""
+TOLERANCE = 1e-5
+"""Share of the cost that a step has to gain: some 0.002 in log density."""
+NOISE_STEPS = 8
+FIRST_STEPS, STEPS, LAST_STEPS = 6, 25, 8
+MOST_MINIMA = 4
+
+
+class Posterior:
+    """Log density of the coordinates g (..., P) of a likelihood, those of its model, then one for the scale of the quoted
+    errors where ``scaled``."""
+
+    def __init__(self, likelihood: Likelihood, scaled: bool) -> None:
+        self.likelihood = likelihood
+        self.scores = NormalScores(likelihood.model.parameter_set)
+        self.scaled = scaled and not likelihood.fitted_errors
+        self.own = len(likelihood.model.names)
+        self.size = self.own + self.scaled
+        self.noise_columns = [*noise_columns(likelihood), *([self.own] if self.scaled else [])]
+        self.physical = [i for i in range(self.size) if i not in self.noise_columns]
+
+    @cached_property
+    def seconds_each(self) -> float:
+        """CPU seconds that a new geometry takes; 0 where it is fixed."""
+        if not self.model.geometry_free:
+            return 0.0
+        g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
+        with torch.no_grad():
+            began = time.process_time()
+            self.residuals(g[:1] - 1e-6)  # what all geometries share is made here
+            first = time.process_time() - began
+            if first > 50 * DEAR_S:
+                return first
+            began = time.process_time()
+            self.residuals(g + 1e-6 * torch.arange(1.0, 9.0, dtype=g.dtype)[:, None])
+        return (time.process_time() - began) / len(g)
+
+    @property
+    def dear(self) -> bool:
+        return self.seconds_each > DEAR_S
+
+    @property
+    def model(self) -> LightCurve:
+        return self.likelihood.model
+
+    def theta(self, g: Tensor) -> Tensor:
+        return self.scores.theta(g[..., : self.own])
+
+    def coordinates(self, theta: Tensor) -> Tensor:
+        """Coordinates of natural values (..., P), errors as quoted."""
+        g = self.scores.scores(theta)
+        return torch.cat([g, g.new_zeros(*g.shape[:-1], self.size - self.own)], -1)
+
+    def factor(self, g: Tensor) -> Tensor | float:
+        """What the quoted errors are multiplied by, (..., 1)."""
+        return torch.exp(SCALE_SIGMA * g[..., self.own : self.own + 1]) if self.scaled else 1.0
+
+    def residuals(self, g: Tensor) -> Residuals:
+        found = self.likelihood.residuals(self.theta(self._apart(g)))
+        return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
+
+    def _apart(self, g: Tensor) -> Tensor:
+        """Coordinates (..., P) of a batch, the geometry of each its own by SPREAD: a batch of geometries is worked out in one
+        vectorised call where few are alike, and those that are would each be worked out alone."""
+        columns = self.model.assembly.geometry_columns
+        if g.ndim < 2 or len(g) < 2 or not columns or self.model.parts_meet or torch.is_grad_enabled():
+            return g
+        offset = SPREAD * torch.arange(len(g), dtype=g.dtype)
+        return g.index_add(1, torch.tensor(columns[:1]), offset[:, None])
+
+    def noise(self, g: Tensor) -> Noise:
+        return self.model.noise(self.theta(g))
+
+    def log_density(self, g: Tensor) -> Tensor:
+        """ln of likelihood times prior, (N,), at coordinates (N, P)."""
+        return torch.cat([self._log_density(piece) for piece in g.split(AT_ONCE)])
+
+    def _log_density(self, g: Tensor) -> Tensor:
+        total = self.held_density(self.residuals(g), g)
+        return torch.nan_to_num(total, nan=-math.inf)
+
+    def held_density(self, found: Residuals, g: Tensor) -> Tensor:
+        """The same of residuals that are worked out already, with sigma as at g."""
+        prior = (
+            -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size + self.scores.correction(g[..., : self.own])
+        )
+        return self.likelihood.density(found, self.noise(g)) + prior
+
+    def colours(self) -> Colours | None:
+        """Physical coordinates that belong to single curves, whose slopes of rows and priors are taken together; None if
+        there are none."""
+        given = self.likelihood.colours(prior_rows=False)
+        if given is None:
+            return None
+        place = {column: number for number, column in enumerate(self.physical)}
+        groups = [tuple(place[one] for one in group if one in place) for group in given.groups]
+        own = torch.eye(len(place), dtype=torch.bool)
+        return Colours(
+            tuple(group for group in groups if group), torch.cat([given.touched[self.physical], own], 1)
+        )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A ``hypothesis``, whatever stands for one, at one minimum g (P,): its residuals ``found`` with sigma (T,) as fitted, its ``noise``, the ``slopes``
+    (T, P) = d residual / d g, ``peak``, the log density there, and the Laplace ``covariance`` (P, P). ``others`` are
+    further minima that the data leave possible, ``evidence`` what importance sampling made of them all."""
+
+    hypothesis: Any
+    posterior: Posterior
+    g: Tensor
+    found: Residuals
+    noise: Noise
+    slopes: Tensor
+    peak: float
+    covariance: Tensor
+    others: tuple[Fitted, ...] = ()
+    evidence: Evidence | None = None
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return self.posterior.likelihood
+
+    @property
+    def model(self) -> LightCurve:
+        return self.posterior.model
+
+    @property
+    def names(self) -> list[str]:
+        return self.model.names
+
+    @cached_property
+    def theta(self) -> Tensor:
+        return self.posterior.theta(self.g)
+
+    @property
+    def delta(self) -> Tensor:
+        return self.found.delta
+
+    @property
+    def scale(self) -> Tensor:
+        return self.found.scale.expand(self.found.delta.shape)
+
+    @cached_property
+    def sigma(self) -> Tensor:
+        """Standard deviation of each row, (T,), for its weight under the law of errors."""
+        return self.noise.law.weighted(self.delta, self.wide)
+
+    @property
+    def wide(self) -> Tensor:
+        """Standard deviation of each row, (T,), of the quoted errors as fitted with what noise adds."""
+        sigma = self.found.sigma
+        if self.likelihood.fitted_errors:
+            sigma = self.likelihood.fitted_levels(self.delta)[self.likelihood.curve]
+        return self.noise.sigma(sigma, self.scale).expand(self.delta.shape)
+
+    @property
+    def quoted(self) -> Tensor:
+        """Standard deviation of each row, (T,), as quoted, or as fitted where none is."""
+        if self.likelihood.fitted_errors:
+            return self.likelihood.fitted_levels(self.delta)[self.likelihood.curve]
+        return self.likelihood.error.expand(self.delta.shape)
+
+    @property
+    def prediction(self) -> Tensor:
+        return self.found.prediction
+
+    @property
+    def off_mag(self) -> Tensor:
+        """Datum minus prediction, mag (T,)."""
+        off = self.likelihood.observed - self.prediction
+        return off if self.likelihood.kind == "mag" else off / self.scale
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals over the quoted errors."""
+        return float((self.delta / self.quoted).square().sum())
+
+    @property
+    def log_z(self) -> float:
+        """Log evidence: of all the minima by importance sampling, or by Laplace's method as long as that is not done."""
+        if self.evidence is not None and math.isfinite(self.evidence.log_z):
+            return self.evidence.log_z
+        return float(torch.logsumexp(torch.tensor([one.laplace for one in (self, *self.others)]), 0))
+
+    @property
+    def laplace(self) -> float:
+        log_det = float(torch.linalg.slogdet(self.covariance)[1]) if self.posterior.size else 0.0
+        return self.peak + HALF_LOG_2PI * self.posterior.size + 0.5 * log_det
+
+    @property
+    def minima(self) -> tuple[Fitted, ...]:
+        return (self, *self.others)
+
+    def whitened(self, columns: Tensor) -> Tensor:
+        """Columns (T, n) divided by the root of the noise's covariance about this minimum."""
+        if not self.noise.processes:
+            return columns / self.sigma[:, None]
+        rows = whitener(self.likelihood, self.found, self.noise, fitted=True)
+        return rows(replace(self.found, delta=columns.T, sigma=self.found.sigma, scale=self.found.scale)).T
+
+    @cached_property
+    def tangent(self) -> Tensor:
+        """Whitened slopes (T, P), those of noise 0, above the prior's rows (P, P)."""
+        return torch.cat([self.whitened(self.slopes), torch.eye(self.posterior.size, dtype=self.g.dtype)])
+
+    def outlying(self) -> Tensor:
+        """Probability (T,) that a row is one of the wide ones of its law, from its weight; 0 under a normal law."""
+        weight = self.noise.law.weight(self.delta / self.wide)
+        widest = torch.as_tensor(self.noise.law.widest).to(weight)
+        least = 1 / widest**2
+        return ((1 - weight) / (1 - least).clamp(min=1e-9)).clamp(0, 1) * (widest > 1)
+
+    def draws(self, count: int, seed: int = 0) -> Tensor:
+        """``count`` equally likely draws of theta (count, P): the weighted ones of the evidence, resampled, or of the
+        normal approximation about each minimum."""
+        generator = torch.Generator().manual_seed(seed)
+        if self.evidence is not None and self.evidence.effective > 20:
+            weight = torch.exp(self.evidence.log_weight)
+            g = self.evidence.draws[torch.multinomial(weight, count, replacement=True, generator=generator)]
+        else:
+            g = _proposal(self.minima, dof=200).draw(count, generator)
+        return self.posterior.theta(g)
+
+
+def deviance_rows(likelihood: Likelihood, noise: Noise, at: Residuals) -> Callable[[Residuals], Tensor]:
+    """A function that turns residuals into rows whose sum of squares is minus twice the log density, up to a constant;
+    noise and its scale are those of the residuals ``at``."""
+    if noise.processes or likelihood.fitted_errors or likelihood.selected is not None:
+        return whitener(likelihood, at, noise, fitted=True)
+
+    def rows(found: Residuals) -> Tensor:
+        return deviance(noise.law, found.delta / noise.sigma(found.sigma, at.scale))
+
+    return rows
+
+
+def deviance(law: Law, u: Tensor) -> Tensor:
+    """The deviate, same shape, of which half the square is what the density of u is below that at 0."""
+    if isinstance(law, Normal):
+        return u
+    near = torch.full_like(u[..., :1], NEAR_ZERO)
+    slope = torch.sqrt(law.weight(near))
+    apart = u.abs() > NEAR_ZERO
+    below = law.log_density(torch.zeros_like(near)) - law.log_density(torch.where(apart, u, 1.0))
+    return torch.where(apart, torch.sign(u) * torch.sqrt((2 * below).clamp(min=1e-300)), u * slope)
+
+
+def descend(
+    posterior: Posterior, starts: Tensor, iterations: int, noise: Noise | None = None
+) -> tuple[Tensor, Tensor]:
+    """Levenberg-Marquardt from coordinates (S, P), the noise at that of the first if none is given: points, best first, and
+    their costs."""
+    if not posterior.physical:
+        return starts[:1], starts.new_zeros(1)
+    columns = torch.tensor(posterior.physical)
+    stay = starts[0]
+    low = torch.full_like(stay[columns], -FARTHEST)
+    at = posterior.residuals(stay)
+    rows = deviance_rows(posterior.likelihood, posterior.noise(stay) if noise is None else noise, at)
+
+    def residual(part: Tensor) -> Tensor:
+        whole = stay.repeat(len(part), 1).index_copy(1, columns, part)
+        return torch.cat([rows(posterior.residuals(whole)), part], -1)
+
+    colours = posterior.colours()
+    reached = minimise(
+        residual, starts[:, columns], low, -low, iterations=iterations, tolerance=TOLERANCE, colours=colours
+    )
+    order = torch.argsort(reached.cost)
+    points = stay.repeat(len(order), 1).index_copy(1, columns, reached.y[order])
+    return points, reached.cost[order]
+
+
+def fit_noise(posterior: Posterior, g: Tensor) -> Tensor:
+    """g (P,) with the noise's coordinates at their best for the residuals of the others, by Newton's method."""
+    index = posterior.noise_columns
+    if not index:
+        return g
+    objective = _noise_objective(posterior, g)
+    part = g[index]
+    value, damping = float(objective(part[None])[0]), 1e-2
+    for _ in range(NOISE_STEPS):
+        gradient, hessian = second_differences(objective, part, 1e-3)
+        curvature, axes = torch.linalg.eigh(hessian)
+        move = -axes @ ((axes.T @ gradient) / (curvature.abs() + damping))
+        trial = (part + move.clamp(-1.5, 1.5)).clamp(-FARTHEST, FARTHEST)
+        new = float(objective(trial[None])[0])
+        done = abs(value - new) < 1e-4
+        if new < value:
+            part, value, damping = trial, new, damping / 4
+        else:
+            damping = max(10 * damping, 0.1)
+        if done or damping > 1e4:
+            break
+    return g.index_copy(0, torch.tensor(index), part)
+
+
+def material_starts(posterior: Posterior, theta: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """``count`` natural values (count, P) like theta (P,) with the scene's materials drawn from their priors, and as many
+    with their reflectances from a regression, in which light is linear."""
+    parameters = posterior.model.parameter_set
+    columns = [i for i, free in enumerate(parameters.free) if free.origin.role == "materials"]
+    if not columns:
+        return theta[None]
+    draws = theta.repeat(count, 1)
+    draws[:, columns] = parameters.sample_prior(count, generator)[:, columns]
+    with torch.no_grad():
+        return (
+            torch.cat([draws, regressed(posterior.likelihood, draws)])
+            if linear_columns(posterior.model)
+            else draws
+        )
+
+
+def _noise_objective(posterior: Posterior, g: Tensor) -> Callable[[Tensor], Tensor]:
+    """Minus the log density (B,) at noise coordinates (B, k), the residuals held at those of g (P,)."""
+    found = posterior.residuals(g)
+    index = torch.tensor(posterior.noise_columns)
+    plain = found.sigma / posterior.factor(g)
+
+    def objective(part: Tensor) -> Tensor:
+        whole = g.repeat(len(part), 1).index_copy(1, index, part)
+        shape = (len(part), len(found.delta))
+        rows = {name: getattr(found, name).expand(shape) for name in ("delta", "scale", "prediction")}
+        held = replace(found, sigma=(plain * posterior.factor(whole)).expand(shape), **rows)
+        value = -posterior.held_density(held, whole)
+        return torch.where(torch.isfinite(value), value, 1e12)
+
+    return objective
+
+
+@torch.no_grad()
+def fit(
+    hypothesis: Any,
+    posterior: Posterior,
+    starts: Tensor,
+    *,
+    steps: int = STEPS,
+    turns: int = 2,
+    most: int = MOST_MINIMA,
+) -> Fitted:
+    """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others."""
+    g = starts
+    if len(starts) > most:
+        wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
+        g = descend(posterior, starts, FIRST_STEPS, wide)[0][: 1 if posterior.dear else most]
+    g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps)
+    leading = g[cost < cost[0] + 2 * DEPTH]
+    chosen: list[Tensor] = []
+    for one in leading:
+        if all(float((one - other).abs().max()) > 0.1 for other in chosen):
+            chosen.append(one)
+    minima = []
+    for one in chosen[:most]:
+        for _ in range(turns if posterior.noise_columns or posterior.likelihood.fitted_errors else 0):
+            one = fit_noise(posterior, one)
+            one = descend(posterior, one[None], LAST_STEPS)[0][0]
+        minima.append(fitted_at(hypothesis, posterior, one))
+    return merged(minima)
+
+
+def merged(minima: Sequence[Fitted]) -> Fitted:
+    """Minima of one hypothesis as one, led by that of most mass; those within APART of a better one are left out."""
+    order = sorted(minima, key=lambda one: -one.laplace)
+    kept: list[Fitted] = []
+    for one in order:
+        if one.peak < max(other.peak for other in order) - DEPTH:
+            continue
+        if all(_distance(one, other) > APART for other in kept):
+            kept.append(replace(one, others=(), evidence=None))
+    return replace(kept[0], others=tuple(kept[1:MOST_MINIMA]))
+
+
+def _distance(first: Fitted, second: Fitted) -> float:
+    """Standard deviations between two minima, along the axis where they are farthest apart."""
+    if not first.posterior.size:
+        return 0.0
+    spread = torch.sqrt(torch.diagonal(first.covariance) + torch.diagonal(second.covariance))
+    return float(((first.g - second.g).abs() / spread).max())
+
+
+@torch.no_grad()
+def fitted_at(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
+    """Residuals, slopes and curvature at coordinates g (P,)."""
+    found = posterior.residuals(g)
+    shape = found.delta.shape
+    found = replace(found, sigma=found.sigma.expand(shape), scale=found.scale.expand(shape))
+    noise = posterior.noise(g)
+    columns = torch.tensor(posterior.physical, dtype=torch.long)
+    far = torch.full_like(g[columns], FARTHEST + 1.0)
+    colours = posterior.colours()
+    if colours is not None:
+        colours = Colours(colours.groups, colours.touched[:, : len(found.delta)])
+
+    def delta(part: Tensor) -> Tensor:
+        return posterior.residuals(g.repeat(len(part), 1).index_copy(1, columns, part)).delta
+
+    slopes = found.delta.new_zeros(len(found.delta), posterior.size)
+    if posterior.physical:
+        slopes[:, columns] = differences(delta, g[None, columns], -far, far, found.delta[None], colours)[0]
+    peak = float(posterior.held_density(found, g))
+    result = Fitted(hypothesis, posterior, g, found, noise, slopes, peak, torch.eye(len(g), dtype=g.dtype))
+    return replace(result, covariance=_covariance(result))
+
+
+def _covariance(at: Fitted) -> Tensor:
+    """Inverse of minus the second derivatives of the log density, its eigenvalues at least LEAST_PRECISION."""
+    posterior, index = at.posterior, at.posterior.noise_columns
+    hessian = at.tangent.T @ at.tangent
+    if index:
+        objective = _noise_objective(posterior, at.g)
+        block = second_differences(objective, at.g[index], 1e-3)[1]
+        hessian[torch.tensor(index)[:, None], torch.tensor(index)] = block
+        if not at.noise.processes:
+            cross = at.slopes.T @ _score_changes(at)
+            cross[index] = 0.0
+            hessian[:, index] += cross
+            hessian[index] += cross.T
+    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.T))
+    return (vectors / values.clamp(min=LEAST_PRECISION)) @ vectors.T
+
+
+def _score_changes(at: Fitted) -> Tensor:
+    """How minus the slope of each row's log density changes with the noise's coordinates, (T, k)."""
+    posterior, index = at.posterior, at.posterior.noise_columns
+    step = 1e-3
+    axes = torch.eye(posterior.size, dtype=at.g.dtype)[index] * step
+    g = torch.cat([at.g + axes, at.g - axes])
+    plain = at.found.sigma / posterior.factor(at.g)
+    with torch.enable_grad():
+        delta = at.delta.repeat(len(g), 1).requires_grad_(True)
+        held = replace(
+            at.found,
+            delta=delta,
+            sigma=(plain * posterior.factor(g)).expand(delta.shape),
+            scale=at.scale.expand(delta.shape),
+            prediction=at.prediction.expand(delta.shape),
+        )
+        (slope,) = torch.autograd.grad(posterior.likelihood.density(held, posterior.noise(g)).sum(), delta)
+    return ((slope[len(index) :] - slope[: len(index)]) / (2 * step)).T
+
+
+def _proposal(minima: Sequence[Fitted], dof: int = TAILS) -> StudentMixture:
+    return StudentMixture(
+        torch.stack([one.g for one in minima]),
+        torch.stack([one.covariance for one in minima]),
+        torch.tensor([one.laplace for one in minima], dtype=minima[0].g.dtype),
+        dof,
+    )
+
+
+@torch.no_grad()
+def integrated(at: Fitted, draws: int, seed: int) -> Fitted:
+    """The hypothesis with its evidence by importance sampling; from the linear form where a geometry is dear, and by Laplace's
+    method alone where rows err together, for each draw would have a covariance of its own to factorise."""
+    posterior = at.posterior
+    if not posterior.size or at.noise.processes:
+        return at
+    density = Linear(at).log_density if posterior.dear else posterior.log_density
+    minima = (at,) if posterior.dear else at.minima
+    generator = torch.Generator().manual_seed(seed)
+    found = importance(density, _proposal(minima), draws, generator)
+    return replace(at, evidence=found)
+
+
+class Linear(Posterior):
+    """The posterior with residuals linear in g about a minimum, and further linear columns ``basis`` (T, m) in the
+    recording's unit, each times a coordinate of its own with a standard normal prior."""
+
+    def __init__(self, at: Fitted, basis: Tensor | None = None) -> None:
+        super().__init__(at.likelihood, at.posterior.scaled)
+        self.at = at
+        self.basis = at.slopes.new_zeros(len(at.delta), 0) if basis is None else basis
+        self.first = self.size
+        self.size += self.basis.shape[1]
+        self.physical = [*self.physical, *range(self.first, self.size)]
+        self.plain = at.found.sigma / at.posterior.factor(at.g)
+
+    def residuals(self, g):
+        at = self.at
+        delta = at.delta + (g[..., : self.first] - at.g) @ at.slopes.T - g[..., self.first :] @ self.basis.T
+        sigma = (self.plain * self.factor(g)).expand(delta.shape)
+        shape = delta.shape
+        return replace(
+            at.found,
+            delta=delta,
+            sigma=sigma,
+            scale=at.scale.expand(shape),
+            prediction=at.prediction.expand(shape),
+        )
+
+    def colours(self):
+        return None

@@ -219,7 +219,7 @@ import torchlc
 from dataclasses import replace
 from pathlib import Path
 scene = torchlc.load(Path(torchlc.__file__).parent / "demo" / "scene.toml")
-curve = torchlc.simulate(scene, start="2020-10-17T13:00:00", hours=6.0, cadence=600.0, noise=0.02, seed=1)
+curve = torchlc.simulate(scene, start="2020-10-17T13:00:00", hours=6.0, cadence=900.0, noise=0.02, seed=1)
 recording = replace(curve.recording, observed=curve.mag)
 numbers = {{"mag": curve.mag.tolist()}}
 model = torchlc.LightCurve(scene, recording, effects=["earth_shadow", "self_shadowing", "panel_offset"])
@@ -229,7 +229,7 @@ numbers["value"] = value.tolist()
 numbers["slope"] = [float(one.grad) for one in model.free.parameters()]
 theta = model.theta().detach().repeat(2, 1)
 numbers["log_prob"] = torchlc.Likelihood(model).log_prob(theta).tolist()
-fixed = {{name: one.value for name, one in scene.materials["body"].parameters.items()}}
+fixed = {{name: one.value for name, one in scene.materials["body"].parameters.items()}}  # few numbers are quick to fit
 body = scene.materials["body"].model_copy(update={{"parameters": fixed}})
 scene = scene.model_copy(update={{"materials": {{**scene.materials, "body": body}}}})
 numbers["fit"] = torchlc.fit(scene, recording, steps=4).parameters()

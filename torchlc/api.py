@@ -44,7 +44,7 @@ from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene
-from torchlc.tensors.moving import CPU, on
+from torchlc.tensors.moving import on_cpu
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def load(
     columns: Columns = None,
     trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
-@on(CPU)
+@on_cpu
 def load(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -102,7 +102,7 @@ def load(
     return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
-@on(CPU)
+@on_cpu
 def simulate(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -129,7 +129,7 @@ def simulate(
     return simulated_curve(scene, rows, noise, seed)
 
 
-@on(CPU)
+@on_cpu
 def predict(
     scene: str | Path | Scene | FitResult,
     *,
@@ -198,7 +198,7 @@ def predict(
     return found
 
 
-@on(CPU)
+@on_cpu
 def visibility(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -223,7 +223,7 @@ def visibility(
     return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
 
 
-@on(CPU)
+@on_cpu
 def fit(
     scene: str | Path | Scene,
     recording: Rows,
@@ -305,7 +305,7 @@ def fit(
     return result
 
 
-@on(CPU)
+@on_cpu
 def diagnose(
     scene: str | Path | Scene,
     recording: Rows,
@@ -342,7 +342,7 @@ def diagnose(
     return result
 
 
-@on(CPU)
+@on_cpu
 def rotation(
     scene: str | Path | Scene,
     *recordings: str | Path | Recording,

@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from torchlc.effects import GEOMETRY_STAGES
-from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.geometry.orbit import angle_between
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
@@ -107,11 +106,13 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     """The sentence that twice the instants change the light of some exposures. The rows looked at are LOOKED_AT, those that
     have most instants first."""
     effect = next((effect for effect in model.effects if effect.spans_exposure), None)
-    if not isinstance(effect, ExposureSmearing):
+    if effect is None:
         return []
+    divided = effect.instants(model.assembly.context)
     flux = model.brightness(theta[None]).flux[0]
     lit = flux > FAINTEST_LOOKED_AT * flux[flux > 0].median() if bool((flux > 0).any()) else flux > 0
-    instants = torch.bincount(effect.divided.row, minlength=len(flux))
+    one_each = torch.ones_like(lit, dtype=torch.long)
+    instants = one_each if divided is None else torch.bincount(divided.row, minlength=len(flux))
     candidates = torch.nonzero(lit)[:, 0]
     if not len(candidates):
         return []
@@ -130,7 +131,7 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     if not bool(wrong.any()):
         return []
     said = (
-        f"exposure_smearing: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
+        f"{effect.name}: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
         f"{TOLD_MAG} mag, up to {float(change.max()):.2g} mag ({float(change.square().mean().sqrt()):.2g} mag rms)"
     )
     if effect.capped is not None:

@@ -25,6 +25,7 @@ from torchlc.lightcurve.pipeline import DARKEST
 from torchlc.parameters import EXPONENT, FRESNEL, INDEX, LOBE_REFLECTANCE, REFLECTANCE, WIDTH, Free, Prior
 from torchlc.shapes import Band, Dome
 from torchlc.stages.effect import View
+from torchlc.tensors.moving import on_cpu
 
 COVERED = 0.5
 """Share of a flat prior that lies in the 90 % interval of a posterior that says nothing, or hardly more than
@@ -64,6 +65,7 @@ class Glint:
     row: int
 
 
+@on_cpu
 def bare_view(model: LightCurve, theta: Tensor) -> View:
     """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at
     natural values theta (P,).
@@ -72,6 +74,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         return bare_model(model).view(model.values(theta))
 
 
+@on_cpu
 def bare_model(model: LightCurve) -> LightCurve:
     """The model without shadows, discs and exposures: only what moves or turns the object is left of its effects."""
     moving = [
@@ -88,6 +91,7 @@ def bare_model(model: LightCurve) -> LightCurve:
     )
 
 
+@on_cpu
 def limits(model: LightCurve, theta: Tensor) -> list[str]:
     """What the model's approximations amount to at natural values theta (P,), where that is worth telling: what each effect
     says of itself, and what exposures lose by the number of their instants.
@@ -209,6 +213,7 @@ class Insight:
     warnings: Sequence[str]
 
 
+@on_cpu
 def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed: int) -> Insight:
     """Compare posterior ``draws`` (N, P) with the prior; ``best`` (P,) is the maximum a posteriori,
     ``view`` its geometry.

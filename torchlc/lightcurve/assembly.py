@@ -28,7 +28,7 @@ from torchlc.scene.problems import shown
 from torchlc.shapes import Facets, Part, Shape
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
-from torchlc.tensors.moving import CPU
+from torchlc.tensors.moving import CPU, on_cpu
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
@@ -277,6 +277,7 @@ class Assembly:
         return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
 
 
+@on_cpu
 def assemble(
     scene: Scene,
     recording: Recording,

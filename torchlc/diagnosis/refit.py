@@ -20,7 +20,7 @@ from torchlc.parameters import ParameterSet
 from torchlc.stages.effect import Entry
 from torchlc.tensors.least_squares import differences
 
-LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64)
+LADDER = torch.tensor([1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0], dtype=torch.float64, device="cpu")
 """Sizes of an effect that are tried, in units of its typical one."""
 MANY_PAIRS = 4096
 """Of facet and instant or direction, a row."""

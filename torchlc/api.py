@@ -45,7 +45,7 @@ from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene
-from torchlc.tensors.moving import CPU, on
+from torchlc.tensors.moving import on_cpu
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def load(
     columns: Columns = None,
     trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
-@on(CPU)
+@on_cpu
 def load(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -103,7 +103,7 @@ def load(
     return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
-@on(CPU)
+@on_cpu
 def simulate(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -130,7 +130,7 @@ def simulate(
     return simulated_curve(scene, rows, noise, seed)
 
 
-@on(CPU)
+@on_cpu
 def predict(
     scene: str | Path | Scene | FitResult,
     *,
@@ -199,7 +199,7 @@ def predict(
     return found
 
 
-@on(CPU)
+@on_cpu
 def visibility(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -224,7 +224,7 @@ def visibility(
     return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
 
 
-@on(CPU)
+@on_cpu
 def fit(
     scene: str | Path | Scene,
     recording: Rows,
@@ -306,7 +306,7 @@ def fit(
     return result
 
 
-@on(CPU)
+@on_cpu
 def diagnose(
     scene: str | Path | Scene,
     recording: Rows,
@@ -344,7 +344,7 @@ def diagnose(
     return result
 
 
-@on(CPU)
+@on_cpu
 def rotation(
     scene: str | Path | Scene,
     *recordings: str | Path | Recording,

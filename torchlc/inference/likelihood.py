@@ -27,6 +27,7 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals, Rows, log_density
 from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.tensors.least_squares import Colours
+from torchlc.tensors.moving import on
 
 FAINTEST_RATIO = 1e-2
 """Ratio of model to datum below which a magnitude residual continues linearly in flux."""
@@ -48,7 +49,8 @@ class Likelihood(Rows):
         self.model = model
         recording = model.recording
         sun_magnitude = model.assembly.sun_magnitude
-        super().__init__(recording, model.assembly.context.curve, sun_magnitude)
+        with on(model.assembly.device):
+            super().__init__(recording, model.assembly.context.curve, sun_magnitude)
         self.kind = recording.kind
         self.observed_flux = 10 ** (-0.4 * (self.observed - sun_magnitude))
 

@@ -29,7 +29,7 @@ from torchlc.shapes import Facets, Part, Shape
 from torchlc.shapes.smooth import Smooth
 from torchlc.stages.effect import Columns, Context, Effect, Entry, Instants
 from torchlc.suggest import did_you_mean
-from torchlc.tensors.moving import CPU
+from torchlc.tensors.moving import CPU, on_cpu
 
 DEFAULT_SUN_MAGNITUDE = -26.7
 RESOLVED_N = 1e4
@@ -289,6 +289,7 @@ class Assembly:
         return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
 
 
+@on_cpu
 def assemble(
     scene: Scene,
     recording: Recording,

@@ -666,6 +666,12 @@ class Effect(nn.Module):
         """Whether a scene without a list of effects has it, if these data can carry it."""
         return self.known
 
+    @property
+    def capped(self) -> tuple[int, int] | None:
+        """Of an effect that divides exposures: the instants that there are and that are needed, where memory does not
+        allow all; else None."""
+        return None
+
     def jumps(self, context: Context) -> str | None:
         """What of it jumps where the geometry moves steadily, as a plural: its slope is that of a step, 0, and not
         the true one; None if nothing does."""

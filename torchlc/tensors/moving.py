@@ -4,28 +4,36 @@ from __future__ import annotations
 
 import io
 import pickle
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from functools import wraps
 from types import CellType, FunctionType
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 Thing = TypeVar("Thing")
+Given = ParamSpec("Given")
 CPU = torch.device("cpu")
 """Where verbs compute, and where a light curve is made."""
 
 
-@contextmanager
-def on(device: torch.device) -> Iterator[None]:
-    """Tensors that are made without a device are made on this one, whatever ``torch.set_default_device`` says. It costs
-    nothing where that says the same."""
-    if torch.get_default_device() == device:
-        yield
-    else:
-        with device:
-            yield
+def on(device: torch.device) -> AbstractContextManager[Any]:
+    """Where tensors that are made without a device are made on this one, whatever ``torch.set_default_device`` says. It
+    costs nothing where that says the same."""
+    return nullcontext() if torch.get_default_device() == device else device
+
+
+def on_cpu(function: Callable[Given, Thing]) -> Callable[Given, Thing]:
+    """The function with the tensors that it makes on the CPU."""
+
+    @wraps(function)
+    def there(*values: Given.args, **named: Given.kwargs) -> Thing:
+        with on(CPU):
+            return function(*values, **named)
+
+    return there
 
 
 def moved(

@@ -9,7 +9,7 @@ from torchlc.stages.effect import Effect
 
 def _angle(name: str, where: str) -> Quantity:
     return Quantity(
-        name, "deg", -90.0, 90.0, f"how far {where} the axis is of where the scene has it",
+        name, "deg", -60.0, 60.0, f"how far {where} the axis is of where the scene has it",
         off=0.0, typical=3.0, prior="normal", mean=0.0, sigma=5.0,
     )  # fmt: skip
 

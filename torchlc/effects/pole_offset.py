@@ -31,5 +31,5 @@ class PoleOffset(Effect):
         return None if steady else "no axis of spin keeps its direction in space"
 
     def attitude(self, rotation, state, p, context):
-        pole = rotation @ context.attitude.about_spin_axis()[2].to(rotation)
+        pole = rotation @ context.attitude.about_spin_axis[2].to(rotation)
         return rotation_towards(pole, p["east"], p["north"]) @ rotation

@@ -34,7 +34,7 @@ class AxisTilt(Effect):
         return None if context.attitude.spins else "the attitude has no spin"
 
     def attitude(self, rotation, state, p, context):
-        first, second, _ = context.attitude.about_spin_axis().to(rotation)
+        first, second, _ = context.attitude.about_spin_axis.to(rotation)
         towards, tilt = torch.deg2rad(p["towards_deg"]), torch.deg2rad(p["deg"])
         across = torch.cos(towards)[..., None] * first + torch.sin(towards)[..., None] * second
         return rotation @ rotation_of(tilt[..., None] * across)

@@ -76,7 +76,7 @@ class Nutation(Effect):
         return self
 
     def attitude(self, rotation, state, p, context):
-        first, second, _ = context.attitude.about_spin_axis().to(rotation)
+        first, second, _ = context.attitude.about_spin_axis.to(rotation)
         turn = 2 * math.pi * p["rev_per_hour"] * state.time / 3600 + torch.deg2rad(p["phase_deg"])
         cone = torch.deg2rad(p["deg"])
         across = torch.cos(turn)[..., None] * first + torch.sin(turn)[..., None] * second

@@ -10,7 +10,7 @@ from torchlc.stages.showing import STAGE_TURNS, TIME, Shown
 
 def _angle(name: str, where: str) -> Quantity:
     return Quantity(
-        name, "deg", -90.0, 90.0, f"how far {where} the axis is of where the scene has it",
+        name, "deg", -60.0, 60.0, f"how far {where} the axis is of where the scene has it",
         off=0.0, typical=3.0, prior="normal", mean=0.0, sigma=5.0,
     )  # fmt: skip
 
@@ -33,5 +33,5 @@ class PoleOffset(Effect):
         return None if steady else "no axis of spin keeps its direction in space"
 
     def attitude(self, rotation, state, p, context):
-        pole = rotation @ context.attitude.about_spin_axis()[2].to(rotation)
+        pole = rotation @ context.attitude.about_spin_axis[2].to(rotation)
         return rotation_towards(pole, p["east"], p["north"]) @ rotation

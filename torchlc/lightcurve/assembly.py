@@ -506,7 +506,7 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
                 scene.source,
                 "model.effects",
                 f"{shown(entry)} is no effect",
-                f"one of {', '.join(known)}",
+                f"one of the {len(known)} that torchlc effects lists",
                 did_you_mean(name, known),
             )
         cls = known[name]
@@ -603,7 +603,10 @@ def _check_given(scene: Scene, context: Context) -> None:
         name, quantity, target = match["effect"], match["quantity"], match["target"]
         place, known = f'model.parameters."{key}"', registry()
         if name not in known:
-            found, expected = f"unknown effect {shown(name)}", f"one of {', '.join(registry())}"
+            found, expected = (
+                f"unknown effect {shown(name)}",
+                f"one of the {len(known)} that torchlc effects lists",
+            )
             raise InputError(scene.source, place, found, expected, did_you_mean(name, registry()))
         numbers = [one.name for one in known[name].quantities]
         if quantity not in numbers:

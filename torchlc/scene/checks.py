@@ -298,6 +298,5 @@ class _Checks:
 
     def _unknown_effect(self, place: str, name: str, known: Collection[str]) -> InputError:
         names = sorted(known)
-        return self.error(
-            place, f"unknown effect {shown(name)}", f"one of {', '.join(names)}", did_you_mean(name, names)
-        )
+        expected = f"one of the {len(names)} that torchlc effects lists"
+        return self.error(place, f"unknown effect {shown(name)}", expected, did_you_mean(name, names))

@@ -115,9 +115,13 @@ def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 class Attitude(nn.Module):
-    """The attitude of a scene at the rows of a recording."""
+    """The attitude of a scene at the rows of a recording.
+
+    ``about_spin_axis``: right-handed rows of the body frame (3, 3), the last along the axis of spin: the body's own for +Z.
+    """
 
     spin_axis: Tensor
+    about_spin_axis: Tensor
     frame: Tensor
     slerp: Slerp
 
@@ -130,6 +134,9 @@ class Attitude(nn.Module):
         if attitude.spin_axis is not None:
             axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
             self.register_buffer("spin_axis", axis / torch.linalg.norm(axis), persistent=False)
+        about = np.array([0.0, 0.0, 1.0] if self.mode in TURNING else attitude.spin_axis or [0.0, 0.0, 1.0])
+        about = torch.from_numpy(frame_about(about / np.linalg.norm(about)))
+        self.register_buffer("about_spin_axis", about, persistent=False)
         self._spin_epoch_s = epoch_seconds(scene, recording, "spin_epoch")
         self._retarded = self.mode in TURNING and not recording.light_time_corrected
         if self.mode in ("nadir", "yaw-steering"):
@@ -153,11 +160,6 @@ class Attitude(nn.Module):
         if self.mode in TURNING:
             return 1 / self.numbers["attitude.period"]
         return self.numbers["attitude.spin_rate"] if self._spinning else 0.0
-
-    def about_spin_axis(self) -> Tensor:
-        """Right-handed rows of the body frame (3, 3), the last along the axis of spin: the body's own for +Z."""
-        axis = np.array([0.0, 0.0, 1.0]) if self.mode in TURNING else self.spin_axis.cpu().numpy()
-        return torch.from_numpy(frame_about(axis))
 
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast

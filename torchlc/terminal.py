@@ -22,6 +22,7 @@ from torchlc.errors import ResourceError, TorchlcError
 INTERRUPTED = 130
 TERMINATED = 143
 """As a shell has it for SIGTERM; also for a terminal that closes."""
+LONGEST_NAME = 200
 DEFECT = 1
 USAGE = 2
 TRACEBACK = "TORCHLC_TRACEBACK"
@@ -91,6 +92,10 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             say("error: no room on disk")
             return ResourceError.exit_code
+        if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.EIO):
+            name = one_line(str(error.filename or "a file"))[:LONGEST_NAME]
+            say(f"error: {name}: cannot be used: {error.strerror}")
+            return USAGE
         say(f"a defect of torchlc, please report it: {type(error).__name__}: {one_line(str(error))}")
         if os.environ.get(TRACEBACK):
             traceback.print_exc()

@@ -7,19 +7,20 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from types import FrameType
 
-INTERRUPTED = 130
+INTERRUPTED, TERMINATED = 130, 143
 ENDING = ("SIGTERM", "SIGHUP")
 UNWIND_S = 5.0
 """Within this of a signal further ones change nothing: they would break off what takes locks and partial files away."""
+Handler = Callable[[int, FrameType | None], object]
 _last = -UNWIND_S
 
 
 def leave_at_once() -> None:
-    """While the program is still being loaded nothing is there to unwind: Ctrl-C ends the process."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as a shell has it for jobs in the background
-        signal.signal(signal.SIGINT, _leave)
+    """While the program is still being loaded nothing is there to unwind: a signal ends the process."""
+    _handle(lambda number, frame: os._exit(INTERRUPTED), lambda number, frame: os._exit(TERMINATED))
 
 
 def unwind() -> None:
@@ -34,10 +35,7 @@ def unwind() -> None:
         if _is_first():
             raise Terminated(signal.Signals(number).name)
 
-    for name, handler in [("SIGINT", interrupt), *((name, terminate) for name in ENDING)]:
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
-            signal.signal(number, handler)
+    _handle(interrupt, terminate)
 
 
 def ignore() -> None:
@@ -47,8 +45,12 @@ def ignore() -> None:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    os._exit(INTERRUPTED)
+def _handle(interrupt: Handler, terminate: Handler) -> None:
+    """Signals that this process is to ignore, as a job in a shell's background or under nohup, stay ignored."""
+    for name, handler in [("SIGINT", interrupt), *((name, terminate) for name in ENDING)]:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def _is_first() -> bool:

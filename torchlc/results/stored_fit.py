@@ -14,6 +14,7 @@ import numpy as np
 
 from torchlc.digits import stated
 from torchlc.errors import InputError
+from torchlc.files.hdf5 import check_hdf5
 from torchlc.files.libraries import arviz_library
 from torchlc.files.reading import readable_file
 from torchlc.results.tables import parameter_table
@@ -120,7 +121,7 @@ def load_fit(folder: str | Path) -> StoredFit:
 
 
 def _draws(path: Path) -> dict[str, np.ndarray]:
-    readable_file(path, "the posterior that the fit wrote")
+    check_hdf5(readable_file(path, "the posterior that the fit wrote"), "a posterior.nc that torchlc wrote")
     arviz = arviz_library()
     try:
         data = arviz.from_netcdf(str(path), engine="h5netcdf")

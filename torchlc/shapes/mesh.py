@@ -102,7 +102,7 @@ def _projected(vectors: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
     """Triangles (F, 3, 3) counter-clockwise from outside in the file's unit, and what was mended."""
     try:
-        import trimesh
+        import trimesh  # noqa: F401 - whether it is there
     except ImportError as error:
         raise MissingExtraError(
             f"{place}: reading the mesh {path.name} needs an extra: pip install 'torchlc[mesh]'"
@@ -116,6 +116,19 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
             path, place, f"{path.stat().st_size / 1e6:.0f} MB", f"at most {MOST_BYTES / 1e6:.0f} MB"
         )
     whole, warnings = _cut(read_faces(path, place), path.name)
+    try:
+        return _repaired(path, place, whole, warnings)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # trimesh and what it calls raise anything where a mesh is strange enough
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(path, place, f"trimesh cannot use it ({said})", "a mesh of one body") from None
+
+
+def _repaired(path: Path, place: str, whole: Faces, warnings: list[str]) -> tuple[np.ndarray, list[str]]:
+    """Corners of the triangles (F, 3, 3) that have an area, facing outwards where the mesh is closed, and what was done."""
+    import trimesh
+
     mesh = trimesh.Trimesh(whole.corners, whole.faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)

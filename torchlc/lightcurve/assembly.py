@@ -298,12 +298,14 @@ def assemble(
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
     _check_given(scene, context)
-    chosen, context = _prepared(_effects(wanted, scene, context), scene, context, pinned or {})
+    held = {} if effects is not None else _held_already(wanted or [], context)
+    listed = None if wanted is None else [entry for entry in wanted if entry not in held]
+    chosen, context = _prepared(_effects(listed, scene, context), scene, context, pinned or {})
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
     sun, warnings = _sun_magnitude(scene, recording)
     parameters, divided, origins = _parameters(scene, chosen, models, row_index, pinned or {}, warnings)
     if effects is None:
-        warnings += _unused(scene, chosen)
+        warnings += _unused(scene, chosen) + [f"{entry} is left out: {why}" for entry, why in held.items()]
     several = [one for effect in chosen if (one := effect.instants(context)) is not None]
     instants = several[0] if several else None
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
@@ -414,6 +416,14 @@ def _context(
         errors=recording.error is not None,
         limits=int(np.bincount(recording.curve[recording.upper_limit], minlength=1).max()),
     )
+
+
+def _held_already(wanted: Sequence[str], context: Context) -> dict[str, str]:
+    """Entries of a scene's list that a model of these data has without them, and why."""
+    known = every()
+    asked = ((entry, known.get(Entry.parse(entry).name)) for entry in wanted)
+    reasons = {entry: cls().held_already(context) for entry, cls in asked if cls is not None}
+    return {entry: reason for entry, reason in reasons.items() if reason is not None}
 
 
 def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:

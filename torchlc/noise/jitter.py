@@ -26,6 +26,9 @@ class Jitter(NoiseKind):
     )  # fmt: skip
 
     def missing(self, context):
+        return self.held_already(context)
+
+    def held_already(self, context):
         return None if context.errors else "the errors are fitted, and jitter is part of them"
 
     def noise(self, noise, p, context):

@@ -533,6 +533,11 @@ class Effect:
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
 
+    def held_already(self, context: Context) -> str | None:
+        """Why every model of these data has the effect, asked for or not, in words; None if that is not so. A scene that
+        lists it is read with a warning, so that one scene serves recordings with it and without."""
+        return None
+
     def beside(self, others: Sequence[Effect]) -> str | None:
         """Why the effect cannot be applied together with these others, in words; None if it can."""
         return None

@@ -118,7 +118,7 @@ class LightCurve(nn.Module):
 
     @torch.no_grad()
     def set_theta(self, theta: Tensor) -> None:
-        """Make natural values theta (P,) the module's own; what lies beyond a bound is set just inside it."""
+        """Make natural values theta (P,) the module's own; what lies beyond a bound is set inside it."""
         for (owner, short), value in zip(self._keys, self.parameter_set.to_unconstrained(theta), strict=True):
             self.free[owner][short].copy_(value)  # pyright: ignore[reportIndexIssue]
 

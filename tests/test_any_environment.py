@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 
 import torchlc
 from tests.bad_input_cases import MESH_SCENE, RECORDING, SCENE
+from tests.hostile_files import attack
 from tests.small_case import write_case
 from torchlc.cli import run
 from torchlc.errors import InputError
@@ -316,3 +317,11 @@ def test_a_campaign_on_a_disk_that_fills_ends_with_3_and_keeps_what_is_done(
     )
     assert done.returncode == 3, done.stderr
     assert "no room on disk" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_hostile_files_are_read_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One of each kind of damage for each kind of file; ``python -m tests.hostile_files FOLDER 14`` tries 588."""
+    monkeypatch.chdir(tmp_path)
+    for what, outcomes in attack(tmp_path / "private", 1).items():
+        assert set(outcomes) <= {"done", "refused"}, what
+        assert outcomes["refused"], what

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -117,8 +117,7 @@ def docstrings() -> Iterator[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("texts", [helps, docstrings], ids=["help", "docstrings"])
-def test_help_and_docstrings_have_short_sentences(texts: object):
-    assert callable(texts)
+def test_help_and_docstrings_have_short_sentences(texts: Callable[[], Iterator[tuple[str, str]]]):
     found = {name: long_sentences(text) for name, text in texts()}
     assert {name: long for name, long in found.items() if long} == {}
     pointers = {name: POINTER.findall(re.sub(r"``?[^`]+``?", "", text)) for name, text in texts()}

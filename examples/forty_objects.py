@@ -1,10 +1,11 @@
-"""An analyst: elements of forty objects and a folder of recordings, to a table of verdicts, worst first.
+"""An analyst: elements of forty objects and a folder of recordings, to the four that stand out and their verdicts.
 
     python examples/forty_objects.py [DIRECTORY]
 
 Forty satellites stand along the demo's orbit. Each has a recording of twelve rows in a file named by its catalogue number;
-the clock of every eighth camera was two minutes late. Files are matched to objects, scenes and manifest are written, every recording is
-compared with its scene, and the eight that fit worst are diagnosed.
+the clock of every tenth camera was two minutes late. Files are matched to objects, scenes and manifest are written, every recording is
+compared with its scene, and the four that fit worst are diagnosed. They are the four with the late clock. Twelve rows cannot tell a
+clock from other materials: the verdict is "adequate", and longer recordings would be the next step.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ import torchlc
 from torchlc.cli import run
 
 DEMO = Path(torchlc.__file__).parent / "demo"
-OBJECTS, EVERY, WORST = 40, 8, 8
+OBJECTS, EVERY, WORST = 40, 10, 4
 STATION = "weihai,37.536,122.05,110"
-SHAPE = "cylinder"
+SHAPE = "box-wing"
 LATE_S = 120.0
 
 
@@ -75,7 +76,7 @@ def main() -> None:
     out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp()) / "forty_objects"
     out.mkdir(parents=True, exist_ok=True)
     catalogue = make_data(out)
-    assert run(["campaign", "init", str(catalogue), str(out), "--shape", SHAPE, "--station", STATION, "--force", "--quiet"]) == 0  # fmt: skip
+    assert run(["campaign", "init", str(catalogue), str(out), "--shape", SHAPE, "--station", STATION, "--exact", "--force", "--quiet"]) == 0  # fmt: skip
     with (out / "manifest.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     misfit = {}
@@ -85,7 +86,7 @@ def main() -> None:
         misfit[row["id"]] = float(np.sqrt(np.mean((recording.observed - curve.mag) ** 2)))
     worst = sorted(rows, key=lambda row: -misfit[row["id"]])[:WORST]
     for row in worst:
-        row["options"] = "--quick --effects time_offset,zero_point_drift"
+        row["options"] = "--quick --effects time_offset"
     with (out / "worst.csv").open("w", newline="") as stream:
         writer = csv.DictWriter(stream, list(worst[0]))
         writer.writeheader()

@@ -46,7 +46,7 @@ def main() -> None:
     mine.write_text(text)
     torchlc_command("simulate", mine, out / "night.csv", "-o", out / "look")
     torchlc_command("diagnose", mine, out / "night.csv", "-o", out / "diagnosis", "--quick",
-                    "--effects", "zero_point_drift,panel_offset")  # fmt: skip
+                    "--effects", "second_material,zero_point_drift,panel_offset")  # fmt: skip
     print(f"open {out / 'diagnosis' / 'report.html'}")
 
 

@@ -140,7 +140,7 @@ def search_rotation(
             locals_, tilted, symmetry = slanted, True, 1
     tumbles: list[Tumble] = []
     if scene.attitude.mode == "rigid-body" or locals_[0].chi2 / dof > STRUCTURE:
-        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, say))
+        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, locals_[0].chi2, say))
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
         tumbles = [one for one in tumbles if one.chi2 < locals_[0].chi2 - CHANGED]
@@ -257,8 +257,11 @@ def _distinct(found: Sequence[Local]) -> list[Local]:
     return kept
 
 
-def _tumbling(rows: Rows, body: FacetLight, low: float, high: float, dof: int, say: Progress) -> list[Tumble]:
-    """Solutions of free rotation, joined over the passes, best first."""
+def _tumbling(
+    rows: Rows, body: FacetLight, low: float, high: float, dof: int, about_an_axis: float, say: Progress
+) -> list[Tumble]:
+    """Solutions of free rotation, joined over the passes, best first. Further pairs of frequencies are looked at only where
+    the first do better than ``about_an_axis``, the chi-square of a turn about an axis of the body."""
     axes = torch.eye(3, dtype=torch.float64)
     halves = all(body.symmetry(axis) % 2 == 0 for axis in axes)
     say("two frequencies", 0.0)
@@ -271,13 +274,14 @@ def _tumbling(rows: Rows, body: FacetLight, low: float, high: float, dof: int, s
             rows, body, some, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
         )
         rough = refiner.refined(first[:TUMBLE_STARTS], progress=lambda share: say("their bodies", share))
+        found += rough
+        if not rough or rough[0][0].chi2 > about_an_axis - CHANGED:
+            break
         # the bodies are known now; with them the grid tells directions of the angular momentum apart
-        refined = []
         for state in _distinct_tumbles(rough, TUMBLES):
             states = tumble_grid.search(rows, body, [state.pair], state.moments[None], kept=SECOND_STARTS)
-            refined += refiner.refined(states, progress=lambda share: say("their poles", share))
-        found += rough + refined
-        if found and min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
+            found += refiner.refined(states, progress=lambda share: say("their poles", share))
+        if min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
             break
     found.sort(key=lambda one: one[0].chi2)
     kept: list[tuple[Tumble, Tensor, Tensor]] = []

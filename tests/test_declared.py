@@ -25,6 +25,7 @@ ROOT = Path(torchlc.__file__).parent
 OTHER_MEANINGS = {
     ("mag", ""): "the kind of a recording, or its column: magnitudes or flux",
     ("time", "readers/"): "the column of a recording",
+    ("nutation", "inference/rotation/"): "a number of the attitude of a body that turns freely",
     ("x", "shapes/"): "the column of a mesh file",
     ("y", "shapes/"): "the column of a mesh file",
     ("z", "shapes/"): "the column of a mesh file",

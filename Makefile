@@ -5,7 +5,7 @@
 PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
 BIN := .venv/bin
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf model fit output cli))
 export OMP_NUM_THREADS ?= 1
 
@@ -43,12 +43,12 @@ bench: .venv/bench
 wheel: .venv/develop
 	$(BIN)/python -m build --quiet --wheel --outdir dist
 	rm -rf build .venv-wheel && $(PYTHON) -m venv .venv-wheel
-	.venv-wheel/bin/pip install --quiet --constraint constraints.txt dist/torchlc-*.whl
+	.venv-wheel/bin/pip install --quiet --constraint .ci/constraints.txt dist/torchlc-*.whl
 	cd "$$(mktemp -d)" && $(CURDIR)/.venv-wheel/bin/torchlc --version && $(CURDIR)/.venv-wheel/bin/torchlc demo --quiet
 
-minimum: constraints-minimum.txt
+minimum: .ci/constraints-minimum.txt
 	rm -rf .venv-minimum && $(PYTHON) -m venv .venv-minimum
-	.venv-minimum/bin/pip install --quiet --constraint constraints-minimum.txt --editable '.[mesh,dask,report,test]'
+	.venv-minimum/bin/pip install --quiet --constraint .ci/constraints-minimum.txt --editable '.[mesh,dask,report,test]'
 	.venv-minimum/bin/python -m pytest --numprocesses 2 -W default $(CORE)
 
 clean:
@@ -58,11 +58,11 @@ clean:
 	@test -n "$(PYTHON)" || { echo "torchlc needs Python 3.11 or newer: set PYTHON=/path/to/python"; exit 1; }
 	$(PYTHON) -m venv .venv
 
-.venv/demo: .venv/bin/python pyproject.toml constraints.txt
+.venv/demo: .venv/bin/python pyproject.toml .ci/constraints.txt
 	$(INSTALL) --editable '.[mesh,report]'
 	touch $@
 
-.venv/develop: .venv/bin/python pyproject.toml constraints.txt
+.venv/develop: .venv/bin/python pyproject.toml .ci/constraints.txt
 	$(INSTALL) --editable '.[mesh,dask,report,docs,test,dev]'
 	touch $@
 

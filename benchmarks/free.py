@@ -20,7 +20,7 @@ from torchlc.lightcurve.evaluators.expansion import UnsuitableError
 from torchlc.lightcurve.model import LightCurve
 
 FREE_WALKERS, FREE_EPOCHS, HOURS = 32, 351, 7.0
-RUNS, SLOW_RUNS, SETS = 60, 4, 5
+RUNS, SLOW_RUNS, SETS = 60, 3, 5
 """Rounds of calls that take a millisecond and of slower ones; sets of geometries that slower ones take in turn."""
 DEFAULT = ("exposure_smearing", "light_time", "sun_distance", "finite_sun", "self_shadowing", "earth_shadow")
 SPREAD = {"deg": 3.0, "s": 10.0, "size_x": 0.1, "size_y": 0.1, "size_z": 0.1, "size_u": 0.1, "size_v": 0.1}
@@ -90,6 +90,11 @@ def _against_fixed(label: str, effects: Sequence[str], cases: Sequence[Case]) ->
     for case in cases:
         ratio = seconds[case.what] / seconds["fixed"]
         yield Result(f"{label}: {case.what} free, exact / fixed", ratio, f"at most {case.bar:g}")
+    if effects:
+        several = likelihoods[cases[-1].what]
+        gradient = least({"gradient": slope(several)}, SLOW_RUNS)["gradient"]
+        ratio = gradient / seconds[cases[-1].what]
+        yield Result(f"{label}: {cases[-1].what} free, value and gradient / value", ratio, "at most 3.5")
     for case in cases if effects else ():
         yield from _expanded(f"{label}: {case.what} free", likelihoods[case.what], seconds["fixed"], case.bar)
 
@@ -99,17 +104,18 @@ def _expanded(what: str, likelihood: torchlc.Likelihood, fixed: float, bar: floa
     theta, sd = posterior_of(likelihood)
     start = time.process_time()
     try:
-        model = likelihood.model.expanded(theta, torch.diag(sd**2))
+        quick = likelihood.expanded(theta, torch.diag(sd**2))
     except UnsuitableError as error:
         yield Result(f"{what}: no expansion, for {error}", math.nan)
         return
     made = time.process_time() - start
-    quick = torchlc.Likelihood(model)
     noise = torch.randn(SETS, FREE_WALKERS, len(theta), generator=torch.Generator().manual_seed(1)).to(theta)
     points = cycle(theta + noise * sd)
     seconds = least({"call": torch.no_grad()(lambda: quick.log_prob(next(points)))}, RUNS)["call"]
     yield Result(f"{what}, expanded / fixed", seconds / fixed, f"at most {bar:g}")
-    yield Result(f"{what}, expanded: largest error", model.evaluator.error_mag, "at most 0.002", " mag")
+    yield Result(
+        f"{what}, expanded: largest error", quick.model.evaluator.own_error_mag, "at most 0.002", " mag"
+    )
     yield Result(f"{what}, expanded: making it / a call of fixed geometry", made / fixed)
 
 
@@ -132,7 +138,7 @@ def _rockets() -> Iterator[Result]:
     seconds = least({"fixed": fresh(fixed)}, RUNS)
     yield Result("rocket body: geometry fixed", 1e3 * seconds["fixed"], unit=" ms")
     calls = {f"n to {most:.0e}": fresh(rocket(effects, turning=True, most=most)) for most in (1e6, 1e3)}
-    seconds |= least(calls, SLOW_RUNS)
+    seconds |= least(calls, 1)
     for name in calls:
         yield Result(
             f"rocket body: spin axis and phase free, {name} / fixed",
@@ -149,6 +155,17 @@ def fresh(likelihood: torchlc.Likelihood):
     def call() -> Tensor:
         with torch.no_grad():
             return likelihood.log_prob(next(points) * (1 + 1e-9 * float(torch.rand(()))))
+
+    return call
+
+
+def slope(likelihood: torchlc.Likelihood):
+    """A call with its gradient that takes another set of geometries each time."""
+    points = cycle([around(likelihood, seed=seed) for seed in range(SETS)])
+
+    def call() -> Tensor:
+        theta = (next(points) * (1 + 1e-9 * float(torch.rand(())))).requires_grad_()
+        return torch.autograd.grad(likelihood.log_prob(theta).sum(), theta)[0]
 
     return call
 

@@ -26,7 +26,7 @@ version = release = torchlc.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 html_math_renderer = "mathml"
-myst_enable_extensions = ["dollarmath", "deflist", "substitution"]
+myst_enable_extensions = ["dollarmath", "deflist"]
 myst_substitutions = {
     "blocks": proof.BLOCKS,
     "clean_p": f"{engine.CLEAN_P:g}",
@@ -48,7 +48,7 @@ myst_substitutions = {
     "unknown_odds": f"{odds.UNKNOWN_ODDS:g}",
     "wide_mag": f"{posterior.WIDE_MAG:g}",
 }
-"""The numbers of the verdict, as the code has them."""
+"""The numbers of the verdict, as the code has them; fill_numbers.py writes them into the pages."""
 HERE = Path(__file__).parent
 
 
@@ -118,7 +118,7 @@ def calibration_of_the_verdict() -> dict[str, str]:
 
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
 myst_heading_anchors = 3
-exclude_patterns = ["_build", "effects/_library.md"]
+exclude_patterns = ["_build"]
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 autodoc_typehints_description_target = "documented_params"
@@ -142,17 +142,22 @@ STAGES = {
 }
 
 
-def write_library(app: object) -> None:
-    """effects/_library.md: every effect, in the order of the stages."""
+def write_library() -> None:
+    """effects/library.md, by fill_numbers.py."""
+    (HERE / "effects" / "library.md").write_text(library(), encoding="utf-8")
+
+
+def library() -> str:
+    """Every effect, in the order of the stages."""
     sizes = json.loads((HERE / "effects" / "sizes.json").read_text(encoding="utf-8"))
-    lines = sizes_and_costs(sizes)
+    lines = ["# Every effect", "", *sizes_and_costs(sizes)]
     stage = ""
     for effect in effects_listing():
         if effect["stage"] != stage:
             stage = effect["stage"]
             lines += [f"## {STAGES[stage]}", "", f"Stage `{stage}`.", ""]
         lines += section(effect)
-    (HERE / "effects" / "_library.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def sizes_and_costs(sizes: dict[str, dict[str, Any]]) -> list[str]:
@@ -218,5 +223,4 @@ def write_formula(page: Any, node: nodes.math | nodes.math_block) -> None:
 
 
 def setup(app: Any) -> None:
-    app.connect("builder-inited", write_library)
     app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))

@@ -49,7 +49,7 @@ class Held:
 
 def preset_scene(preset: str, stations: str) -> torchlc.Scene:
     """The preset's shape, attitude and materials, for a recording with altitude, azimuth and height."""
-    template = (scaffold.TEMPLATES / f"shape_{scaffold.PRESETS[preset]}.toml").read_text()
+    template = scaffold.PRESETS[preset].shape(exact=True)
     return torchlc.Scene.from_toml(f"""
 format = "torchlc-scene/1"
 name = "{preset}"
@@ -57,7 +57,7 @@ name = "{preset}"
 altaz = true
 {stations}
 {template}
-[model]{scaffold.EFFECTS[preset].replace('"light_time", ', "")}
+[model]{scaffold.ON_STATION.replace('"light_time", ', "")}
 [model.parameters]
 band_sun_magnitude = -26.76
 zero_point = {{ value = 0.0, sigma = 0.02, prior = "normal" }}

@@ -205,7 +205,23 @@ SCENE_CASES = [
     _scene("skew plate", "u = [1, 0, 0]", "u = [1, 1, 0]", "components[1].v: 45.000 deg"),
     _scene("tracks the Moon", '"sun"', '"moon"', "components[1].tracks.target: 'moon'"),
     _scene("tracks no axis", ", axis = [0, 1, 0] }", " }", "components[1].tracks.axis: missing"),
-    _scene("name twice", 'name = "panel"', 'name = "body"', "components[1].name: 'body' again"),
+    _scene(
+        "name twice and meant by an effect",
+        'name = "panel"',
+        'name = "body"',
+        "components[1].name: 'body' again",
+        base=SCENE.replace("body]", "hull]")
+        .replace('material = "body"', 'material = "hull"')
+        .replace('["self_shadowing"]', '["color_term"]')
+        .replace("[model.parameters]", '[model.parameters]\n"color_term.mag[body]" = 0.1'),
+    ),
+    _scene(
+        "name twice",
+        'name = "panel"',
+        'name = "body"',
+        "2 have the name 'body'. They are called 'body 1', 'body 2' here",
+        outcome="warning",
+    ),
     _scene("name in brackets", 'name = "panel"', 'name = "panel[1]"', "components[1].name"),
     _scene(
         "no component",

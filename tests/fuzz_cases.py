@@ -100,7 +100,7 @@ SCENES = [
     SCENE.replace(TLE, 'oem_file = "sat.oem"\n\n'),
     *(
         new_scene(Elements("x", (LINES[0], LINES[1])), preset, mesh="body.obj" if preset == "mesh" else None)
-        for preset in PRESETS
+        for preset in {one.template: name for name, one in PRESETS.items()}.values()
     ),
 ]
 RECORDINGS = [RECORDING, VECTOR_RECORDING, ALTAZ_RECORDING, ECSV, ECSV_VECTORS, MMT, ALCDEF, SIMPLE, DAMIT]

@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import arviz
-import dask.config
-import distributed  # noqa: F401  (loads the configuration that is changed below)
 import h5py
 import pandas
 from PIL import Image
 
+from torchlc.campaigns import processes
 from torchlc.campaigns.objects import read_record
 from torchlc.cli import run
 
@@ -38,9 +37,7 @@ GONE_S = 60.0
 
 
 def main(folder: Path, kills: int, command: list[str]) -> None:
-    dask.config.set(
-        {"distributed.worker.multiprocessing-method": "fork"}
-    )  # spawned ones would import for seconds
+    processes.START_METHOD = "fork"  # spawned workers would import for seconds
     random.seed(8)
     assert wait(start([*command, "-o", str(folder / "warm")])) == 0
     began = time.monotonic()

@@ -1,13 +1,16 @@
-"""An addition is one class: an effect, a law of reflection, a shape and a figure, defined here and nowhere else, go from
-TOML through simulate, fit, diagnose and report to the listings; a network inside of them learns."""
+"""An addition is one class: an effect, a law of reflection, a shape, a noise model, a reader and a figure, defined here and
+nowhere else, go from TOML and a file through simulate, fit, sample, diagnose and report to the listings and the pages; a
+network inside of them learns."""
 
 from __future__ import annotations
 
 import copy
+import importlib.util
 import json
 import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +30,11 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.naming import Replaced
+from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import LOBE_REFLECTANCE, REFLECTANCE, Quantity
+from torchlc.readers.format import FORMATS, Format
+from torchlc.readers.formats import formats
+from torchlc.readers.table import Header
 from torchlc.report.figures import ReportFigure
 from torchlc.report.figures.contract import FIGURES
 from torchlc.report.listing import effects_listing
@@ -131,6 +138,44 @@ class Hexagon(Part):
         return torch.cat([sides[:, 0], sides[:, 3]])
 
 
+class UnevenErrors(NoiseKind):
+    """Errors are wider at the beginning than at the end, linearly.
+
+    Neglects why.
+    """
+
+    name = "uneven_errors"
+    title = "errors that shrink with time"
+    widens = True
+    quantities = (
+        Quantity(
+            "mag", "mag", 0.0, 1.0, "at the first row", off=0.0, typical=0.03, prior="halfnormal", sigma=0.1
+        ),
+    )
+
+    def noise(self, noise, p, context):
+        return noise.wider(p["mag"] * (1 - context.seconds / context.seconds[-1]))
+
+
+class NightLog(Format):
+    """Lines "12.345 +- 0.010 at 2459140.1", as an observer may keep them."""
+
+    name = "night log"
+
+    @classmethod
+    def recognises(cls, head):
+        return head.first.startswith("Night log of")
+
+    @classmethod
+    def read(cls, head):
+        def rows():
+            for _, text in head.lines[1:]:
+                mag, _, error, _, date = text.split()
+                yield [date, mag, error]
+
+        return Header(head.path, ("time", "mag", "mag_err"), ",", ecsv=False, rows=rows, format=cls.name)
+
+
 class Spread(ReportFigure):
     """Residuals in order of size."""
 
@@ -160,6 +205,7 @@ def known():
         registry_.pop(name)
 
 
+ROOT = Path(__file__).parent.parent
 first, second = ORBIT_1
 TEXT = f"""
 format = "torchlc-scene/1"
@@ -213,6 +259,18 @@ def recording():
     return replace(curve.recording, observed=curve.mag, error=np.full(len(curve.mag), 0.01))
 
 
+@pytest.fixture(scope="module")
+def night_log(tmp_path_factory):
+    """The same night with errors that are uneven beside the quoted 0.01 mag, as the reader's file."""
+    noisy = scene_with('["thin_cloud", "uneven_errors"]', f'{TRUE_CLOUD}\n"uneven_errors.mag" = 0.05')
+    curve = torchlc.simulate(noisy, start="2020-10-17T14:00:00", hours=6.0, cadence=300.0, noise=0.01, seed=5)
+    time = curve.recording.time.utc
+    rows = [f"{mag:.5f} +- 0.010 at {day:.8f}" for mag, day in zip(curve.mag, time.jd, strict=True)]
+    path = tmp_path_factory.mktemp("log") / "night.log"
+    path.write_text("\n".join(["Night log of station weihai", *rows]) + "\n")
+    return path
+
+
 def test_a_hexagon_is_six_rectangles_and_two_hexagons():
     """Areas by elementary geometry: side r, and 3 sqrt(3) / 2 r^2 at the ends."""
     part = SHAPES["hexagon"](scene_with().components[0], torchlc.shapes.Surroundings())
@@ -233,16 +291,18 @@ def test_they_shine_as_elementary_geometry_says():
     torch.testing.assert_close(model.brightness().flux, expected, rtol=1e-12, atol=0)
 
 
-def test_fit_and_report(recording, tmp_path):
-    """Effect, law, a free size and the figure in one fit: the truth within five standard deviations."""
-    scene = scene_with('["thin_cloud"]', '"thin_cloud.hour" = 3.1')
-    result = torchlc.fit(scene, recording, steps=40, out=tmp_path / "fit")
-    assert result.names == ["paint.glow", "paint.r_diff", "thin_cloud.mag"]
-    truth = {"paint.glow": 0.05, "paint.r_diff": 0.4, "thin_cloud.mag": 0.5}
+def test_fit_and_report(night_log, tmp_path):
+    """Reader, effect, law, noise and the figure in one fit: the truth within five standard deviations."""
+    scene = scene_with('["thin_cloud", "uneven_errors"]', '"thin_cloud.hour" = 3.1')
+    result = torchlc.fit(scene, night_log, steps=40, out=tmp_path / "fit")
+    truth = {"paint.glow": 0.05, "paint.r_diff": 0.4, "thin_cloud.mag": 0.5, "uneven_errors.mag": 0.05}
+    assert result.names == list(truth)
     for name, row in result.parameters().items():
         assert abs(row["median"] - truth[name]) < 5 * row["sd"], name
     page = (tmp_path / "fit" / "report.html").read_text()
     assert "Residuals in order" in page and "A straight middle" in page
+    assert UnevenErrors.title in page
+    assert "read as night log" in page
     assert (tmp_path / "fit" / "spread.png").is_file() or list((tmp_path / "fit").rglob("spread*"))
 
 
@@ -276,7 +336,8 @@ def test_a_diagnosis_tries_the_laws_that_a_law_counts_among_its_rivals():
 
 
 def test_every_list_knows_them():
-    assert "thin_cloud" in {effect["name"] for effect in effects_listing()}
+    assert {"thin_cloud", "uneven_errors"} <= {effect["name"] for effect in effects_listing()}
+    assert NightLog in formats()
     assert completion.effects("thin_c") == ["thin_cloud"]
     assert completion.laws("constant") == ["constant-glow"]
     with pytest.raises(
@@ -292,6 +353,8 @@ def test_a_class_that_is_defined_again_replaces_the_first_with_a_word():
         (EFFECTS, ThinCloud, "name", "thin_cloud"),
         (MODELS, ConstantGlow, "model", "constant-glow"),
         (SHAPES, Hexagon, "kind", "hexagon"),
+        (EFFECTS, UnevenErrors, "name", "uneven_errors"),
+        (FORMATS, NightLog, "name", "night log"),
     ):
         with pytest.warns(Replaced, match=f"{name}' is now .*Again"):
             again = type("Again", (base,), {attribute: name, "__module__": __name__})
@@ -454,9 +517,23 @@ def test_the_listings_are_json():
     json.dumps(effects_listing(), allow_nan=False)
 
 
+def test_the_pages_of_effects_are_made_from_the_class():
+    """What the documentation's own builder writes of an effect that no file of it names."""
+    specification = importlib.util.spec_from_file_location("conf", ROOT / "docs" / "conf.py")
+    builder = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(builder)
+    listing = {effect["name"]: effect for effect in effects_listing()}
+    for cls in (ThinCloud, UnevenErrors):
+        page = "\n".join(builder.section(listing[cls.name]))
+        assert f"### {cls.name}" in page and cls.title.capitalize() in page
+        for quantity in cls.quantities:
+            assert f"| `{cls.name}.{quantity.name}` | {quantity.unit} |" in page
+            assert quantity.meaning in page
+
+
 MINE = [
     (registry_, name, cls)
-    for registry_ in (EFFECTS, MODELS, SHAPES, FIGURES)
+    for registry_ in (EFFECTS, MODELS, SHAPES, FORMATS, FIGURES)
     for name, cls in registry_.outside().items()
     if cls.__module__ == __name__
 ]

@@ -5,10 +5,12 @@ nothing done twice; failures recorded; bounded memory; a manifest's defects by l
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -21,6 +23,7 @@ import distributed  # noqa: F401  (loads the configuration that is changed below
 import h5py
 import numpy as np
 import pandas
+import psutil
 import pyarrow.parquet
 import pytest
 
@@ -32,7 +35,7 @@ from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
 from torchlc.campaigns.objects import origin_of, read_record, run_object
 from torchlc.campaigns.summary import arrow_schema, write_csv
 from torchlc.cli import run
-from torchlc.errors import TorchlcError
+from torchlc.errors import InputError, TorchlcError
 from torchlc.files.writing import LOCK_NAME, OutputDirectory
 
 HOSTILE = "../../R/B <img src=x onerror=alert(1)> 100%"
@@ -340,12 +343,88 @@ def deadly(number: int) -> str:
 
 
 def test_an_object_that_kills_every_worker_stops_nothing():
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1}), connected(None, 2, 1) as client:
+    with connected(None, 2, 1) as client:
         outcomes = dict(spread(client, deadly, range(8)))
     assert {number: outcome for number, outcome in outcomes.items() if number != 3} == {
         number: str(number) for number in range(8) if number != 3
     }
     assert isinstance(outcomes[3], TorchlcError) and "died" in str(outcomes[3])
+
+
+def raises(number: int) -> str:
+    raise InputError("file.csv", f"line {number}", "nothing", "something", "a hint")
+
+
+def test_what_a_worker_raises_arrives_whole():
+    with connected(None, 1, 1) as client:
+        ((_, error),) = spread(client, raises, [7])
+    assert isinstance(error, InputError)
+    assert str(error) == "file.csv: line 7: nothing; expected something. a hint" and error.hint == "a hint"
+
+
+def listening(process: psutil.Process) -> list[Any]:
+    """Sockets at which a process and those it began wait for others, of the internet or of this machine by name."""
+    family = [process, *process.children(recursive=True)]
+    inet = [one for each in family for one in each.net_connections("inet")]
+    named = [one for each in family for one in each.net_connections("unix") if one.laddr]
+    return [one for one in inet if one.status == psutil.CONN_LISTEN or one.type == socket.SOCK_DGRAM] + named
+
+
+def test_nobody_else_can_reach_the_workers(manifest: Path, tmp_path: Path):
+    """No port is open and no socket has a name while objects are being done; the kernel's list says so."""
+    command = ["campaign", str(manifest), "-o", str(tmp_path / "out"), "--workers", "2", "--quiet"]
+    campaign = subprocess.Popen(
+        [sys.executable, "-m", "torchlc", *command], env=ENVIRONMENT, start_new_session=True
+    )
+    process = psutil.Process(campaign.pid)
+    until(lambda: any((tmp_path / "out").glob(f"objects/*/{LOCK_NAME}")))
+    seen = listening(process)
+    workers = len(process.children(recursive=True))
+    campaign.send_signal(signal.SIGKILL)
+    campaign.wait()
+    until(lambda: not alive(campaign.pid), 30)
+    assert workers >= 2 and seen == []
+    with socket.create_server(("127.0.0.1", 0)) as server:  # what would be seen
+        mine = listening(psutil.Process())
+        assert server.getsockname() in [one.laddr for one in mine]
+
+
+def test_no_file_is_read_before_it_is_known_where_it_lies(tmp_path: Path):
+    """The record holds no hash of a file outside the scene's folder, by whatever way the scene names it, and neither a
+    file of a terabyte nor an endless one is opened."""
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    secret = tmp_path / "secret.bin"
+    secret.write_bytes(b"secret")
+    (folder / "link.bin").symlink_to(secret)
+    with (folder / "large.bin").open("wb") as stream:
+        stream.truncate(10**12)
+    (folder / "recording.csv").write_text("time,mag\n")
+    names = [
+        "../secret.bin",
+        str(secret),
+        "link.bin",
+        "large.bin",
+        "missing.bin",
+        "/dev/zero",
+        "x" * 300,
+        "a\\u0000b",
+    ]
+    for name in names:
+        (folder / "scene.toml").write_text(f'[attitude]\nmode = "quaternions"\nfile = "{name}"\n')
+        job = Job("a", folder / "scene.toml", folder / "recording.csv", "fit", seed=0)
+        assert set(origin_of(job)["inputs"]) == {"scene", "recording"}, name
+        assert run_object(job, tmp_path / "out") == "failed"
+        assert hashlib.sha256(b"secret").hexdigest() not in (tmp_path / "out" / "object.json").read_text()
+    trusted = Job(
+        "a", folder / "scene.toml", folder / "recording.csv", "fit", seed=0, options={"trust": True}
+    )
+    (folder / "scene.toml").write_text('[attitude]\nfile = "../secret.bin"\n')
+    assert origin_of(trusted)["inputs"]["../secret.bin"] == hashlib.sha256(b"secret").hexdigest()
+    for scene, recording in (("scene.toml", "large.bin"), ("large.bin", "recording.csv")):
+        job = Job("a", folder / scene, folder / recording, "fit", seed=0)
+        with pytest.raises(InputError, match="at most"):
+            origin_of(job)
 
 
 def resident_mib() -> float:

@@ -265,7 +265,7 @@ def test_bash_completes_commands_options_and_names():
             "panel_offset,earth_shadow", "panel_offset,earthshine"
         },
         "torchlc materials fit a --model gg": {"ggx", "ggx-conductor", "ggx-dielectric"},
-        "torchlc init my.toml --shape cu": {"cubesat"},
+        "torchlc init my.toml --shape cu": {"cubesat", *(f"cubesat-{units}u" for units in (1, 2, 3, 6, 12, 16))},
         "torchlc fit a b --use f": {"flux"},
     }  # fmt: skip
     asks = "".join(

@@ -22,15 +22,10 @@ from torchlc.effects import registry
 from torchlc.parameters import ROLES
 
 ROOT = Path(torchlc.__file__).parent
-LATER = {
-    "lightcurve/model.py", "lightcurve/assembly.py",
-    "inference/rotation/facet_light.py", "inference/rotation/passes.py", "inference/rotation/search.py",
-    "prediction/brightness.py", "prediction/glints.py", "prediction/result.py",
-}  # fmt: skip
-"""Files that still tell some by name."""
 OTHER_MEANINGS = {
     ("mag", ""): "the kind of a recording, or its column: magnitudes or flux",
     ("time", "readers/"): "the column of a recording",
+    ("nutation", "inference/rotation/"): "a number of the attitude of a body that turns freely",
     ("x", "shapes/"): "the column of a mesh file",
     ("y", "shapes/"): "the column of a mesh file",
     ("z", "shapes/"): "the column of a mesh file",
@@ -95,7 +90,7 @@ def told_by_name(path: Path, names: dict[str, set[Path]]) -> list[str]:
     ]
 
 
-FILES = [path for path in sorted(ROOT.rglob("*.py")) if str(path.relative_to(ROOT)) not in LATER]
+FILES = sorted(ROOT.rglob("*.py"))
 
 
 def test_no_file_decides_by_the_name_of_an_effect_a_law_or_a_quantity() -> None:

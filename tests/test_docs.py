@@ -20,7 +20,7 @@ FETCHED = re.compile(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(?:htt
 PAGES = sorted(
     page
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    if not {"_build", "_library.md"} & set(page.parts) and any(blocks(page))
+    if "_build" not in page.parts and any(blocks(page))
 )
 
 
@@ -47,6 +47,25 @@ def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
+def test_pages_read_in_the_repository_as_on_the_site() -> None:
+    """No raw mark of a template; numbers in the pages, and the list of effects, are those of the code."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        import conf
+        import fill_numbers
+    finally:
+        sys.path.pop(0)
+    for page in fill_numbers.pages():
+        text = page.read_text(encoding="utf-8")
+        assert "{{" not in re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL), page
+        assert "```{include}" not in text, page
+        assert text == fill_numbers.filled(text, conf.myst_substitutions), (
+            f"{page}: python docs/fill_numbers.py"
+        )
+    library = ROOT / "docs" / "effects" / "library.md"
+    assert library.read_text(encoding="utf-8") == conf.library(), "python docs/fill_numbers.py"
+
+
 def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("furo")
     pages = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_build"))
@@ -58,7 +77,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-4000:]
-    assert "panel_offset" in (tmp_path / "html" / "effects" / "index.html").read_text(encoding="utf-8")
+    assert "panel_offset" in (tmp_path / "html" / "effects" / "library.html").read_text(encoding="utf-8")
     fetched = [
         (str(page.relative_to(tmp_path)), found)
         for page in (tmp_path / "html").rglob("*.html")

@@ -120,6 +120,7 @@ SIZES = {
     "cone": "radius = {}\nradius_top = {}\nlength = {}",
     "dish": "radius = {}\ndepth = {}",
     "sphere": "radius = {}",
+    "nozzle": "radius = {}\nradius_top = {}\nlength = {}",
 }
 BROAD = f"""
     [materials.white]

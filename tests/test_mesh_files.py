@@ -136,6 +136,22 @@ def test_faces_that_are_there_twice_count_once(tmp_path, turn):
         assert warnings == ["twice.obj: 6 faces are there twice and count once"]
 
 
+def test_faces_of_both_sides_and_in_another_division_are_told_of(tmp_path):
+    """A cube of quadrilaterals has no open edge if each is there from inside, too, or with its other diagonal. Two
+    quadrilaterals of the cube have 8 edges, their diagonals not counted, at which three faces meet or more."""
+    path = tmp_path / "rock.obj"
+    path.write_text(obj(CUBE, [*QUADS, *(tuple(reversed(face)) for face in QUADS)]))
+    area, volume, warnings = measured(path)
+    assert (area, volume) == pytest.approx((12.0, 0.0))
+    assert len(warnings) == 1 and "more than two faces meet at 12 edges" in warnings[0]
+    halves = [half for quad in QUADS[:2] for half in (quad[:3], quad[2:] + quad[:1])]
+    others = [half for quad in QUADS[:2] for half in (quad[1:], quad[3:] + quad[:2])]
+    path.write_text(obj(CUBE, [*QUADS[2:], *halves, *others]))
+    area, _, warnings = measured(path)
+    assert area == pytest.approx(8.0)
+    assert any("more than two faces meet at 8 edges" in text for text in warnings)
+
+
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply"])
 @pytest.mark.parametrize("shape", ["icosphere", "cylinder", "annulus", "capsule"])
 def test_clean_files_measure_what_trimesh_does(tmp_path, suffix, shape):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import math
 from collections.abc import Iterator
@@ -28,12 +27,14 @@ from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import find_modes
 from torchlc.lightcurve.model import LightCurve
+from torchlc.naming import Replaced
 from torchlc.noise.draw import draw
 from torchlc.noise.kind import NoiseKind
 from torchlc.noise.outliers import Mixture
 from torchlc.noise.red_noise import Matern32
 from torchlc.parameters import Quantity
 from torchlc.report.listing import effects_lines, effects_listing
+from torchlc.stages.effect import EFFECTS
 from torchlc.stages.noise import Law, Noise, Process
 
 DOUBLE = torch.float64
@@ -81,51 +82,51 @@ class Exponential(Process):
 def outside() -> Iterator[dict[str, type[NoiseKind]]]:
     """Three kinds that no file of the package holds: another law, another variance, another process."""
 
-    class LongTails(NoiseKind):
-        """Errors follow Laplace's law. Neglects nothing that this test is about."""
+    with EFFECTS.restored():
 
-        name, title, reshapes = "long_tails", "errors with exponential tails", True
-        quantities = (
-            Quantity("width", "", 0.2, 20.0, "over the quoted error", typical=2.0, prior="loguniform"),
-        )
+        class LongTails(NoiseKind):
+            """Errors follow Laplace's law. Neglects nothing that this test is about."""
 
-        def noise(self, noise, p, context):
-            return noise.with_law(Laplace(p["width"]))
+            name, title, reshapes = "long_tails", "errors with exponential tails", True
+            quantities = (
+                Quantity("width", "", 0.2, 20.0, "over the quoted error", typical=2.0, prior="loguniform"),
+            )
 
-    class AirmassJitter(NoiseKind):
-        """Errors that grow with the air that light crosses. Neglects nothing that this test is about."""
+            def noise(self, noise, p, context):
+                return noise.with_law(Laplace(p["width"]))
 
-        name, title, widens = "airmass_jitter", "errors that grow with airmass", True
-        quantities = (
-            Quantity(
-                "mag_per_airmass", "mag", 0.0, 2.0, "sd at an airmass of 1", off=0.0, typical=0.05,
-                prior="halfnormal", sigma=0.1,
-            ),
-        )  # fmt: skip
+        class AirmassJitter(NoiseKind):
+            """Errors that grow with the air that light crosses. Neglects nothing that this test is about."""
 
-        def missing(self, context):
-            return None if context.airmass is not None else "the airmass is not known"
+            name, title, widens = "airmass_jitter", "errors that grow with airmass", True
+            quantities = (
+                Quantity(
+                    "mag_per_airmass", "mag", 0.0, 2.0, "sd at an airmass of 1", off=0.0, typical=0.05,
+                    prior="halfnormal", sigma=0.1,
+                ),
+            )  # fmt: skip
 
-        def noise(self, noise, p, context):
-            return noise.wider(p["mag_per_airmass"] * context.airmass)
+            def missing(self, context):
+                return None if context.airmass is not None else "the airmass is not known"
 
-    class DriftingSky(NoiseKind):
-        """An Ornstein-Uhlenbeck process. Neglects nothing that this test is about."""
+            def noise(self, noise, p, context):
+                return noise.wider(p["mag_per_airmass"] * context.airmass)
 
-        name, correlates = "drifting_sky", True
-        quantities = (
-            Quantity("mag", "mag", 0.0, 2.0, "its sd", off=0.0, typical=0.05, prior="halfnormal", sigma=0.05),
-            Quantity("tau_min", "min", 1.0, 120.0, "its time scale", typical=10.0, prior="loguniform"),
-        )
+        class DriftingSky(NoiseKind):
+            """An Ornstein-Uhlenbeck process. Neglects nothing that this test is about."""
 
-        def noise(self, noise, p, context):
-            return noise.with_process(Exponential(p["mag"], p["tau_min"], context.seconds))
+            name, correlates = "drifting_sky", True
+            quantities = (
+                Quantity(
+                    "mag", "mag", 0.0, 2.0, "its sd", off=0.0, typical=0.05, prior="halfnormal", sigma=0.05
+                ),
+                Quantity("tau_min", "min", 1.0, 120.0, "its time scale", typical=10.0, prior="loguniform"),
+            )
 
-    kinds = {kind.name: kind for kind in (LongTails, AirmassJitter, DriftingSky)}
-    yield kinds
-    kinds.clear()
-    del LongTails, AirmassJitter, DriftingSky
-    gc.collect()  # a class that nothing holds is no longer known
+            def noise(self, noise, p, context):
+                return noise.with_process(Exponential(p["mag"], p["tau_min"], context.seconds))
+
+        yield {kind.name: kind for kind in (LongTails, AirmassJitter, DriftingSky)}
 
 
 def number(value: float) -> Tensor:
@@ -189,10 +190,12 @@ def test_a_class_without_a_title_is_called_by_its_name(outside) -> None:
 
 
 def test_defined_again_it_takes_the_place_of_the_first(outside) -> None:
-    class LongTails(NoiseKind):
-        """The same name."""
+    with pytest.warns(Replaced, match="effect 'long_tails' is now"):
 
-        name, title = "long_tails", "a second try"
+        class LongTails(NoiseKind):
+            """The same name."""
+
+            name, title = "long_tails", "a second try"
 
     assert registry()["long_tails"].title == "a second try"
 

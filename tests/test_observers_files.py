@@ -391,14 +391,10 @@ class TestFormatsOfOthers:
             FORMATS.pop("diary of a test")
 
     def test_a_second_format_of_a_name_replaces_the_first_with_a_word(self):
-        before = FORMATS["AstroImageJ"]
-        try:
+        with FORMATS.restored():
             with pytest.warns(Replaced, match=r"format 'AstroImageJ' is now elsewhere\.Other, in place of "):
-                type("Other", (before,), {"name": "AstroImageJ", "__module__": "elsewhere"})
+                type("Other", (FORMATS["AstroImageJ"],), {"name": "AstroImageJ", "__module__": "elsewhere"})
             assert FORMATS["AstroImageJ"].__name__ == "Other"
-        finally:
-            with pytest.warns(Replaced):
-                FORMATS.enter("AstroImageJ", before)
 
 
 class TestRowsInMemory:

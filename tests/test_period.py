@@ -204,6 +204,17 @@ def test_a_spin_faster_than_the_sampling_is_among_the_aliases(tmp_path: Path):
     assert any("60 s" in text and "22" in text for text in found.warnings)
 
 
+def test_twice_the_step_between_rows_is_no_candidate(tmp_path: Path):
+    """Rows every 8 s see a sinusoid of 16 s at two phases only, so that any amplitude fits: no candidate has one beyond the
+    range of the rows."""
+    generator = np.random.default_rng(17)
+    seconds = 8.0 * np.arange(90)
+    mag = 10 + 0.5 * np.sin(2 * np.pi * seconds / 30.8) + 0.05 * generator.normal(size=90)
+    found = find_period(recording(tmp_path, seconds / 3600, mag, 0.05))
+    assert found.candidates[0].period_s == pytest.approx(30.8, rel=5e-3)
+    assert all(one.amplitude <= np.ptp(mag) for one in found.candidates)
+
+
 def test_uneven_rows_have_no_such_aliases(tmp_path: Path):
     generator = np.random.default_rng(14)
     hours = np.sort(generator.uniform(0, 4, 500))

@@ -463,6 +463,7 @@ class TestWhatTimesAre:
         ("shutter open", 15), ("end of exposure", -15), ("exposure end, UTC", -15), ("shutter closed", -15),
         ("mid-exposure", 0), ("middle of the exposure", 0), ("UTC (clock kept by GPS)", 0), ("", 0),
         ("TAI", -37), ("TT", -69.184), ("terrestrial time (TT)", -69.184),
+        ("Terrestrial Time at mid-exposure", -69.184), ("International Atomic Time", -37), ("universal time", 0),
     ])  # fmt: skip
     def test_descriptions(self, read, said: str, moved: float):
         """TAI - UTC was 37 s in 2020 (IERS Bulletin C 60), TT - TAI is 32.184 s."""
@@ -483,12 +484,18 @@ class TestWhatTimesAre:
         ("HJD", "HJD'; expected times at the observer"), ("BJD_TDB", "BJD_TDB"), ("heliocentric", "heliocentric"),
         ("GPS time", "one time scale"), ("UT1", "one time scale"), ("LST", "one time scale"),
         ("TT, not UTC", "one time scale"), ("local time", "local time"), ("CET", "local time"),
-        ("UTC+8", "local time"), ("UTC +05:30", "local time"), ("start of exposure", "Add a column exptime"),
+        ("Barycentric Coordinate Time", "one time scale"), ("UTC+8", "local time"), ("UTC +05:30", "local time"), ("start of exposure", "Add a column exptime"),
     ])  # fmt: skip
     def test_what_cannot_be_converted_is_refused(self, read, said: str, message: str):
         with pytest.raises(InputError) as caught:
             self.load(read, said)
         assert message in str(caught.value)
+
+    @pytest.mark.parametrize(
+        "said", ["TDB", "Barycentric Dynamical Time (TDB)", "barycentric dynamical time"]
+    )
+    def test_a_scale_of_the_solar_system_is_no_reduction_to_its_centre(self, read, said: str):
+        assert self.load(read, said).time.scale == "tdb"
 
     def test_contradictions_are_refused(self, read):
         with pytest.raises(InputError, match="'TAI', but time_scale is utc"):
@@ -694,3 +701,41 @@ def test_damaged_files_give_a_recording_or_an_input_error(
         assert np.isfinite(recording.observed).all() and np.isfinite(recording.seconds).all()
         assert recording.error is None or (recording.error > 0).all()
         assert (np.diff(recording.seconds) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ("0.000", "row 4, column mag: 0 mag is 10.1 mag from all others: if"),
+        ("0 10.4 0", "row 4, column mag: 0 mag is 10.1 mag from all others, and so are 1 more rows: if"),
+        ("88.8", "88.8 mag is 78.5 mag from all others"),
+        ("50", "50 mag is 39.7 mag from all others"),
+        ("-9.99", "-9.99 mag is 20.1 mag from all others"),
+        ("4.37", None),  # a glint
+        ("6.66", None),  # 3.4 mag from the others
+        ("10.10", None),
+    ],
+)
+def test_numbers_that_stand_for_none_are_told_of(read, values: str, said: str | None):
+    rows = [f"2020-10-17T15:{minute:02d}:00,{mag},0.02" for minute, mag in
+            enumerate(["10.10", "10.23", "10.31", *values.split(), "10.27"])]  # fmt: skip
+    recording = read("\n".join(["time,mag,mag_err", *rows]))
+    assert len(recording) == len(rows) and recording.dropped == {}
+    assert bool(recording.warnings) == (said is not None)
+    if said is not None:
+        assert said in recording.warnings[0]
+
+
+def test_whole_magnitudes_of_a_visual_observer_are_no_markers(read):
+    rows = [f"2020-10-17T15:{minute:02d}:00,{mag}" for minute, mag in enumerate([0, 3, 8, 0, 7, 12, 5])]
+    assert read("\n".join(["time,mag", *rows])).warnings == ()
+
+
+@pytest.mark.parametrize(
+    "said", ["instrumental magnitude", "differential, V - C", "reduced to unit distances"]
+)
+def test_magnitudes_that_are_not_apparent_are_told_of(read, said: str):
+    text = plain_ecsv(f"name: time, datatype: string; name: mag, datatype: float64, description: '{said}'",
+                      "2020-10-17T15:00:00 1", "2020-10-17T15:01:00 2")  # fmt: skip
+    (warning,) = read(text).warnings
+    assert "takes apparent magnitudes" in warning

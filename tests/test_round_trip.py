@@ -9,7 +9,7 @@ from astropy.table import Table
 
 import torchlc
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
-from tests.effects.passes import CELLS, LOW_PASS, MATERIALS, TUMBLING, orbiting
+from tests.effects.passes import CELLS, LOW_PASS, MATERIALS, TUMBLING, orbiting, rows
 from tests.paper_orbits import LOW
 from torchlc.cli import run
 from torchlc.effects import registry
@@ -28,7 +28,13 @@ MIRROR = """
 MATT = "[materials.foil]\nn = 30.0\nr_spec = 0.1\nr_diff = { value = 0.3, low = 0.0, high = 1.0 }\n"
 POLISHED = "[materials.foil]\nn = 1000.0\nr_spec = { value = 0.9, low = 0.0, high = 1.0 }\nr_diff = 0.0\n"
 FREE_MATERIALS = MATERIALS.replace("0.35", "{ value = 0.35, low = 0.0, high = 1.0 }") + CELLS
-EVERY = [name for name, cls in registry().items() if cls.stage != "noise" and name != "appendage"]
+
+
+def possible(scene) -> list[str]:
+    """Every effect that a pass can carry, but for one that lights what is dark here."""
+    context = LightCurve(scene, rows(scene, LOW_PASS, 0.16, 6.0), effects=[]).assembly.context
+    physics = {name: cls for name, cls in registry().items() if cls.stage != "noise" and name != "appendage"}
+    return [name for name, cls in physics.items() if cls().missing(context) is None]
 
 
 def shown(attitude, components, materials, effects, **options):
@@ -46,7 +52,10 @@ SCENES = {
         'mode = "inertial"\nspin_axis = [1, 0, 0]\nspin_rate = 60.0',
         MIRROR, MATT, ["self_shadowing", "finite_sun"], tle=LOW,
     ),
-    "every effect": shown(TUMBLING, tle=LOW, components=orbiting.__defaults__[1], materials=FREE_MATERIALS, effects=EVERY),
+    "every effect": shown(
+        TUMBLING, tle=LOW, components=orbiting.__defaults__[1], materials=FREE_MATERIALS,
+        effects=possible(orbiting(TUMBLING, materials=FREE_MATERIALS, tle=LOW)),
+    ),
 }  # fmt: skip
 
 

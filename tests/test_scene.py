@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
 from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
+from torchlc.api import simulate
 from torchlc.errors import InputError
 from torchlc.files.numbers import CONTROLS
 from torchlc.materials import known as materials
@@ -323,3 +324,26 @@ def test_damaged_files_give_a_scene_or_an_input_error(tmp_path: Path, cuts: list
         load_scene(path)
     except InputError as error:
         assert "\n" not in str(error)
+
+
+def test_components_of_one_name_are_numbered():
+    """Whatever names the file holds besides, each is used once, and the scene as it is written reads without a word."""
+    body = SCENE[SCENE.index("[[components]]") : SCENE.index('[[components]]\nname = "panel"')]
+    named = [body.replace('name = "body"', f'name = "{name}"') for name in ("wing 2", "wing", "wing")]
+    scene = Scene.from_toml(SCENE.replace(body, "".join([*named, body, body])))
+    names = [component.name for component in scene.components]
+    assert names == ["wing 2", "wing 1", "wing 3", "body 1", "body 2", "panel"]
+    assert [text.partition(". They")[0] for text in scene.warnings] == [
+        "components: 2 have the name 'wing'",
+        "components: 2 have the name 'body'",
+    ]
+    again = Scene.from_toml(scene.to_toml())
+    assert again == scene and not again.warnings
+
+
+def test_components_of_one_name_have_the_brightness_of_named_ones():
+    scene = Scene.from_toml(SCENE.replace('name = "panel"', 'name = "body"'))
+    times = {"start": "2020-10-17T15:00:00", "hours": 2.0, "cadence": 1200.0}
+    alike, apart = (simulate(given, **times) for given in (scene, Scene.from_toml(SCENE)))
+    assert (alike.mag == apart.mag).all()
+    assert {"share body 1", "share body 2"} <= set(alike.to_table().colnames)

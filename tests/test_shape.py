@@ -21,7 +21,8 @@ F64 = torch.float64
 def component(name, shape, **keys):
     blank = {
         "centre": [0, 0, 0], "rotation": [0, 0, 0], "axis": [0, 0, 1], "scale": 1.0, "u": None, "u_around": None,
-        "material": "m", "face_materials": None, "back_material": None, "tracks": None, "facets": None,
+        "material": "m", "face_materials": {}, "back_material": None, "tracks": None, "facets": None,
+        "two_tone": None, "sectors": (), "inside_material": None,
     }  # fmt: skip
     return SimpleNamespace(name=name, shape=shape, **(blank | keys))
 

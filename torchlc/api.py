@@ -4,6 +4,7 @@ and returns one object.
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import shutil
 import time
@@ -44,6 +45,7 @@ from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene
+from torchlc.tensors.moving import on_cpu
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
@@ -81,6 +83,7 @@ def load(
     columns: Columns = None,
     trust: bool = False,
 ) -> tuple[Scene, Recording]: ...
+@on_cpu
 def load(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -100,6 +103,7 @@ def load(
     return read if recording is None else (read, recording_of(recording, read, use=use, columns=columns))
 
 
+@on_cpu
 def simulate(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -126,6 +130,7 @@ def simulate(
     return simulated_curve(scene, rows, noise, seed)
 
 
+@on_cpu
 def predict(
     scene: str | Path | Scene | FitResult,
     *,
@@ -194,6 +199,7 @@ def predict(
     return found
 
 
+@on_cpu
 def visibility(
     scene: str | Path | Scene,
     recording: Rows = None,
@@ -218,6 +224,7 @@ def visibility(
     return component_visibility(scene, _grid_or(scene, recording, start, hours, cadence), values, towards)
 
 
+@on_cpu
 def fit(
     scene: str | Path | Scene,
     recording: Rows,
@@ -299,6 +306,7 @@ def fit(
     return result
 
 
+@on_cpu
 def diagnose(
     scene: str | Path | Scene,
     recording: Rows,
@@ -336,6 +344,7 @@ def diagnose(
     return result
 
 
+@on_cpu
 def rotation(
     scene: str | Path | Scene,
     *recordings: str | Path | Recording,
@@ -351,9 +360,11 @@ def rotation(
     """Rotation states of a body from one or more recordings: pole, period, phase, with all modes that fit.
 
     The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
-    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there.
+    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed
+    goes on from the last stage that it had finished.
     """
     from torchlc.inference.rotation.search import search_rotation
+    from torchlc.inference.rotation.steps import Steps
     from torchlc.readers.joining import joined
     from torchlc.results.rotation_result import RotationResult
 
@@ -372,8 +383,18 @@ def rotation(
             ]
             directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
         stack.enter_context(resources(None if out is None else Path(out)))
+        kept = Steps()
+        if directory is not None:
+            numbers = (
+                rows.seconds.tobytes(),
+                rows.observed.tobytes(),
+                repr((shortest, longest, __version__)).encode(),
+            )
+            key = hashlib.sha256(b"".join((scene.to_toml().encode(), *numbers))).hexdigest()
+            name, room = "search.pt", directory
+            kept = Steps(key, directory.path / name, lambda fill: room.write(name, fill))
         search = search_rotation(
-            scene, rows, shortest_s=shortest, longest_s=longest, seed=seed, progress=progress
+            scene, rows, shortest_s=shortest, longest_s=longest, progress=progress, steps=kept
         )
         made = provenance(scene, rows, seed, command)
         made["inputs"] |= {
@@ -384,6 +405,7 @@ def rotation(
         result = RotationResult(search, seed, time.monotonic() - began, made)
         if directory is not None:
             result.write(directory)
+            directory.clear(["search.pt"])
     return result
 
 

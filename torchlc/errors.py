@@ -37,6 +37,10 @@ class InputError(TorchlcError):
             text += f". {hint}"
         super().__init__(" ".join(line.strip() for line in text.splitlines() if line.strip()))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
+        """What makes it again in another process: Python would call the class with the message alone."""
+        return type(self), (self.source, self.place, self.found, self.expected, self.hint)
+
 
 class BusyError(TorchlcError):
     """The output directory is in use by a run that is alive."""

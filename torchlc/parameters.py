@@ -293,7 +293,7 @@ class ParameterSet:
         device: torch.device | str = "cpu",
     ) -> None:
         self.fixed = dict(fixed)
-        self.dtype, self.device = dtype, device
+        self.dtype, self.device = dtype, torch.device(device)
         entries = {parameter.name: parameter for parameter in free}
         self.pairs: list[tuple[int, int]] = []
         order = [parameter.name for parameter in free]

@@ -12,6 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -19,6 +20,9 @@ import typer
 from torchlc.errors import ResourceError, TorchlcError
 
 INTERRUPTED = 130
+TERMINATED = 143
+"""As a shell has it for SIGTERM; also for a terminal that closes."""
+LONGEST_NAME = 200
 DEFECT = 1
 USAGE = 2
 TRACEBACK = "TORCHLC_TRACEBACK"
@@ -29,6 +33,31 @@ UsageProblem: type[Exception] = next(
 """Base of everything the command line itself objects to; newer typer brings a click of its own."""
 
 
+class Terminated(SystemExit):
+    """The process was asked to end by a signal of this name. No error: only the end of the command hears of it."""
+
+
+def prepare_process() -> None:
+    """Make the command independent of how it was started: streams that are closed take what is written to them, letters
+    that the terminal does not have are escaped, and settings of matplotlib that a person or a notebook left behind, which
+    could end a run at its first figure, do not count.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(
+                os.devnull, os.O_RDWR
+            )  # takes the lowest number that is free; a file of results would else
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 - for the life of the process
+        else:
+            stream.reconfigure(errors="backslashreplace")
+    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
+
+
 def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
     """Run a command and turn whatever it raises into one line on standard error and the exit code of
     FORMATS.
@@ -36,7 +65,7 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
     try:
         with quiet_libraries():
             found = action()
-            sys.stdout.flush()
+            print(end="", flush=True)
         if found == INTERRUPTED:  # newer typer turns Ctrl-C into this exit code itself
             raise KeyboardInterrupt
     except TorchlcError as error:
@@ -45,6 +74,9 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
     except (KeyboardInterrupt, typer.Abort):
         say(f"interrupted{after_interrupt}")
         return INTERRUPTED
+    except Terminated as error:
+        say(f"ended by {error}{after_interrupt}")
+        return TERMINATED
     except UsageProblem as error:
         say(f"error: {one_line(getattr(error, 'format_message', error.__str__)())}. Try --help.")
         return USAGE
@@ -60,6 +92,10 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             say("error: no room on disk")
             return ResourceError.exit_code
+        if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.EIO):
+            name = one_line(str(error.filename or "a file"))[:LONGEST_NAME]
+            say(f"error: {name}: cannot be used: {error.strerror}")
+            return USAGE
         say(f"a defect of torchlc, please report it: {type(error).__name__}: {one_line(str(error))}")
         if os.environ.get(TRACEBACK):
             traceback.print_exc()
@@ -101,8 +137,13 @@ def printable(text: str) -> str:
 
 
 def show_json(content: Any) -> None:
-    """A result on standard output; refuses NaN, which JSON does not have."""
-    print(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+    """A result on standard output; refuses NaN, which JSON does not have. Letters are escaped where the output lacks them."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(content, indent=1, allow_nan=False)
+    print(text)
 
 
 @contextlib.contextmanager

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,20 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.posterior import Posterior, fit
 from torchlc.readers import Recording
 from torchlc.stages.effect import Entry
+from torchlc.stages.showing import (
+    ECLIPSE,
+    LABORATORY,
+    MIRROR,
+    NIGHT,
+    PASS,
+    SLOW,
+    SPIN,
+    STAGE_TURNS,
+    STAGE_WEEK,
+    TIME,
+    YEAR,
+    Shown,
+)
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"
@@ -90,90 +105,117 @@ spin_rate = 60.0
 """
     + LEO[LEO.index("[[components]]") :].replace('tracks = { target = "sun", axis = [0, 1, 0] }', "")
 )
-WHITE = {"panel.n": 30.0, "panel.r_spec": 0.1, "panel.r_diff": 0.7, "body.r_diff": 0.6}
+STAGE = """
+format = "torchlc-scene/1"
+name = "a rocket body that turns in 20 s"
+[orbit]
+vectors = "icrs"
+[attitude]
+mode = "spin-pole"
+pole = [60.0, 35.0]
+period = 0.005555555555555556
+phase = 10.0
+epoch = "2021-03-20T12:00:00"
+[[components]]
+name = "stage"
+shape = "cylinder"
+radius = 1.5
+length = 9.0
+axis = [1, 0, 0]
+centre = [0, 0, 0]
+material = "skin"
+[materials.skin]
+n = { value = 20.0, low = 1.0, high = 1e6, prior = "loguniform" }
+r_spec = { value = 0.3, low = 0.0, high = 1.0 }
+r_diff = { value = 0.3, low = 0.0, high = 1.0 }
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+HOLLOW = """
+v 0 0 0\nv 3 0 0\nv 3 1 0\nv 1 1 0\nv 1 2 0\nv 3 2 0\nv 3 3 0\nv 0 3 0
+v 0 0 2\nv 3 0 2\nv 3 1 2\nv 1 1 2\nv 1 2 2\nv 3 2 2\nv 3 3 2\nv 0 3 2
+f 8 7 6 5 4 3 2 1\nf 9 10 11 12 13 14 15 16
+f 1 2 10 9\nf 2 3 11 10\nf 3 4 12 11\nf 4 5 13 12\nf 5 6 14 13\nf 6 7 15 14\nf 7 8 16 15\nf 8 1 9 16
+"""
+"""A block with a slot."""
+TURNTABLE = (
+    STAGE[: STAGE.index("[[components]]")]
+    .replace("a rocket body that turns in 20 s", "a white block with a slot on a turntable")
+    .replace("pole = [60.0, 35.0]", "pole = [0.0, 90.0]")
+    .replace("period = 0.005555555555555556", "period = 1.0")
+    + """[[components]]
+name = "block"
+shape = "mesh"
+file = "block.obj"
+scale = 0.5
+centre = [-0.75, -0.75, -0.5]
+material = "paint"
+[materials.paint]
+model = "lambert"
+albedo = { value = 0.7, low = 0.0, high = 1.0 }
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+)
+MESHES = Path(tempfile.mkdtemp())
+(MESHES / "block.obj").write_text(HOLLOW, encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A scene and its grid of times: start, hours, cadence (s), exposure (s)."""
+    """A scene and its grid of times: start, hours, cadence (s), exposure (s); of one whose recording holds vectors
+    also the directions to Sun and observer and the distance of the latter, km, and the days at which it is repeated."""
 
     text: str
     start: str
     hours: float
     cadence: float
     exptime: float | None = None
+    to_sun: tuple[float, float, float] | None = None
+    to_observer: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    range_km: float = 1000.0
+    days: tuple[int, ...] = (0,)
 
 
 SETTINGS = {
-    "geostationary, a night": Setting(GEO, "2020-10-17T13:00", 8.0, 120.0),
-    "geostationary, a mirror's glint": Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
-    "geostationary, an eclipse": Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
-    "geostationary, a year at one hour": Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
-    "low orbit, one pass": Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
-    "low orbit, a turn a minute": Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
-    "low orbit, a turn in eight minutes": Setting(
-        SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0
+    NIGHT: Setting(GEO, "2020-10-17T13:00", 8.0, 120.0),
+    MIRROR: Setting(GEO, "2020-10-07T15:30", 2.0, 20.0),
+    ECLIPSE: Setting(GEO, "2020-10-05T15:30", 2.0, 15.0),
+    YEAR: Setting(GEO, "2020-03-01T16:00", 8760.0, 259_200.0),
+    PASS: Setting(LEO, "2008-09-20T12:08", 7.4 / 60, 3.0),
+    SPIN: Setting(SPINNER, "2008-09-20T12:09", 5 / 60, 1.5, 5.0),
+    SLOW: Setting(SPINNER.replace("spin_rate = 60.0", "spin_rate = 7.5"), "2008-09-20T12:08", 7.4 / 60, 3.0),
+    STAGE_TURNS: Setting(
+        STAGE, "2021-03-20T12:00:00", 1 / 60, 0.9, to_sun=(1.0, 0.0, 0.2), to_observer=(0.3, 1.0, 0.5)
     ),
-}
-NIGHT, MIRROR, ECLIPSE, YEAR, PASS, SPIN, SLOW = SETTINGS
-
-
-@dataclass(frozen=True)
-class Case:
-    """An effect's scene, coordinate, and the values at which it is shown; materials may be others than the
-    scene's."""
-
-    setting: str
-    coordinate: str
-    values: Mapping[str, float] = field(default_factory=dict)
-    target: str | None = None
-    materials: Mapping[str, float] = field(default_factory=dict)
-
-
-PANEL_GLINT = "glint_angle_deg[panel +Y/front]"
-PASS_GLINT = "glint_angle_deg[panel/front]"
-CASES = {
-    "exposure_smearing": Case(SPIN, "spin_phase"),
-    "time_offset": Case(PASS, PASS_GLINT, {"s": 2.0}),
-    "along_track_offset": Case(PASS, PASS_GLINT, {"deg": 0.1}),
-    "light_time": Case(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0}),
-    "spin_rate_offset": Case(SPIN, "time", {"rev_per_hour": 0.3}),
-    "attitude_offset": Case(NIGHT, PANEL_GLINT, {"x": 1.0, "y": 0.0, "z": 1.0}),
-    "attitude_jump": Case(NIGHT, "time", {"x": 1.0, "y": 0.0, "z": 1.0, "time": 4.0}),
-    "attitude_drift": Case(NIGHT, PANEL_GLINT, {"x": 0.5, "y": 0.0, "z": 0.5}),
-    "wing_split": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "wobble": Case(NIGHT, "cycle of the wobble", {"deg": 1.0, "period_min": 80.0}),
-    "panel_offset": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "panel_cant": Case(NIGHT, PANEL_GLINT, {"deg": 2.0}),
-    "sun_distance": Case(YEAR, "distance of the Sun, au"),
-    "finite_sun": Case(MIRROR, PANEL_GLINT, materials={"panel.n": 1e5}),
-    "earth_shadow": Case(ECLIPSE, "shadow_coordinate"),
-    "earthshine": Case(PASS, "phase_angle_deg", {"albedo": 0.3}, materials=WHITE),
-    "interreflection": Case(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE),
-    "self_shadowing": Case(SLOW, "sun_lon_body"),
-    "appendage": Case(NIGHT, "phase_angle_deg", {"area": 1.5, "lon": 20.0, "lat": 70.0}),
-    "back_transmission": Case(PASS, "phase_angle_deg", {"t_d": 0.02}, "panel"),
-    "normal_dispersion": Case(NIGHT, PANEL_GLINT, {"deg": 3.0}, "panel"),
-    "lobe_tail": Case(NIGHT, PANEL_GLINT, {"g": 2.0}, "panel"),
-    "second_material": Case(
-        NIGHT, PANEL_GLINT, {"weight": 0.2, "n": 3000.0, "r_spec": 0.05, "r_diff": 0.05}, "panel"
+    STAGE_WEEK: Setting(
+        STAGE,
+        "2021-03-20T12:00:00",
+        0.4 / 60,
+        0.25,
+        to_sun=(1.0, 0.0, 0.2),
+        to_observer=(0.3, 1.0, 0.5),
+        days=(0, 3, 7),
     ),
-    "opposition_surge": Case(NIGHT, "phase_angle_deg", {"b0": 0.8, "h": 0.05}, "body"),
-    "background": Case(NIGHT, "inverse_flux", {"fraction": 0.1}),
-    "saturation": Case(NIGHT, "flux", {"q": 0.05, "limit": 0.8}),
-    "color_term": Case(NIGHT, "share of panel +Y", {"mag": 0.2}, "panel +Y"),
-    "extinction_residual": Case(PASS, "airmass", {"mag_per_airmass": 0.1}),
-    "zero_point_drift": Case(NIGHT, "time", {"mag_per_hour": 0.03}),
-    "zero_point_step": Case(NIGHT, "time", {"mag": 0.1, "time": 5.0}),
-    "jitter": Case(NIGHT, "mag", {"mag": 0.05}),
-    "red_noise": Case(NIGHT, "lag, min", {"mag": 0.05, "tau_min": 20.0}),
-    "outliers": Case(NIGHT, "mag", {"fraction": 0.05, "width": 8.0}),
+    LABORATORY: Setting(
+        TURNTABLE,
+        "2021-03-20T12:00:00",
+        1.0,
+        20.0,
+        to_sun=(-1.0, 0.0, 0.0),
+        to_observer=(-0.3, 0.8, 0.35),
+        range_km=0.01,
+    ),
 }
 
 
 def with_effects(text: str, effects: list[str], values: Mapping[str, float]) -> torchlc.Scene:
     """The scene with this list of effects and nothing else, their values in place."""
-    scene = torchlc.Scene.from_toml(text)
+    scene = torchlc.Scene.from_toml(text, MESHES)
     parameters = {
         key: value for key, value in scene.model.parameters.items() if not key.startswith("earth_shadow")
     }
@@ -182,12 +224,34 @@ def with_effects(text: str, effects: list[str], values: Mapping[str, float]) -> 
 
 
 def rows(setting: Setting) -> Recording:
-    scene = torchlc.Scene.from_toml(setting.text)
+    scene = torchlc.Scene.from_toml(setting.text, MESHES)
+    if setting.to_sun is not None:
+        return with_vectors(setting, scene)
     grid = observation_grid(scene, setting.start, setting.hours, setting.cadence)
     if setting.exptime is not None:
         grid = replace(grid, exptime=np.full(len(grid), setting.exptime))
     seen = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
     return replace(seen, observed=np.zeros(len(seen)), error=np.full(len(seen), ERROR_MAG))
+
+
+def with_vectors(setting: Setting, scene: torchlc.Scene) -> Recording:
+    """A recording that holds the directions."""
+    assert setting.to_sun is not None  # asked before
+    within = np.arange(round(setting.hours * 3600 / setting.cadence)) * setting.cadence
+    seconds = np.concatenate([86400.0 * day + within for day in setting.days])
+    first = np.datetime64(setting.start, "ns")
+    table: dict[str, Any] = {
+        "time": [str(first + np.timedelta64(round(1e9 * one), "ns"))[:26] for one in seconds],
+        "mag": np.zeros(len(seconds)),
+        "mag_err": np.full(len(seconds), ERROR_MAG),
+    }
+    for prefix, towards, distance in (
+        ("sun", setting.to_sun, 149_597_870.7),
+        ("obs", setting.to_observer, setting.range_km),
+    ):
+        place = distance * np.array(towards) / np.linalg.norm(towards)
+        table |= {f"{prefix}_{axis}": np.full(len(seconds), x) for axis, x in zip("xyz", place, strict=True)}
+    return Recording.from_table(table, scene)
 
 
 def materials_at(model: torchlc.LightCurve, materials: Mapping[str, float]) -> torch.Tensor:
@@ -197,7 +261,7 @@ def materials_at(model: torchlc.LightCurve, materials: Mapping[str, float]) -> t
     return theta
 
 
-def measured(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+def measured(name: str, case: Shown) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
     """Sizes of what ``name`` leaves, and the columns that its figure shows."""
     setting = SETTINGS[case.setting]
     entry = str(Entry(name, case.target))
@@ -271,7 +335,7 @@ def nearby(model: torchlc.LightCurve) -> torch.Tensor:
     return parameters.from_flat(torch.minimum(torch.maximum(y, low + 1e-6), high - 1e-6))
 
 
-def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+def noise_of(name: str, case: Shown) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
     """Errors drawn without and with a noise effect."""
     setting = SETTINGS[case.setting]
     full = {f"{name}.{key}": value for key, value in case.values.items()}
@@ -289,7 +353,7 @@ def noise_of(name: str, case: Case) -> tuple[dict[str, Any], Mapping[str, np.nda
     return sizes, {"hours": rows(setting).seconds / 3600, "plain": plain, "left": left}
 
 
-def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
+def draw(name: str, case: Shown, sizes: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> None:
     noise = registry()[name].stage == "noise"
     with plt.rc_context({**style(8.5), "figure.facecolor": "white"}):
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.7), layout="constrained")
@@ -311,7 +375,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
         left.set_ylabel("drawn error, mag" if noise else "with − without, mag")
         if noise:
             shown_noise(case, columns, right)
-        elif case.coordinate == "time":
+        elif case.coordinate == TIME:
             right.plot(hours / scale, columns["with"], color=DATA, label="with it", **dots)
             right.plot(
                 hours / scale, columns["without"], color=MODEL, lw=1.1, label="without it, materials refitted"
@@ -323,7 +387,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
                 right.plot(columns["along"], columns[key], color=colour, **dots)
             right.set_xlabel(case.coordinate.replace("_deg", ", deg ").replace("_", " "))
         for axes in (left, right):
-            if not (axes is right and (noise or case.coordinate == "time")):
+            if not (axes is right and (noise or case.coordinate == TIME)):
                 axes.axhline(0, color=DATA, lw=0.7, zorder=0)
                 axes.invert_yaxis()
         figure.legend(loc="outside lower center", ncols=4, fontsize=8, handletextpad=0.3)
@@ -337,7 +401,7 @@ def draw(name: str, case: Case, sizes: Mapping[str, Any], columns: Mapping[str, 
         plt.close(figure)
 
 
-def shown_noise(case: Case, columns: Mapping[str, np.ndarray], axes: Any) -> None:
+def shown_noise(case: Shown, columns: Mapping[str, np.ndarray], axes: Any) -> None:
     """Distribution of the errors, or their autocorrelation where that is what the noise changes."""
     if case.coordinate != "mag":
         minutes = 60 * columns["hours"][:40]
@@ -356,16 +420,16 @@ def shown_noise(case: Case, columns: Mapping[str, np.ndarray], axes: Any) -> Non
 
 def main(names: list[str], *, costs: bool) -> None:
     told = json.loads(SIZES.read_text(encoding="utf-8")) if SIZES.exists() else {}
-    for name in names or CASES:
-        case = CASES[name]
-        work: Callable[[str, Case], Any] = noise_of if registry()[name].stage == "noise" else measured
+    for name in names or registry():
+        case = registry()[name].shown
+        work: Callable[[str, Shown], Any] = noise_of if registry()[name].stage == "noise" else measured
         sizes, columns = work(name, case)
         draw(name, case, sizes, columns)
         told[name] = {"setting": case.setting, **sizes, "cost": told.get(name, {}).get("cost")}
         if costs:
             told[name]["cost"] = cost(SETTINGS[case.setting], str(Entry(name, case.target)))
         print(name, told[name], flush=True)
-        whole = {one: told[one] for one in CASES if one in told}
+        whole = {one: told[one] for one in registry() if one in told}
         SIZES.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
 
 

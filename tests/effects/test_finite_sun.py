@@ -64,18 +64,22 @@ def test_nothing_without_a_lobe_needs_a_disc(tmp_path):
 
 @pytest.mark.parametrize("n", [1e4, 1e5, 1e6])
 def test_few_directions_do_for_a_cylinder(tmp_path, n):
-    """Against 600 points of the disc one by one, as bright as they are; 0.3 % is the rule's own error, of places all over the
-    glint's line of which the first row is one."""
+    """Against 2,500 points of the disc one by one, as bright as they are, from the line of glints to the flank of the
+    broadened glint, 0.17 deg off. Within 0.2 %, as on a plane."""
     scene = still(CYLINDER, material("white", n, 0.5, 0.2))
-    to_sun, to_observer = unit(np.random.default_rng(11).normal(size=(2, 6, 3)))
-    to_sun[0], to_observer[0] = unit([1.0, 0.2, 0.3]), unit([1.0, -0.4, -0.31])  # beside the glint's line
+    random = np.random.default_rng(11)
+    turn = random.uniform(0, 2 * math.pi, 4)
+    normal = np.stack([np.cos(turn), np.sin(turn), np.zeros(4)], -1)
+    to_sun = unit(normal + 0.3 * random.normal(size=(4, 3)))
+    to_observer = 2 * (to_sun * normal).sum(-1, keepdims=True) * normal - to_sun
+    to_sun = unit(to_sun + np.array([[0, 0, 0.0], [0, 0, 1e-3], [0, 0, -2e-3], [0, 0, 3e-3]]))
     found = flux(scene, seen_from(scene, tmp_path, to_sun, to_observer), ["finite_sun"])
     expected = []
     for number, (sun, observer) in enumerate(zip(to_sun, to_observer, strict=True)):
         points, weight = disc(sun)
-        points, weight = points[::16], weight[::16] / weight[::16].sum()
+        points, weight = points[::4], weight[::4] / weight[::4].sum()
         folder = tmp_path / str(number)
         folder.mkdir()
         single = flux(scene, seen_from(scene, folder, points, np.tile(observer, (len(points), 1))))
         expected.append(float(weight @ np.asarray(single)))
-    np.testing.assert_allclose(np.asarray(found), expected, rtol=3e-3)
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=2e-3)

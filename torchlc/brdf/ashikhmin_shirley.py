@@ -62,6 +62,7 @@ class AshikhminShirley(Brdf):
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
     along_axes: ClassVar[tuple[str, ...]] = ("n_u", "n_v")
+    condensed_over: ClassVar[str] = "n"
     rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {
         "ggx": {"alpha": 0.2, "f0": 0.2},
         "cook-torrance": {"m": 0.2, "f0": 0.2},

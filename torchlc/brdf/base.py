@@ -181,6 +181,12 @@ class Brdf(nn.Module):
     """Reflectances in which light is not linear, for more than one factor of them is in it."""
     rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     """Laws of another shape of lobe that a diagnosis tries in the place of this one, with where their lobes start."""
+    condensed_over: ClassVar[str] = ""
+    """The one number of the lobe over which ``condense`` tabulates its sums, by the name that a scene gives it."""
+    radiance_as_irradiance: ClassVar[bool] = False
+    """True if its radiance is the irradiance times a number, in all directions."""
+    edged: ClassVar[bool] = False
+    """True if light has an edge, where its slope jumps, within a wide lobe, which points on a curved surface do not follow."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 
@@ -344,6 +350,11 @@ class Brdf(nn.Module):
 
         ``spread`` (K, T) in the table, if it is there, is the least variance, rad^2, that a lobe is given.
         """
+
+    @staticmethod
+    def condense(table: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The table with the lobe's sums over K as functions of the number ``condensed_over``, which ``parts`` takes too."""
+        raise TypeError("the lobe of this law has no table over a number")
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

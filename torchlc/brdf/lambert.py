@@ -19,6 +19,7 @@ class Lambert(Brdf):
     quantities: ClassVar[tuple[Quantity, ...]] = (
         Quantity("albedo", "", 0.0, 1.0, "share of the incident light that is scattered", role=REFLECTANCE),
     )
+    radiance_as_irradiance: ClassVar[bool] = True
     additive: ClassVar[bool] = True
 
     @staticmethod

@@ -1,9 +1,9 @@
-"""Dask: workers of our own or somebody's cluster, and a loop that keeps them busy while it holds only a few
+"""Workers of our own or somebody's Dask cluster, and a loop that keeps them busy while it holds only a few
 tasks at a time.
 
-An object whose worker dies is tried again elsewhere (Dask's own doing). One that Dask has given up, or whose
-directory a live run still holds, comes last and alone: only then is it known that it and no neighbour killed
-the workers.
+On a cluster an object whose worker dies is tried again elsewhere (Dask's own doing). An object that Dask has given up,
+whose own worker died, or whose directory a live run still holds, comes last and alone: only then is it known that the
+object itself, and no neighbour, killed the workers.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import contextlib
 import logging
 import math
 import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+from torchlc.campaigns.processes import Workers
 from torchlc.errors import BusyError, InputError, MissingExtraError, TorchlcError
 
 if TYPE_CHECKING:
@@ -44,51 +43,22 @@ def require_dask() -> None:
 
 
 @contextlib.contextmanager
-def deaf_children() -> Iterator[None]:
-    """Processes begun here do not hear Ctrl-C, which a terminal sends to all: the campaign ends them itself."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
+def connected(scheduler: str | None, workers: int | None, threads: int) -> Iterator[Client | Workers]:
+    """A client of the scheduler at that address, else as many worker processes of our own (by default one a core),
+    which end with the block."""
+    if scheduler is None:
+        with Workers(workers or max(1, cores() // threads), threads) as processes:
+            yield processes
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
-def connected(scheduler: str | None, workers: int | None, threads: int) -> Iterator[Client]:
-    """A client of the scheduler at that address, else of as many worker processes of our own (by default one
-    a core), which end with the block."""
-    import dask.config
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     with contextlib.ExitStack() as stack:
         for logger in map(logging.getLogger, ("distributed", "distributed.client")):
             stack.callback(logger.setLevel, logger.level)  # what goes wrong is told by us, in words
             logger.setLevel(logging.CRITICAL)
-        if scheduler is None:
-            limits = dict.fromkeys(
-                ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
-            )
-            stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": limits}))
-            with deaf_children():
-                target: Any = stack.enter_context(
-                    LocalCluster(
-                        n_workers=workers or max(1, cores() // threads),
-                        threads_per_worker=1,
-                        host="127.0.0.1",
-                        scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                        silence_logs=logging.CRITICAL,
-                    )
-                )
-        else:
-            target = scheduler
         try:
-            client = stack.enter_context(Client(target, timeout=CONNECT_S))
-        except (OSError, TimeoutError, ValueError) as error:
-            if scheduler is None:
-                raise
+            client = stack.enter_context(Client(scheduler, timeout=CONNECT_S))
+        except (OSError, TimeoutError, TypeError, ValueError) as error:
             raise InputError(
                 None,
                 "--scheduler",
@@ -99,12 +69,12 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
 
 
 def spread(
-    client: Client, function: Callable[[Task], str], tasks: Iterable[Task]
+    client: Client | Workers, function: Callable[[Task], str], tasks: Iterable[Task]
 ) -> Iterator[tuple[Task, str | TorchlcError]]:
     """Each task with what ``function`` gives for it, as they finish; an error where its workers died or its
     directory is held. Tasks are taken from ``tasks`` only as fast as they are worked off.
     """
-    running = _Running(client, function)
+    running = _OnProcesses(client, function) if isinstance(client, Workers) else _OnCluster(client, function)
     held: list[Task] = []
 
     def one_more() -> Iterator[tuple[Task, str]]:
@@ -125,8 +95,32 @@ def spread(
         yield running.next()
 
 
-class _Running:
-    """The tasks on the workers, and how many of them there should be."""
+class _OnProcesses:
+    """The tasks on processes of our own."""
+
+    def __init__(self, workers: Workers, function: Callable[[Any], str]) -> None:
+        self._workers, self._function = workers, function
+
+    def __len__(self) -> int:
+        return len(self._workers)
+
+    def full(self) -> bool:
+        """Whether every process has its task."""
+        return len(self) >= self._workers.count
+
+    def start(self, task: Any) -> None:
+        self._workers.start(self._function, task)
+
+    def next(self) -> tuple[Any, str | TorchlcError]:
+        """The next task to finish, with its result or why it should be tried again, alone."""
+        task, answer = self._workers.next()
+        if isinstance(answer, BaseException) and type(answer) not in (BusyError, InputError, TorchlcError):
+            raise answer
+        return task, cast(Any, answer)
+
+
+class _OnCluster:
+    """The tasks on the workers of a cluster, and how many of them there should be."""
 
     def __init__(self, client: Client, function: Callable[[Any], str]) -> None:
         from distributed import as_completed

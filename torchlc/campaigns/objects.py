@@ -4,23 +4,24 @@ verb and ``object.json``, written last, which says from what it was made and wha
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from torchlc.campaigns.manifest import Job
-from torchlc.errors import BusyError, TorchlcError
+from torchlc.errors import BusyError, InputError, TorchlcError
 from torchlc.files.reading import changed, readable_file, sha256_of
 from torchlc.files.writing import OutputDirectory, read_manifest
+from torchlc.scene import content_of_scene
 from torchlc.version import __version__
 
 RECORD = "object.json"
 SCHEMA = "torchlc-object/1"
 RESULTS = {"fit": "fit.json", "diagnose": "diagnosis.json"}
+MOST_RECORDING_BYTES = 5_000_000_000
+"""1,000 for each of the 5,000,000 rows that are read at most; hashed in some 5 s."""
 MOST_TOLD = 4
 """Parameters that the one line on an object holds."""
 
@@ -81,13 +82,14 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 def origin_of(job: Job) -> dict[str, Any]:
     """All that a result depends on: version, task, options, seed, and the content of every input file."""
-    scene = readable_file(job.scene, "a scene in TOML").read_bytes()
-    inputs = {"scene": _sha256(scene)}
-    inputs["recording"] = sha256_of(readable_file(job.recording, "a recording"))
-    for name in sorted(set(_named_files(scene))):
-        file = job.scene.parent / name
-        if file.is_file():
-            inputs[name] = sha256_of(file)
+    digest, files = content_of_scene(job.scene, trust=job.options.get("trust", False))
+    recording = readable_file(job.recording, "a recording")
+    size = recording.stat().st_size
+    if size > MOST_RECORDING_BYTES:
+        most = f"at most {MOST_RECORDING_BYTES / 1e9:.0f} GB"
+        raise InputError(recording, None, f"{size / 1e9:.0f} GB", most, "Split or average it.")
+    inputs = {"scene": digest, "recording": sha256_of(recording)}
+    inputs |= {name: sha256_of(files[name]) for name in sorted(files)}
     return {
         "torchlc": __version__,
         "task": job.task,
@@ -181,28 +183,3 @@ def _record(job: Job, folder: Path, status: str, **more: Any) -> str:
     with OutputDirectory(folder, [RECORD], [job.scene, job.recording]) as directory:
         directory.write_json(RECORD, content)
     return status
-
-
-def _named_files(scene: bytes) -> Iterator[str]:
-    """Meshes, quaternions, elements and ephemerides that a scene names; nothing where it is not TOML, which its
-    reader will say."""
-
-    def walk(node: Any) -> Iterator[str]:
-        if isinstance(node, dict):
-            for key, value in node.items():
-                if key in ("file", "tle_file", "oem_file") and isinstance(value, str):
-                    yield value
-                else:
-                    yield from walk(value)
-        elif isinstance(node, list):
-            for value in node:
-                yield from walk(value)
-
-    try:
-        yield from walk(tomllib.loads(scene.decode("utf-8-sig")))
-    except ValueError:
-        return
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -37,6 +37,7 @@ def write_campaign(
     shape: str,
     station: tuple[str, float, float, float] | None,
     task: str,
+    exact: bool,
     force: bool,
 ) -> CampaignFiles:
     """Write manifest and scenes; nothing is written where a file is there already, or no recording has an object.
@@ -64,7 +65,7 @@ def write_campaign(
             moment: Any = load_recording(path).first_time
             first = float(moment.utc.jd)
             chosen = nearest_set(match.sets, first)
-            texts[scene] = new_scene(chosen, shape, station=station)
+            texts[scene] = new_scene(chosen, shape, station=station, exact=exact)
             load_recording(path, check_scene(texts[scene], folder, scene))
         except InputError as error:
             texts.pop(scene, None)

@@ -57,13 +57,23 @@ def moment(text: str) -> str | float:
         return f"{text}T00:00:00" if re.fullmatch(r"\d{4}-\d\d-\d\d", text, re.ASCII) else text
 
 
+def directory(value: str | Path) -> Path:
+    """The directory that was typed; the parser of an option."""
+    if not str(value):  # as of a shell's variable that is not set; Path("") is the folder one is in
+        raise typer.BadParameter("it is empty; expected the name of a directory")
+    return Path(value)
+
+
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).", show_default=False)]
 RecordingFile = Annotated[
     Path,
     typer.Argument(metavar="OBS", help="Recording, in any of the formats that are read.", show_default=False),
 ]
 Out = Annotated[
-    Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False)
+    Path,
+    typer.Option(
+        "-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False, parser=directory
+    ),
 ]
 Seed = Annotated[int, whole_number("Seed of everything random.", 0, 2**32 - 1)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
@@ -80,7 +90,7 @@ Columns = Annotated[
     typer.Option(
         metavar="NAME=COLUMN,...",
         help="Which column is what, as in time=JD_UTC,mag=V,mag_err=e_V; also time_format, time_scale, time_zone, "
-        "time_mark, exptime, object, delimiter, decimal.",
+        "time_mark, exptime, object, delimiter, decimal, non_detections, longest_gap.",
         show_default=False,
     ),
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 
 import typer
 
@@ -32,8 +31,3 @@ def run(arguments: list[str]) -> int:
         lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False, obj=arguments),
         after_interrupt(arguments),
     )
-
-
-def main() -> None:
-    """Entry point of the ``torchlc`` command."""
-    sys.exit(run(sys.argv[1:]))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,16 +25,7 @@ from torchlc.suggest import did_you_mean
 
 TEMPLATES = Path(__file__).parent / "templates"
 PLACEHOLDER_STATION = ("site", 0.0, 0.0, 0.0)
-PRESETS = {
-    "box-wing": "box_wing",
-    "cubesat": "cubesat",
-    "rocket body": "rocket_body",
-    "cylinder": "cylinder",
-    "mesh": "mesh",
-}
-"""Shape by the name people say, and its template."""
-STARLINKS = {"starlink-v1.5": "starlink_v15", "starlink-v2-mini": "starlink_v2_mini"}
-PRESETS |= STARLINKS
+CATALOGUE = Path(__file__).parent / "presets.toml"
 SCATTER_MAG = {"starlink-v1.5": 0.45, "starlink-v2-mini": 0.4}
 """Standard deviation between satellites of one kind, mag, about the preset's model: 1.48 times the median deviation of the
 recorded magnitudes that it was fitted to, 0.39 and 0.35, rounded up; see docs/how_to/predict.md."""
@@ -43,9 +36,53 @@ TUMBLING = """
 # While the attitude is free, shadows and the Sun's disc are worked out anew for every try, which costs some hundred times
 # more: add self_shadowing and finite_sun once it is known.
 effects = ["sun_distance", "light_time", "earth_shadow"]"""
+NOMINAL = """
+# Nobody knows an attitude exactly, nor errors: attitude_offset is free by 0.3 deg about each axis, and jitter widens the quoted
+# errors where the data ask for it. Add exposure_smearing where the recording has a column exptime, and finite_sun for mirrors.
+effects = ["sun_distance", "light_time", "earth_shadow", "self_shadowing", "attitude_offset", "jitter"]"""
+NOMINAL_NUMBERS = """
+"attitude_offset.x" = { value = 0.0, sigma = 0.3, prior = "normal" }
+"attitude_offset.y" = { value = 0.0, sigma = 0.3, prior = "normal" }
+"attitude_offset.z" = { value = 0.0, sigma = 0.3, prior = "normal" }"""
+SIZE, FIXED = re.compile(r"~(\w+)~"), re.compile(r"=(\w+)=")
+"""Marks of a template: a size, which has a prior, and another number of the preset."""
+LEAST_SHARE = 0.1
+"""Of a size's nominal value, that its prior allows: a size is never 0."""
 
-EFFECTS = {"rocket-body": TUMBLING} | dict.fromkeys(STARLINKS, ON_STATION)
-"""The list of effects, where a preset has one."""
+
+@dataclass(frozen=True)
+class Preset:
+    """A class of objects: its template, its numbers (m), the standard deviation of its sizes in percent, and their source."""
+
+    template: str
+    percent: float
+    source: str
+    values: Mapping[str, float]
+
+    def shape(self, *, exact: bool) -> str:
+        """The template with its sizes: numbers if ``exact``, else with a normal prior each."""
+        text = (TEMPLATES / f"shape_{self.template}.toml").read_text(encoding="utf-8")
+        spread = f", within {self.percent:g} %" if not exact and self.percent else ""
+        text = text.replace("@SIZES@", f"Sizes{spread}: {self.source}")
+        text = SIZE.sub(lambda mark: self._size(self.values[mark[1]], exact), text)
+        return FIXED.sub(lambda mark: f"{self.values[mark[1]]:g}", text)
+
+    def _size(self, value: float, exact: bool) -> str:
+        if exact or not self.percent:
+            return f"{value:g}"
+        sigma, low = value * self.percent / 100, value * LEAST_SHARE
+        return f'{{ value = {value:g}, sigma = {sigma:.3g}, low = {low:.3g}, prior = "normal" }}'
+
+    @property
+    def tumbles(self) -> bool:
+        """Whether its attitude is free already, so that an offset of it says nothing more."""
+        return self.template in ("rocket_body", "cubesat")
+
+
+PRESETS = {
+    name: Preset(**content) for name, content in tomllib.loads(CATALOGUE.read_text(encoding="utf-8")).items()
+}
+"""Shape by the name people say."""
 
 
 def elements_for(path: Path, date: str | float | None, wanted: str | None = None) -> Elements:
@@ -85,9 +122,9 @@ def _folded(name: str) -> str:
 def _preset_key(preset: str) -> str:
     """The preset's name as PRESETS has it, folded; InputError if there is none."""
     key = _folded(preset)
-    if key not in map(_folded, PRESETS):
+    if key not in PRESETS:
         raise InputError(
-            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(preset, PRESETS)
+            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(key, PRESETS)
         )
     return key
 
@@ -99,9 +136,10 @@ def new_scene(
     name: str | None = None,
     station: tuple[str, float, float, float] | None = None,
     mesh: str | None = None,
+    exact: bool = False,
 ) -> str:
-    """TOML of a scene that can be simulated and fitted as it stands."""
-    folded = {_folded(key): value for key, value in PRESETS.items()}
+    """TOML of a scene that can be simulated and fitted as it stands: with priors on what nobody knows exactly (sizes, attitude,
+    errors), or ``exact``."""
     key = _preset_key(preset)
     if (key == "mesh") != (mesh is not None):
         raise InputError(
@@ -111,7 +149,9 @@ def new_scene(
             "a file for the shape mesh",
         )
     place = PLACEHOLDER_STATION if station is None else station
-    shape = (TEMPLATES / f"shape_{folded[key]}.toml").read_text(encoding="utf-8")
+    chosen = PRESETS[key]
+    nominal = not exact and not chosen.tumbles and key not in SCATTER_MAG
+    effects = TUMBLING if key.startswith("rocket-body") else ON_STATION if key in SCATTER_MAG else ""
     text = (TEMPLATES / "scene.toml").read_text(encoding="utf-8")
     values = {
         "NAME": toml_value(name or elements.name or f"object {elements.lines[0][2:7].strip()}"),
@@ -123,8 +163,9 @@ def new_scene(
         "HEIGHT": toml_value(place[3]),
         "EDIT": "" if station is not None else "   # EDIT: where it is observed from",
         "MESH": toml_value(mesh or ""),
-        "SHAPE": shape.rstrip(),
-        "EFFECTS": EFFECTS.get(key, ""),
+        "SHAPE": chosen.shape(exact=exact).rstrip(),
+        "EFFECTS": NOMINAL if nominal else effects,
+        "NUMBERS": NOMINAL_NUMBERS if nominal else "",
     }
     for key, value in values.items():
         if key != "MESH":
@@ -166,9 +207,13 @@ def prediction_of(
         if key == "mesh":
             raise InputError(None, "--preset", "mesh", "a shape with sizes; --like takes a scene with a mesh")
         text = new_scene(
-            first, preset, name=f"{preset.strip().lower()} of {given.name}", station=_numbers(own[0])
+            first,
+            preset,
+            name=f"{preset.strip().lower()} of {given.name}",
+            station=_numbers(own[0]),
+            exact=True,
         )
-        scatter = next((value for name, value in SCATTER_MAG.items() if _folded(name) == key), 0.0)
+        scatter = SCATTER_MAG.get(key, 0.0)
         return AskedPrediction(check_scene(text, given.parent, given), given, own, scatter)
     source = given if like is None else like
     if like is not None and not (like.is_dir() or like.suffix.lower() == ".toml"):

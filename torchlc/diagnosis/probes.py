@@ -167,7 +167,7 @@ def scanned_hours(bench: Workbench) -> Tensor:
     stamps = torch.unique(bench.base.context.seconds).to(torch.float64) / 3600
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     if len(middle) > MOST_SCANNED:
-        middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED).long()]
+        middle = middle[torch.linspace(0, len(middle) - 1, MOST_SCANNED, dtype=torch.float32).long()]
     return middle
 
 

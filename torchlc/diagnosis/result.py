@@ -30,6 +30,7 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
 from torchlc.stages.effect import Effect, Entry, View
+from torchlc.tensors.moving import on_cpu
 
 if TYPE_CHECKING:
     import pandas
@@ -459,6 +460,7 @@ def _names(entry: str) -> dict[str, str | None]:
     return {"effect": parsed.name, "target": parsed.target, "per": parsed.per}
 
 
+@on_cpu
 def materials(at: Fitted) -> dict[str, dict[str, float]]:
     """Median, sd and 90 % interval of every free material parameter, from the draws of its evidence."""
     parameters = at.model.parameter_set

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import PASS, PASS_GLINT, Shown
 
 
 class AlongTrackOffset(Effect):
@@ -19,6 +20,7 @@ class AlongTrackOffset(Effect):
 
     name = "along_track_offset"
     title = "the object ahead of, or behind, its predicted place in the orbit"
+    shown = Shown(PASS, PASS_GLINT, {"deg": 0.1})
     stage = "orbit"
     order = -1  # the light time is that from where the object is
     quantities = (

@@ -7,6 +7,7 @@ import torch
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
 from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Patch
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class Appendage(Effect):
@@ -19,6 +20,7 @@ class Appendage(Effect):
 
     name = "appendage"
     title = "a further flat part that the model lacks"
+    shown = Shown(NIGHT, "phase_angle_deg", {"area": 1.5, "lon": 20.0, "lat": 70.0})
     stage = "surface"
     adds_area = True
     order = 1

@@ -8,6 +8,7 @@ from torchlc.effects.attitude_offset import turn_about_axes
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 def _rate(name: str) -> Quantity:
@@ -26,6 +27,7 @@ class AttitudeDrift(Effect):
 
     name = "attitude_drift"
     title = "an attitude that drifts steadily"
+    shown = Shown(NIGHT, PANEL_GLINT, {"x": 0.5, "y": 0.0, "z": 0.5})
     stage = "attitude"
     timed_by_rows = True
     prior_odds = 0.1

@@ -10,6 +10,7 @@ from torchlc.effects.attitude_offset import turn_about_axes
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, TIME, Shown
 
 WIDTH_IN_CADENCES = 0.1
 
@@ -30,6 +31,7 @@ class AttitudeJump(Effect):
 
     name = "attitude_jump"
     title = "an attitude that jumps at one moment"
+    shown = Shown(NIGHT, TIME, {"x": 1.0, "y": 0.0, "z": 1.0, "time": 4.0})
     stage = "attitude"
     timed_by_rows = True
     prior_odds = 0.1

@@ -7,6 +7,7 @@ import torch
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Parameters
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 def turn_about_axes(p: Parameters) -> torch.Tensor:
@@ -29,6 +30,7 @@ class AttitudeOffset(Effect):
 
     name = "attitude_offset"
     title = "an attitude that is turned by a constant angle"
+    shown = Shown(NIGHT, PANEL_GLINT, {"x": 1.0, "y": 0.0, "z": 1.0})
     stage = "attitude"
     quantities = (_angle("x", "X"), _angle("y", "Y"), _angle("z", "Z"))
 

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Scatter
+from torchlc.stages.showing import PASS, Shown
 
 
 class BackTransmission(Effect):
@@ -20,6 +21,7 @@ class BackTransmission(Effect):
 
     name = "back_transmission"
     title = "light that shines through a panel from behind"
+    shown = Shown(PASS, "phase_angle_deg", {"t_d": 0.02}, "panel")
     stage = "scatter"
     per = "component"
     unable = "the component is no two-sided plate"

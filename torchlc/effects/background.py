@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, Shown
 
 
 def median(flux: torch.Tensor) -> torch.Tensor:
@@ -27,6 +28,7 @@ class Background(Effect):
 
     name = "background"
     title = "constant light that is not the object's"
+    shown = Shown(NIGHT, "inverse_flux", {"fraction": 0.1})
     stage = "detector"
     divisible = True
     quantities = (

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class ColorTerm(Effect):
@@ -16,6 +17,7 @@ class ColorTerm(Effect):
 
     name = "color_term"
     title = "components that differ in colour"
+    shown = Shown(NIGHT, "share of panel +Y", {"mag": 0.2}, "panel +Y")
     stage = "detector"
     per = "component"
     order = 2

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect, Instants
+from torchlc.stages.showing import ECLIPSE, Shown
 from torchlc.tensors.autodiff_state import readable, traced
 
 EARTH_RADIUS_KM = 6378.137
@@ -234,6 +235,7 @@ class EarthShadow(Effect):
 
     name = "earth_shadow"
     title = "the shadow of the Earth"
+    shown = Shown(ECLIPSE, "shadow_coordinate")
     stage = "shade"
     opaque_air = "h0"
     known = True
@@ -294,6 +296,7 @@ class EarthShadow(Effect):
                 torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
             )
         self.lit, self.dark, self.crossed = self._stands(context, exposure)
+        self.always_lit = not self.moved and bool(self.lit.all())
         return self
 
     def _stands(self, context, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -359,14 +362,15 @@ class EarthShadow(Effect):
         instants = sky.instants
         position, sun, weight = sky.state.position, sky.state.sun, sky.nodes.weight
         assert position is not None  # see `missing`
-        row = torch.arange(len(self.lit)) if instants is None else instants.row
+        if self.always_lit:
+            return torch.ones_like(p["h0"]) if traced() else p["h0"].new_ones(())
+        row = torch.arange(len(self.lit), device=self.lit.device) if instants is None else instants.row
         lit, dark = self._standing(position, sun, instants) if self.moved else (self.lit[row], self.dark[row])
         columns = len(row)
-        if not self.moved and bool(lit.all()):
-            return torch.ones_like(p["h0"]) if traced() else torch.ones(())
         # where a transform hides who is at the edge, all are taken as if they were
         edge = ~(lit | dark)
-        edge = edge.reshape(-1, columns).any(0) if readable(edge) else torch.ones(columns, dtype=torch.bool)
+        everywhere = torch.ones(columns, dtype=torch.bool, device=edge.device)
+        edge = edge.reshape(-1, columns).any(0) if readable(edge) else everywhere
         weight = weight.expand(*weight.shape[:-1], columns)
         seen = partial(self._seen, p)
         found: list[tuple[Tensor, Tensor]] = []
@@ -427,6 +431,8 @@ def _groups(
 ) -> Sequence[tuple[Tensor, tuple[Tensor, Tensor] | None]]:
     """Columns at the shadow's edge: those (n,) that stand for themselves, without a rule, and panels (n, q) of as many
     instants, with the matrices of :func:`_averaging`."""
+    if not readable(edge):  # shapes alone are asked for
+        return [(torch.arange(len(edge), device=edge.device), None)]
     index = torch.nonzero(edge)[:, 0]
     if instants is None:
         return [(index, None)] if len(index) else []
@@ -440,7 +446,7 @@ def _groups(
     for q in torch.unique(count).tolist():
         for number in torch.unique(cells[count == q]).tolist() if q > 1 else [1]:
             chosen = torch.nonzero((count == q) & ((cells == number) | (q == 1)))[:, 0]
-            members = index[(ends[chosen] - q)[:, None] + torch.arange(q)]
+            members = index[(ends[chosen] - q)[:, None] + torch.arange(q, device=index.device)]
             groups.append((members[:, 0], None) if q == 1 else (members, _averaging(q, number)))
     return groups
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Light
+from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.vectors import least_axis
 
 EARTH_RADIUS_KM = 6371.0
@@ -104,6 +105,7 @@ class Earthshine(Effect):
 
     name = "earthshine"
     title = "light of the sunlit Earth"
+    shown = Shown(PASS, "phase_angle_deg", {"albedo": 0.3}, materials=WHITE)
     stage = "light"
     order = 3
     linear = True

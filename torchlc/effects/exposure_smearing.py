@@ -16,6 +16,7 @@ from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
 from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect, Instants, Nodes
+from torchlc.stages.showing import SPIN, Shown
 
 DIFFUSE_RAD = 0.1
 """Path of the Sun or the observer, seen from a part, that counts as one width where facets rise and set."""
@@ -54,6 +55,7 @@ class ExposureSmearing(Effect):
 
     name = "exposure_smearing"
     title = "light averaged over each exposure"
+    shown = Shown(SPIN, "spin_phase")
     stage = "clock"
     known = True
     spans_exposure = True
@@ -155,7 +157,7 @@ def _panels(context: Context, exposure: Tensor) -> Panels:
     bottom up. At the shadow's edge each has more."""
     rows = len(exposure)
     whole = torch.arange(rows)
-    paths, widths = _paths(context, whole, torch.zeros(rows), exposure)
+    paths, widths = _paths(context, whole, torch.zeros_like(exposure), exposure)
     leaves = (paths / widths.lobe).amax(0) / LEAF_WIDTHS
     depth = torch.log2(leaves.clamp(1.0, MOST_LEAVES)).ceil().long()
     edge = torch.zeros(rows, dtype=torch.bool)

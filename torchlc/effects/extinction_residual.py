@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import PASS, Shown
 
 LEAST_SPREAD = 1e-3
 
@@ -19,6 +20,7 @@ class ExtinctionResidual(Effect):
 
     name = "extinction_residual"
     title = "extinction that was corrected with a wrong coefficient"
+    shown = Shown(PASS, "airmass", {"mag_per_airmass": 0.1})
     stage = "detector"
     divisible = True
     order = 2

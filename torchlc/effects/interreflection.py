@@ -14,6 +14,7 @@ from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, f
 from torchlc.pairs.facet_pairs import joined, slotted
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
+from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200
@@ -26,13 +27,14 @@ class Interreflection(Effect):
     Up to 2 % of a box-wing's light; more than the direct light where a dihedral returns the Sun; 0.1 mag in a shallow
     white dish, 0.6 mag in one as deep as it is wide. A mesh or dish is divided into at most 96 patches (a dish 192),
     whose exchange is summed to all orders: it agrees with path tracing within 1.5 %. Neglected: third bounces between
-    parts (albedo times view factor of the second); what lobes reflect within one part; the Sun's disc; motion within
+    parts (0.02 mag in a right angle of white squares of albedo 0.5, 0.05 mag at 0.8); what lobes reflect within one part; the Sun's disc; motion within
     an exposure; where third parts are in the way, how lobes and diffuse light differ in it. How other parts or
     the part itself hide facets of a dish or mesh has no gradient.
     """
 
     name = "interreflection"
     title = "light that goes from part to part"
+    shown = Shown(PASS, "phase_angle_deg", {"gain": 1.0}, materials=WHITE)
     stage = "scatter"
     at_middle = True
     unable = "no two parts have facets that face each other, and none has facets that face its own"

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.geometry.rotation.attitude import TURNING
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import SPIN, Shown
 
 LIGHT_KM_S = 299_792.458
 
@@ -20,6 +21,7 @@ class LightTime(Effect):
 
     name = "light_time"
     title = "the time that light takes to the observer"
+    shown = Shown(SPIN, "spin_phase", materials={"body.n": 3000.0, "panel.n": 3000.0})
     stage = "orbit"
     known = True
 

@@ -13,6 +13,7 @@ from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, expon
 from torchlc.brdf.base import per_pair
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
@@ -29,6 +30,7 @@ class LobeTail(Effect):
 
     name = "lobe_tail"
     title = "more light far from the glint"
+    shown = Shown(NIGHT, PANEL_GLINT, {"g": 2.0}, "panel")
     stage = "material"
     reshapes_lobe = True
     order = 0

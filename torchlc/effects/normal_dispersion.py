@@ -7,6 +7,7 @@ import torch
 from torchlc.brdf.base import Brdf
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 class NormalDispersion(Effect):
@@ -20,6 +21,7 @@ class NormalDispersion(Effect):
 
     name = "normal_dispersion"
     title = "surfaces that are not quite flat"
+    shown = Shown(NIGHT, PANEL_GLINT, {"deg": 3.0}, "panel")
     stage = "material"
     order = 1
     per = "material"

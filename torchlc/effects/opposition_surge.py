@@ -6,6 +6,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class OppositionSurge(Effect):
@@ -17,6 +18,7 @@ class OppositionSurge(Effect):
 
     name = "opposition_surge"
     title = "more light where the Sun is behind the observer"
+    shown = Shown(NIGHT, "phase_angle_deg", {"b0": 0.8, "h": 0.05}, "body")
     stage = "material"
     order = 3
     per = "material"

@@ -8,6 +8,7 @@ from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.parameters import Quantity
 from torchlc.shapes.part import like
 from torchlc.stages.effect import Effect, turned_poses
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 from torchlc.tensors.vectors import unit
 
 
@@ -20,6 +21,7 @@ class PanelCant(Effect):
 
     name = "panel_cant"
     title = "panels that are tilted out of their axis"
+    shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
     quantities = (
         Quantity(

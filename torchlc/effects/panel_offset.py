@@ -8,6 +8,7 @@ from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.parameters import Quantity
 from torchlc.shapes.part import like
 from torchlc.stages.effect import Effect, turned_poses
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 class PanelOffset(Effect):
@@ -18,6 +19,7 @@ class PanelOffset(Effect):
 
     name = "panel_offset"
     title = "panels that point past the Sun"
+    shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
     quantities = (
         Quantity(

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class Saturation(Effect):
@@ -19,6 +20,7 @@ class Saturation(Effect):
 
     name = "saturation"
     title = "a detector that saturates"
+    shown = Shown(NIGHT, "flux", {"q": 0.05, "limit": 0.8})
     stage = "detector"
     order = 1
     quantities = (

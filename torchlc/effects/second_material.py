@@ -5,6 +5,7 @@ from __future__ import annotations
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
 from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, SHARE, Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 class SecondMaterial(Effect):
@@ -17,6 +18,7 @@ class SecondMaterial(Effect):
 
     name = "second_material"
     title = "a second material on part of a surface"
+    shown = Shown(NIGHT, PANEL_GLINT, {"weight": 0.2, "n": 3000.0, "r_spec": 0.05, "r_diff": 0.05}, "panel")
     stage = "material"
     order = 2
     per = "material"

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.occlusion import visible_fractions
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import SLOW, Shown
 from torchlc.tensors.autodiff_state import traced
 
 
@@ -21,6 +22,7 @@ class SelfShadowing(Effect):
 
     name = "self_shadowing"
     title = "parts that shade and hide each other"
+    shown = Shown(SLOW, "sun_lon_body")
     stage = "surface"
     joins_parts = True
     known = True
@@ -31,8 +33,13 @@ class SelfShadowing(Effect):
 
     def surface(self, patches, view, p, context):
         poses = [pose for pose in view.poses if pose is not None]
+        sized = any(own.vertices.ndim > 3 for own in view.facets)
+        count = len(view.nodes.offset) // (view.batch if len(view.nodes.offset) > 1 else 1) * view.batch
         rows = torch.broadcast_shapes(
-            view.to_sun.shape[:-1], view.to_observer.shape[:-1], *(pose.shape[:-2] for pose in poses)
+            view.to_sun.shape[:-1],
+            view.to_observer.shape[:-1],
+            *(pose.shape[:-2] for pose in poses),
+            (count if sized else 1, 1),
         )
         to_sun, to_observer = view.to_sun.expand(*rows, 3), view.to_observer.expand(*rows, 3)
         turns = [None if pose is None else pose.expand(*rows, 3, 3) for pose in view.poses]
@@ -51,23 +58,38 @@ class SelfShadowing(Effect):
 
 def _visible(context, facets, poses, to_sun, to_observer):
     """Fractions (Q, T, F) of each part; what was worked out for an instant before is remembered."""
-    corners = [own.vertices for own in facets]
+    count, rows = to_sun.shape[:2]
+
+    def sized(tensor, ends, instants):
+        """What belongs to an instant, of facets that are the same in all or differ within a batch B, the last axis of Q."""
+        return tensor if tensor.ndim == ends else tensor[instants % len(tensor)]
 
     def of(instants):
         turns = [None if pose is None else pose[instants].flatten(0, 1) for pose in poses]
+        shapes = [
+            replace(own, vertices=sized(own.vertices, 3, instants).repeat_interleave(rows, 0))
+            if own.vertices.ndim > 3
+            else own
+            for own in facets
+        ]
         found = visible_fractions(
             context.shape,
-            list(facets),
+            shapes,
             turns,
             to_sun[instants].flatten(0, 1),
             to_observer[instants].flatten(0, 1),
         )
-        return [one.unflatten(0, (-1, to_sun.shape[1])) for one in found]
+        return [one.unflatten(0, (-1, rows)) for one in found]
 
     if traced():
-        return of(slice(None))
+        return of(torch.arange(count))
     alone = [
-        [to_sun[k], to_observer[k], *(pose[k] for pose in poses if pose is not None), *corners]
-        for k in range(len(to_sun))
+        [
+            to_sun[k],
+            to_observer[k],
+            *(pose[k] for pose in poses if pose is not None),
+            *(sized(own.vertices, 3, k) for own in facets),
+        ]
+        for k in range(count)
     ]
-    return context.memory.recall(alone, of)
+    return context.memory.recall(alone, lambda new: of(torch.tensor(new)))

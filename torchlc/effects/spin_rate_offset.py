@@ -6,6 +6,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import SPIN, TIME, Shown
 
 SLOWEST = 1e-9
 """Revolutions in the time of one of the scene's, below which an object is taken to stand still."""
@@ -20,6 +21,7 @@ class SpinRateOffset(Effect):
 
     name = "spin_rate_offset"
     title = "a rate of spin that differs from the scene's"
+    shown = Shown(SPIN, TIME, {"rev_per_hour": 0.3})
     stage = "spin"
     quantities = (
         Quantity(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import YEAR, Shown
 
 AU_KM = 149_597_870.7
 
@@ -20,6 +21,7 @@ class SunDistance(Effect):
 
     name = "sun_distance"
     title = "the changing distance of the Sun"
+    shown = Shown(YEAR, "distance of the Sun, au")
     stage = "light"
     known = True
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import PASS, PASS_GLINT, Shown
 
 
 class TimeOffset(Effect):
@@ -16,6 +17,7 @@ class TimeOffset(Effect):
 
     name = "time_offset"
     title = "time stamps that are off by a constant"
+    shown = Shown(PASS, PASS_GLINT, {"s": 2.0})
     stage = "clock"
     shifts_clock = True
     divisible = True

@@ -8,6 +8,7 @@ from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.parameters import Quantity
 from torchlc.shapes.part import like
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
 
 class WingSplit(Effect):
@@ -19,6 +20,7 @@ class WingSplit(Effect):
 
     name = "wing_split"
     title = "wings that point to either side of the Sun"
+    shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
     order = 1
     quantities = (

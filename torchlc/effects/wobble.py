@@ -9,6 +9,7 @@ import torch
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class Wobble(Effect):
@@ -21,6 +22,7 @@ class Wobble(Effect):
 
     name = "wobble"
     title = "an attitude that swings periodically"
+    shown = Shown(NIGHT, "cycle of the wobble", {"deg": 1.0, "period_min": 80.0})
     stage = "attitude"
     timed_by_rows = True
     turning = "swing"

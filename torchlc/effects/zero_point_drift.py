@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, TIME, Shown
 
 
 def hours_from_mean(seconds: torch.Tensor, *groups: torch.Tensor) -> torch.Tensor:
@@ -27,6 +28,7 @@ class ZeroPointDrift(Effect):
 
     name = "zero_point_drift"
     title = "a zero point that drifts"
+    shown = Shown(NIGHT, TIME, {"mag_per_hour": 0.03})
     stage = "detector"
     divisible = True
     order = 2

@@ -8,6 +8,7 @@ import torch
 
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
+from torchlc.stages.showing import NIGHT, TIME, Shown
 
 WIDTH_IN_CADENCES = 0.1
 
@@ -21,6 +22,7 @@ class ZeroPointStep(Effect):
 
     name = "zero_point_step"
     title = "a zero point that jumps at one moment"
+    shown = Shown(NIGHT, TIME, {"mag": 0.1, "time": 5.0})
     stage = "detector"
     timed_by_rows = True
     order = 2

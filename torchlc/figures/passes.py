@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from torchlc.figures.saving import drawn, save
 from torchlc.figures.style import DATA, MARK, MODEL, plain, style
 
 COLUMNS = 3
@@ -71,5 +72,6 @@ def draw_passes(panels: Sequence[Panel], figure: Figure) -> Figure:
 
 def save_passes(panels: Sequence[Panel], path: Path) -> None:
     """The panels as a PNG file."""
-    figure = draw_passes(panels, Figure(figsize=passes_size(len(panels))))
-    figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white")
+    size = passes_size(len(panels))
+    figure = drawn(lambda: draw_passes(panels, Figure(figsize=size)), size)
+    save(figure, path, format="png", dpi=PNG_DPI, facecolor="white")

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
 
+PNG_DPI = 150
 
-def periodogram(path: Path, period_s: np.ndarray, power: np.ndarray, marks_s: Sequence[float]) -> None:
+
+def periodogram(period_s: np.ndarray, power: np.ndarray, marks_s: Sequence[float]) -> Figure:
     """Share of the variance (N,) that two harmonics of a period of light (N,) explain; ``marks_s`` are turns found."""
-    from matplotlib.figure import Figure
-
     with _styled():
         figure = Figure(figsize=(7, 3.2), layout="constrained")
         axes = figure.add_subplot()
@@ -21,13 +23,11 @@ def periodogram(path: Path, period_s: np.ndarray, power: np.ndarray, marks_s: Se
         for mark in marks_s:
             axes.axvline(mark, color=MODEL, lw=1)
         axes.set(xscale="log", xlabel="period, s", ylabel="share of variance", ylim=(0, 1))
-        figure.savefig(path, dpi=150, format="png", facecolor="white")
+    return figure
 
 
-def poles(path: Path, directions: np.ndarray, misfit: np.ndarray, modes: np.ndarray) -> None:
+def poles(directions: np.ndarray, misfit: np.ndarray, modes: np.ndarray) -> Figure:
     """Misfits (D,) of the grid at unit vectors (D, 3), and the modes (M, 3), best first: right ascension, declination."""
-    from matplotlib.figure import Figure
-
     with _styled():
         figure = Figure(figsize=(7, 3.8), layout="constrained")
         axes = figure.add_subplot()
@@ -39,32 +39,34 @@ def poles(path: Path, directions: np.ndarray, misfit: np.ndarray, modes: np.ndar
         for number, (x, y) in enumerate(zip(ra, dec, strict=True)):
             axes.annotate(str(number + 1), (x, y), xytext=(5, 5), textcoords="offset points", color=MODEL)
         axes.set(xlim=(360, 0), ylim=(-90, 90), xlabel="right ascension, deg", ylabel="declination, deg")
-        figure.savefig(path, dpi=150, format="png", facecolor="white")
+    return figure
 
 
 def folded(
-    path: Path, phase: np.ndarray, observed: np.ndarray, model: np.ndarray, number: np.ndarray
-) -> None:
-    """Magnitudes (T,) and the best model's over the phase of a turn (T,), a panel for each pass ``number`` (T,)."""
-    from matplotlib.figure import Figure
-
+    phase: np.ndarray,
+    observed: np.ndarray,
+    model: np.ndarray,
+    number: np.ndarray,
+    meaning: str = "phase of a turn",
+) -> Figure:
+    """Magnitudes (T,) and the best model's over a phase (T,) with its ``meaning``, a panel for each pass ``number`` (T,)."""
     passes = np.unique(number)[:8]
     with _styled():
         figure = Figure(figsize=(7, 1.2 + 1.9 * len(passes)), layout="constrained")
         for row, axes in enumerate(np.atleast_1d(np.asarray(figure.subplots(len(passes), sharex=True)))):
             here = number == passes[row]
-            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3)
-            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2)
+            axes.plot(phase[here], observed[here], ".", color=DATA, ms=3, label="recorded")
+            axes.plot(phase[here], model[here], ".", color=BEFORE, ms=2, label="best model")
             axes.invert_yaxis()
             axes.set_ylabel(f"pass {row + 1}, mag")
+            if row == 0:
+                axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
             if row == len(passes) - 1:
-                axes.set_xlabel("phase of a turn")
-        figure.savefig(path, dpi=150, format="png", facecolor="white")
+                axes.set_xlabel(meaning)
+    return figure
 
 
-def _styled():
-    import matplotlib
-
+def _styled() -> Any:
     return matplotlib.rc_context(style())
 
 

@@ -32,13 +32,16 @@ LOCK_NAME = ".torchlc.lock"
 MANIFEST_NAME = "torchlc-manifest.json"
 MANIFEST_SCHEMA = "torchlc-manifest/1"
 MOST_MANIFEST_BYTES = 1 << 20
+LONGEST_NAME_TOLD = 200
 LONGEST_LOCK = 200
 """Bytes; a process and its start are 60."""
 CHAIN_FILE = "chain.h5"
 SAMPLED_FILES = frozenset({CHAIN_FILE, "posterior.nc", "corner.png", "traces.png"})
 FIT_FILES = SAMPLED_FILES | {"fit.json", "report.html", "curve.png", "shares.png", "object.png"}
 DIAGNOSIS_FILES = frozenset({"diagnosis.json", "report.html", "curve.png", "object.png"})
-ROTATION_FILES = frozenset({"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png"})
+ROTATION_FILES = frozenset(
+    {"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png", "search.pt"}
+)
 RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""
 PARTIAL = ".partial"
@@ -60,6 +63,8 @@ class OutputDirectory:
     """
 
     def __init__(self, path: str | Path, writes: Iterable[str] = (), inputs: Iterable[Path] = ()) -> None:
+        if not str(path):  # Path("") is the folder one is in
+            raise InputError(None, "-o", "an empty name", "the name of a directory")
         self.path = Path(path)
         self._writes, self._inputs = tuple(writes), tuple(inputs)
         self._manifest: dict[str, list[str]] = {}
@@ -165,11 +170,13 @@ class OutputDirectory:
         write_whole(self.path / MANIFEST_NAME, lambda path: path.write_text(text, encoding="utf-8"))
 
     def _make(self) -> None:
-        missing = [p for p in (self.path, *self.path.parents) if not p.exists()]
         try:
+            missing = [p for p in (self.path, *self.path.parents) if not p.exists()]
             self.path.mkdir(parents=True, exist_ok=True)
         except FileExistsError:
             raise InputError(None, "-o", f"{self.path} is a file", "a directory") from None
+        except ValueError:
+            raise InputError(None, "-o", "a name with a null byte", "the name of a directory") from None
         except OSError as error:
             raise _unusable(self.path, error) from None
         self._made = missing
@@ -362,8 +369,9 @@ def resources(path: Path | None = None) -> Iterator[None]:
 def _unusable(path: Path, error: OSError) -> InputError | ResourceError:
     if error.errno in FULL:
         return ResourceError(f"no room on disk for {path}")
+    name = str(path) if len(str(path)) <= LONGEST_NAME_TOLD else f"{str(path)[:LONGEST_NAME_TOLD]}..."
     return InputError(
-        None, "-o", f"{path} cannot be written: {error.strerror}", "a directory that can be written"
+        None, "-o", f"{name} cannot be written: {error.strerror}", "a directory that can be written"
     )
 
 

@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from torchlc.effects import GEOMETRY_STAGES
-from torchlc.effects.exposure_smearing import ExposureSmearing
 from torchlc.geometry.orbit import angle_between
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
@@ -26,6 +25,7 @@ from torchlc.lightcurve.pipeline import DARKEST
 from torchlc.parameters import EXPONENT, FRESNEL, INDEX, LOBE_REFLECTANCE, REFLECTANCE, WIDTH, Free, Prior
 from torchlc.shapes import Band, Dome
 from torchlc.stages.effect import View
+from torchlc.tensors.moving import on_cpu
 
 COVERED = 0.5
 """Share of a flat prior that lies in the 90 % interval of a posterior that says nothing, or hardly more than
@@ -65,6 +65,7 @@ class Glint:
     row: int
 
 
+@on_cpu
 def bare_view(model: LightCurve, theta: Tensor) -> View:
     """Where everything stands at each row's stamp: a view (Q = 1) without shadows, discs or exposures, at
     natural values theta (P,).
@@ -73,6 +74,7 @@ def bare_view(model: LightCurve, theta: Tensor) -> View:
         return bare_model(model).view(model.values(theta))
 
 
+@on_cpu
 def bare_model(model: LightCurve) -> LightCurve:
     """The model without shadows, discs and exposures: only what moves or turns the object is left of its effects."""
     moving = [
@@ -89,6 +91,7 @@ def bare_model(model: LightCurve) -> LightCurve:
     )
 
 
+@on_cpu
 def limits(model: LightCurve, theta: Tensor) -> list[str]:
     """What the model's approximations amount to at natural values theta (P,), where that is worth telling: what each effect
     says of itself, and what exposures lose by the number of their instants.
@@ -107,16 +110,20 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     """The sentence that twice the instants change the light of some exposures. The rows looked at are LOOKED_AT, those that
     have most instants first."""
     effect = next((effect for effect in model.effects if effect.spans_exposure), None)
-    if not isinstance(effect, ExposureSmearing):
+    if effect is None:
         return []
+    divided = effect.instants(model.assembly.context)
     flux = model.brightness(theta[None]).flux[0]
     lit = flux > FAINTEST_LOOKED_AT * flux[flux > 0].median() if bool((flux > 0).any()) else flux > 0
-    instants = torch.bincount(effect.divided.row, minlength=len(flux))
+    one_each = torch.ones_like(lit, dtype=torch.long)
+    instants = one_each if divided is None else torch.bincount(divided.row, minlength=len(flux))
     candidates = torch.nonzero(lit)[:, 0]
     if not len(candidates):
         return []
     most = candidates[torch.argsort(instants[candidates], descending=True)[: LOOKED_AT // 2]]
-    even = candidates[torch.linspace(0, len(candidates) - 1, LOOKED_AT // 2).round().long()]
+    even = candidates[
+        torch.linspace(0, len(candidates) - 1, LOOKED_AT // 2, dtype=torch.float32).round().long()
+    ]
     looked = torch.zeros_like(lit)
     looked[torch.cat([most, even])] = True
     a = model.assembly
@@ -128,7 +135,7 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     if not bool(wrong.any()):
         return []
     said = (
-        f"exposure_smearing: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
+        f"{effect.name}: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
         f"{TOLD_MAG} mag, up to {float(change.max()):.2g} mag ({float(change.square().mean().sqrt()):.2g} mag rms)"
     )
     if effect.capped is not None:
@@ -206,6 +213,7 @@ class Insight:
     warnings: Sequence[str]
 
 
+@on_cpu
 def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed: int) -> Insight:
     """Compare posterior ``draws`` (N, P) with the prior; ``best`` (P,) is the maximum a posteriori,
     ``view`` its geometry.

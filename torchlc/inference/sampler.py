@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import InputError
+from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import write_whole
 from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.inference.exchange_move import Redraw
@@ -125,9 +126,7 @@ def _by_parameter(name: str, theta: Tensor) -> np.ndarray:
     """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of ArviZ's next version, and of walkers without enough draws
-        import arviz
-
-        diagnostic = getattr(arviz, name)
+        diagnostic = getattr(arviz_library(), name)
         return np.array([float(diagnostic(draws)) for draws in theta.numpy().transpose(2, 0, 1)])
 
 
@@ -175,7 +174,7 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
             y = y0 + shrink * noise @ spread.T
             inward = torch.rand(len(y), len(parameters), generator=generator, dtype=y0.dtype)
             span = torch.where(torch.isfinite(high - low), high - low, 1.0)
-            step = torch.where(y0 - low <= high - y0, 0.03, -0.03) * inward * span
+            step = 0.03 * torch.where(y0 - low <= high - y0, inward, -inward) * span
             y = torch.where(mode.at_bound, y + step, y)
             inside = y[((y > low) & (y < high)).all(-1)]
             theta = parameters.from_flat(inside)
@@ -317,7 +316,7 @@ def expanded(fit: Fit) -> Likelihood:
     slope = torch.func.jacrev(parameters.from_flat)(y)
     covariance = slope @ mode.covariance @ slope.mT
     try:
-        return Likelihood(model.expanded(mode.theta, covariance))
+        return likelihood.expanded(mode.theta, covariance)
     except UnsuitableError:
         return likelihood
 

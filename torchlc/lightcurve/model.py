@@ -9,8 +9,10 @@ lights, Q instants, T rows, F facets, C components.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +28,7 @@ from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.stages.effect import GEOMETRY_STAGES, Brightness, Effect, Noise, View
+from torchlc.tensors.moving import CPU, moved, on
 
 MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))
 
@@ -67,24 +70,28 @@ class LightCurve(nn.Module):
         sibling: LightCurve | None = None,
     ) -> None:
         super().__init__()
-        self.assembly = assembly if assembly is not None else assemble(scene, recording, effects)
-        self.free = nn.ModuleDict()
-        z = self.parameter_set.to_unconstrained(self.parameter_set.start())
-        self._keys: list[tuple[str, str]] = []
-        for index, parameter in enumerate(self.parameter_set.free):
-            short = parameter.origin.short
-            label = parameter.name.removesuffix(f".{short}") if parameter.origin.owner else "calibration"
-            owner, short = module_key(label), module_key(short)
-            if owner not in self.free:
-                self.free[owner] = nn.ParameterDict()
-            self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
-            self._keys.append((owner, short))
-        learners = {module_key(name): module for name, module in self.assembly.learners.items()}
-        self.learners = nn.ModuleDict(learners).to(self.assembly.dtype)
-        self.pipeline = Pipeline(self.assembly)
-        shared = sibling is not None and sibling.tables_key == self.tables_key
-        lending = sibling.evaluator if shared and sibling is not None else None
-        self.evaluator: Evaluator = chosen(self.pipeline, lending)
+        if assembly is None:
+            with on(CPU):
+                assembly = assemble(scene, recording, effects)
+        self.assembly = assembly
+        with self._home():
+            self.free = nn.ModuleDict()
+            z = self.parameter_set.to_unconstrained(self.parameter_set.start())
+            self._keys: list[tuple[str, str]] = []
+            for index, parameter in enumerate(self.parameter_set.free):
+                short = parameter.origin.short
+                label = parameter.name.removesuffix(f".{short}") if parameter.origin.owner else "calibration"
+                owner, short = module_key(label), module_key(short)
+                if owner not in self.free:
+                    self.free[owner] = nn.ParameterDict()
+                self.free[owner][short] = nn.Parameter(z[index].clone())  # pyright: ignore[reportIndexIssue]
+                self._keys.append((owner, short))
+            learners = {module_key(name): module for name, module in self.assembly.learners.items()}
+            self.learners = nn.ModuleDict(learners).to(self.assembly.dtype)
+            self.pipeline = Pipeline(self.assembly)
+            shared = sibling is not None and sibling.tables_key == self.tables_key
+            lending = sibling.evaluator if shared and sibling is not None else None
+            self.evaluator: Evaluator = chosen(self.pipeline, lending)
 
     # ------------------------------------------------------------------ parameters
 
@@ -120,7 +127,7 @@ class LightCurve(nn.Module):
 
     @torch.no_grad()
     def set_theta(self, theta: Tensor) -> None:
-        """Make natural values theta (P,) the module's own; what lies beyond a bound is set just inside it."""
+        """Make natural values theta (P,) the module's own; what lies beyond a bound is set inside it."""
         for (owner, short), value in zip(self._keys, self.parameter_set.to_unconstrained(theta), strict=True):
             self.free[owner][short].copy_(value)  # pyright: ignore[reportIndexIssue]
 
@@ -142,6 +149,28 @@ class LightCurve(nn.Module):
     def geometry_free(self) -> bool:
         """True if a free parameter moves the geometry, so that its tables cannot be kept."""
         return self.assembly.geometry_free
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """What ``to``, ``cuda``, ``double`` and their like do: all that is no parameter moves too. Tables that are kept
+        are made first, in the precision and on the device in which they would have been."""
+        with self._home():
+            a = self.assembly
+            like = fn(torch.zeros((), dtype=a.dtype, device=a.device))
+            if (like.dtype, like.device) == (a.dtype, a.device):
+                return super()._apply(fn, recurse)
+            self.evaluator.settle()
+            super()._apply(fn, recurse)
+            self.evaluator = moved(self.evaluator, fn, a.dtype, a.device, (Scene, Recording))
+        self.pipeline = self.evaluator.pipeline
+        self.assembly = self.pipeline.assembly
+        self.learners = nn.ModuleDict(
+            {module_key(name): module for name, module in self.assembly.learners.items()}
+        )
+        return self
+
+    def _home(self) -> AbstractContextManager[None]:
+        """Tensors that are made without a device are made where the model is."""
+        return on(self.assembly.device)
 
     # ------------------------------------------------------------------ the curve
 
@@ -165,7 +194,8 @@ class LightCurve(nn.Module):
     def brightness(self, theta: Tensor | None = None, *, shares: bool = False) -> Brightness:
         """Total flux Phi (..., T), and component shares (..., C, T) if asked for, of natural values theta
         (..., P)."""
-        return self.evaluator.brightness(self.theta() if theta is None else theta, shares)
+        with self._home():
+            return self.evaluator.brightness(self.theta() if theta is None else theta, shares)
 
     # ------------------------------------------------------------------ how it is evaluated
 
@@ -232,30 +262,35 @@ class LightCurve(nn.Module):
 
     def view(self, values: Mapping[str, Tensor], batch: int = 1) -> View:
         """Geometry of every instant, see :meth:`Pipeline.view`."""
-        return self.pipeline.view(values, batch)
+        with self._home():
+            return self.pipeline.view(values, batch)
 
     def tables(self, detail: bool = False) -> Tables:
         """The tables of a fixed geometry; with ``detail`` wings stay apart."""
-        made = self.evaluator.tables_at(self.parameter_set.start(), detail)
+        with self._home():
+            made = self.evaluator.tables_at(self.parameter_set.start(), detail)
         if made is None:
             raise ValueError("a free parameter moves the geometry: there are no tables to keep")
         return made
 
     def make_tables(self, view: View, detail: bool, *, compact: bool) -> Tables:
         """Angles and weights of every pair of facet and instant, see :meth:`Pipeline.make_tables`."""
-        return self.pipeline.make_tables(view, detail, compact=compact)
+        with self._home():
+            return self.pipeline.make_tables(view, detail, compact=compact)
 
     def shine(self, tables: Tables, values: Mapping[str, Tensor], shares: bool = False) -> Brightness:
         """Light of prepared tables, see :meth:`Pipeline.shine`."""
-        return self.pipeline.shine(tables, values, shares)
+        with self._home():
+            return self.pipeline.shine(tables, values, shares)
 
     def noise(self, theta: Tensor) -> Noise:
         """What the noise effects add to the quoted errors at natural values theta (..., P)."""
         noise = Noise()
         effects = self.assembly.stage("noise")
         values = self.values(theta) if effects else {}
-        for effect in effects:
-            noise = effect.noise(noise, self.assembly.own(effect, values), self.assembly.context)
+        with self._home():
+            for effect in effects:
+                noise = effect.noise(noise, self.assembly.own(effect, values), self.assembly.context)
         return noise
 
     def extra_repr(self) -> str:

@@ -7,16 +7,29 @@ facets, C components.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
+from torchlc.brdf.base import Brdf
+from torchlc.geometry.orbit import State
+from torchlc.geometry.rotation.matrices import rotation_towards
 from torchlc.lightcurve.assembly import Assembly
-from torchlc.lightcurve.tables import Key, Tables, sky_of, sorted_patches, summed, surface_of
-from torchlc.shapes import tracking_pose
+from torchlc.lightcurve.tables import (
+    Key,
+    Tables,
+    sky_of,
+    sorted_patches,
+    summed,
+    surface_of,
+    surfaces_on_grid,
+)
+from torchlc.pairs.discs import DiscPairs, DiscSurface
+from torchlc.shapes import Facets, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.stages.effect import (
     Brightness,
@@ -28,11 +41,14 @@ from torchlc.stages.effect import (
     Surface,
     View,
 )
-from torchlc.tensors.autodiff_state import transformed
+from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import unit
 
-LATE = frozenset(("pointing", "light", "surface"))
-"""Stages of which none turns the body or takes it elsewhere."""
+WHERE = frozenset(("clock", "orbit"))
+TURNED = frozenset(("spin", "attitude"))
+SIZED = frozenset(("size",))
+"""Stages that say where object and observer are, how the body is turned, and how large it is."""
+Made = TypeVar("Made")
 DARKEST = 1e-36
 """Phi of the object's light below which there is none: one photon a square metre in some million years (the Sun sends
 4e21 in a second), 63 mag. What is left of a lobe far from its glint, 1e-260 say, is no brightness but the tail of a
@@ -45,14 +61,14 @@ class Pipeline:
 
     def __init__(self, assembly: Assembly) -> None:
         self.assembly = assembly
-        self._placed: View | None = None
+        self._made: dict[str, Any] = {}
 
-    def view(self, values: Mapping[str, Tensor], batch: int = 1) -> View:
+    def view(self, values: Mapping[str, Tensor], batch: int = 1, *, whole_discs: bool = False) -> View:
         """Positions, attitude, poses, lights and surfaces at every instant, through the stages clock to
         surface, of values (), or (B,) for a ``batch`` of B."""
         a = self.assembly
         context, row = a.optics, a.instant_row
-        view = self.places(values, batch)
+        view = replace(self.places(values, batch), whole_discs=whole_discs)
         each = _per_instant(values, view.nodes, batch)
         poses = view.poses
         for effect in a.stage("pointing"):
@@ -63,17 +79,17 @@ class Pipeline:
                 component=part.name,
                 material=material,
                 model=a.models[material],
-                faces=[part.faces[i] for i in index.tolist()],
+                faces=faces,
                 normal=one.normal[index],
                 u=one.u[index],
-                area=one.area[index],
+                area=one.area[..., index],
                 pose=poses[number],
                 part=number,
                 select=index,
                 surface=None if face is None else part.surface(face, values),
             )
             for number, (part, one) in enumerate(zip(a.shape.parts, view.facets, strict=True))
-            for material, face, index in a.patches[number]
+            for material, face, faces, index in a.patches[number]
         )
         lights = view.lights
         for effect in a.stage("light"):
@@ -84,13 +100,41 @@ class Pipeline:
         return replace(view, patches=patches)
 
     def places(self, values: Mapping[str, Tensor], batch: int) -> View:
-        """Clock to attitude; kept where no free parameter has a part in it."""
+        """Clock to attitude. What no free parameter has a part in is kept: places, attitude, and the facets of given sizes."""
+        nodes, state = self._kept("state", WHERE, lambda: self._where(values, batch))
+        each = _per_instant(values, nodes, batch)
+        turned = self._kept("turned", WHERE | TURNED, lambda: self._turned(each, state))
+        rotation, to_sun, to_observer, range_m, poses = turned
+        facets = self._kept("facets", SIZED, lambda: self._facets(values))
+        return View(
+            nodes,
+            state,
+            rotation,
+            to_sun,
+            to_observer,
+            range_m,
+            poses,
+            facets,
+            lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
+            batch=batch,
+        )
+
+    def _kept(self, what: str, stages: frozenset[str], make: Callable[[], Made]) -> Made:
+        """What some stages make: worked out once where no free parameter moves any of them."""
+        if what in self._made:
+            return self._made[what]
+        made = make()
         a = self.assembly
-        several = any(effect.nodes > 1 for effect in a.stage("clock"))
-        late = LATE.issuperset(a.moving.values()) and not several and not a.learns_geometry
-        if late and self._placed is not None:
-            return replace(self._placed, batch=batch)
+        moved = a.learns_geometry or not stages.isdisjoint(a.moving.values())
+        spread = "clock" in stages and any(effect.nodes > 1 for effect in a.stage("clock"))
+        if not moved and not spread and not transformed():
+            self._made[what] = made
+        return made
+
+    def _where(self, values: Mapping[str, Tensor], batch: int) -> tuple[Nodes, State]:
+        a = self.assembly
         context, row = a.optics, a.instant_row
+        several = any(effect.nodes > 1 for effect in a.stage("clock"))
         zero = torch.zeros(batch if several else 1, a.N, dtype=a.dtype, device=a.device)
         nodes = Nodes(zero, torch.ones_like(zero[:, :1]))
         for effect in a.stage("clock"):
@@ -100,6 +144,20 @@ class Pipeline:
         for effect in a.stage("orbit"):
             request = effect.orbit(request, a.own(effect, values, row), context)
         state = context.track.at(request.observer_offset, request.object_offset, request.ahead)
+        if request.east is not None and request.north is not None:
+            turn = rotation_towards(
+                unit(state.observer), *torch.broadcast_tensors(request.east, request.north)
+            )
+            state = replace(state, observer=torch.einsum("...ij,...j->...i", turn, state.observer))
+        return nodes, state
+
+    def _turned(
+        self, values: Mapping[str, Tensor], state: State
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor | None, ...]]:
+        """Rotation, directions to Sun and observer in the body frame, range (m), and poses of the parts that track the
+        Sun."""
+        a = self.assembly
+        context, row = a.optics, a.instant_row
         turned = a.attitude_values(values)
         for effect in a.stage("spin"):
             turned = effect.spin(turned, a.own(effect, values, row), context)
@@ -117,22 +175,11 @@ class Pipeline:
             if axis is not None and key not in poses:
                 poses[key] = tracking_pose(like(axis, to_sun), like(front, to_sun), to_sun)
             keys.append(key)
-        sizes = a.size_values(values)
-        view = View(
-            nodes,
-            state,
-            rotation,
-            to_sun,
-            to_observer,
-            1e3 * range_km,
-            tuple(map(poses.get, keys)),
-            tuple(part.facets(sizes) for part in a.shape.parts),
-            lights=(Light(to_sun[None], torch.ones_like(to_sun[None, ..., 0])),),
-            batch=batch,
-        )
-        if late and not transformed():
-            self._placed = view
-        return view
+        return rotation, to_sun, to_observer, 1e3 * range_km, tuple(map(poses.get, keys))
+
+    def _facets(self, values: Mapping[str, Tensor]) -> tuple[Facets, ...]:
+        sizes = self.assembly.size_values(values)
+        return tuple(part.facets(sizes) for part in self.assembly.shape.parts)
 
     def make_tables(
         self,
@@ -152,10 +199,14 @@ class Pipeline:
             for effect in a.stage("scatter")
         )
         still = {} if still is None else still
-        found = [
-            still[key] if key in still else surface_of(key, one, patches, compact, columns)
-            for key, one, patches in sorted_patches(view, detail)
-        ]
+        found: list[Surface | None] = []
+        for key, one, patches in sorted_patches(view, detail):
+            if key in still:
+                found.append(still[key])
+            elif compact:
+                found.append(surface_of(key, one, patches, True, columns))
+            else:
+                found += surfaces_on_grid(key, one, patches, columns)
         surfaces = tuple(surface for surface in found if surface is not None)
         return Tables(surfaces, scatter, sky_of(view, columns, a.instants, fixed=compact), columns)
 
@@ -176,9 +227,7 @@ class Pipeline:
             old = sums.get(component)
             sums[component] = light if old is None else old + light
 
-        for surface in tables.surfaces:
-            specular, diffuse = self.reflect(surface, values, row)
-            light = specular + diffuse
+        for surface, light in zip(tables.surfaces, self._lights(tables.surfaces, values, row), strict=True):
             if surface.scale is not None:
                 light = light * a.rows(values, surface.scale, row)
             if surface.sunlit and sunlight is not None:
@@ -222,6 +271,82 @@ class Pipeline:
         for effect in a.stage("detector"):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
+
+    def _lights(
+        self, surfaces: Sequence[Surface], values: Mapping[str, Tensor], row: Tensor | None
+    ) -> list[Tensor]:
+        """Light (..., C) of surfaces in their own light, those that discs shine on as finely as each pair asks for."""
+        found: list[Tensor] = []
+        middles: list[tuple[int, DiscSurface, Tensor, Tensor]] = []
+        for surface in surfaces:
+            specular, diffuse = self.reflect(surface, values, row)
+            if not isinstance(surface, DiscSurface):
+                found.append(specular + diffuse)
+                continue
+            # one value of theta is a batch of one, as its geometry is
+            specular, each = (one.reshape(-1, *surface.discs.shape) for one in (specular, specular + diffuse))
+            middles.append((len(found), surface, specular, each))
+            found.append(self._of_row(surface.discs, each, values))
+        if not middles:
+            return found
+        sunlit = [light for light, surface in zip(found, surfaces, strict=True) if surface.sunlit]
+        brightest = torch.atleast_2d(reduce(torch.add, sunlit))
+        for place, surface, specular, each in middles:
+            weights = surface.discs.weights(specular, brightest, self._narrowest(surface, values))
+            found[place] = self._of_row(surface.discs, self._spread(surface, weights, each, values), values)
+        return found
+
+    @staticmethod
+    def _of_row(pairs: DiscPairs, light: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Light (..., C) of rows from that of pairs (B or 1, K, C) as if all area were turned their way."""
+        total = (pairs.share * light).sum(-2)
+        return total if any(value.ndim for value in values.values()) else total[0]
+
+    def _spread(
+        self, surface: DiscSurface, weights: Sequence[Tensor], each: Tensor, values: Mapping[str, Tensor]
+    ) -> Tensor:
+        """Light (B or 1, K, C) of pairs over a disc by the rules that they need (:meth:`DiscPairs.weights`), ``each`` in its
+        middle. Where a transform hides which pairs need a rule, all are worked out by it."""
+        pairs = surface.discs
+        for number, weight in enumerate(weights):
+            if not readable(weight):
+                light = reduce(torch.add, self.reflect(surface.over(number, None), values, None))
+                each = torch.lerp(each, light.reshape(1, *pairs.shape), weight)
+                continue
+            wanted = weight > 0
+            if number + 1 < len(weights):
+                wanted = wanted & (weights[number + 1] < 1)
+            which = torch.nonzero(wanted.expand(each.shape), as_tuple=True)
+            if not len(which[0]):
+                continue
+            member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
+            own = {name: value[member] if value.ndim else value for name, value in values.items()}
+            light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))[..., 0]
+            share = weight.expand(each.shape)[which]
+            each = each.index_put(which, torch.lerp(each[which], light, share))
+        return each
+
+    def _narrowest(self, surface: Surface, values: Mapping[str, Tensor]) -> Tensor | None:
+        """Variance (B or 1, 1, 1), rad^2, of the narrowest lobe that a surface is asked for with the effects of its material,
+        before they widen it; None where that is not known."""
+        a = self.assembly
+        own = a.material_values(surface.material, surface.model, values)
+        asked: list[Tensor] = []
+
+        def reflect(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+            asked.append(surface.model.lobe_variance(material))
+            nothing = torch.zeros_like(asked[-1])[..., None]
+            return nothing, nothing
+
+        last: Reflect = reflect
+        for effect in a.stage("material"):
+            if effect.target in (None, surface.material):
+                last = effect.material(last, surface, own, a.own(effect, values))
+        last(own)
+        declared = surface.model.additive or surface.model.lobe_variance is not Brdf.lobe_variance
+        if not asked or not declared:
+            return None
+        return reduce(torch.minimum, asked).reshape(-1, 1, 1)
 
     def reflect(
         self, surface: Surface, values: Mapping[str, Tensor], row: Tensor | None = None

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.orbit import State
-from torchlc.pairs.facet_pairs import pair_table
+from torchlc.pairs.discs import DiscSurface
+from torchlc.pairs.facet_pairs import disc_pairs, pair_table
 from torchlc.stages.effect import (
     Columns,
     Effect,
@@ -60,6 +61,14 @@ def moves(view: View, patches: Sequence[Patch]) -> bool:
     """Whether patches, or the light on them, differ between the two values of a batch."""
     seen = [view.to_observer, view.range_m, *(light.direction[0] for light in view.lights)]
     own = [one for patch in patches for one in (patch.pose, patch.visible, patch.seen) if one is not None]
+    own += [
+        one
+        for patch in patches
+        for record in (patch.near, patch.response)
+        if record
+        for one in vars(record).values()
+        if one.shape[-1] != 3
+    ]
     return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
 
 
@@ -80,6 +89,17 @@ def surface_of(
         return None
     component, material, sunlit, scale = key
     return Surface(component, material, patches[0].model, table, phase_angle_of(view, columns), sunlit, scale)
+
+
+def surfaces_on_grid(
+    key: Key, view: View, patches: Sequence[Patch], columns: Columns | None
+) -> list[Surface]:
+    """All pairs of patches of one material, those in the light of discs apart from the others."""
+    others, pairs = surface_of(key, view, patches, False, columns), disc_pairs(view, patches)
+    found: list[Surface] = [] if others is None else [others]
+    if pairs is not None:
+        found.append(DiscSurface.of(pairs, phase_angle_of(view, columns), key))
+    return found
 
 
 def phase_angle_of(view: View, columns: Columns | None) -> Tensor:
@@ -112,16 +132,9 @@ def by_value(view: View, record: Record) -> Record:
 def members(tables: Tables, member: Tensor, still: Iterable[Surface | None]) -> Tables:
     """Tables of some geometries for rows of theta (B,), each of which has the one that ``member`` (B,) says."""
     kept = {id(surface) for surface in still}
-    surfaces = (
-        surface
-        if id(surface) in kept
-        else replace(
-            surface,
-            table={k: v[member] if len(v) > 1 else v for k, v in surface.table.items()},
-            phase_angle=surface.phase_angle[member] if surface.phase_angle.ndim > 1 else surface.phase_angle,
-        )
-        for surface in tables.surfaces
-    )
+    surfaces = [
+        surface if id(surface) in kept else _of_members(surface, member) for surface in tables.surfaces
+    ]
     state, nodes = (
         replace(
             record,
@@ -134,3 +147,10 @@ def members(tables: Tables, member: Tensor, still: Iterable[Surface | None]) -> 
         for record in (tables.sky.state, tables.sky.nodes)
     )
     return replace(tables, surfaces=tuple(surfaces), sky=replace(tables.sky, state=state, nodes=nodes))
+
+
+def _of_members(surface: Surface, member: Tensor) -> Surface:
+    table = {name: value[member] if len(value) > 1 else value for name, value in surface.table.items()}
+    phase = surface.phase_angle
+    chosen = replace(surface, table=table, phase_angle=phase[member] if phase.ndim > 1 else phase)
+    return replace(chosen, discs=chosen.discs.picked(member)) if isinstance(chosen, DiscSurface) else chosen

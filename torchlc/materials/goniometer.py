@@ -21,6 +21,7 @@ from torchlc.brdf import MODELS, Brdf, incidence
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
 from torchlc.tensors.least_squares import minimise
+from torchlc.tensors.moving import on_cpu
 
 COLUMNS = ("incidence", "azimuth", "exit", "brdf")
 ROBUST_DEX = 0.1
@@ -118,6 +119,7 @@ class ReflectanceFit:
         return MODELS[self.model](learnable=False, **values)
 
 
+@on_cpu
 def fit_table(
     table: ReflectanceTable, model: str = "ashikhmin-shirley", *, starts: int = 24, seed: int = 0
 ) -> ReflectanceFit:

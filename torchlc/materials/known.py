@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,6 +15,7 @@ import torch
 
 from torchlc.brdf import MODELS
 from torchlc.errors import InputError
+from torchlc.files.toml import parse_toml
 
 LIBRARY = Path(__file__).parent / "materials.toml"
 OTHER = "other"
@@ -50,11 +50,9 @@ def load_library(path: str | Path = LIBRARY) -> dict[str, LibraryMaterial]:
     """The materials of a TOML file by name, each checked against its model's bounds."""
     path = Path(path)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parse_toml(path.read_text(encoding="utf-8"), path)
     except OSError as error:
         raise InputError(path, None, f"cannot be read: {error.strerror}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(path, None, str(error)) from error
     library: dict[str, LibraryMaterial] = {}
     for number, entry in enumerate(content.get("materials", []), start=1):
         material = _checked(path, f"materials {number}", entry)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, Generic, TypeVar
@@ -56,6 +57,15 @@ class Registry(Mapping[str, Class], Generic[Class]):
             )
         self._classes.pop(name, None)
         self._classes[name] = cls
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """What is defined meanwhile is known only meanwhile, as a test wants it."""
+        before = dict(self._classes)
+        try:
+            yield
+        finally:
+            self._classes = before
 
     def pop(self, name: str) -> Class:
         """Take a name away; the class that it stood for."""

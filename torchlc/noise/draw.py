@@ -22,7 +22,9 @@ def draw(noise: Noise, quoted: Tensor, curve: Tensor, random: np.random.Generato
         for one in torch.unique(curve):
             rows = torch.nonzero(curve == one)[:, 0]
             correlation = process.correlation(rows)
-            factor = torch.linalg.cholesky(correlation + RIDGE * torch.eye(len(rows)).to(correlation))
+            factor = torch.linalg.cholesky(
+                correlation + RIDGE * torch.eye(len(rows), dtype=correlation.dtype, device=correlation.device)
+            )
             shared = factor @ torch.as_tensor(random.normal(size=len(rows))).to(quoted)
             delta[rows] += process.sd.expand(len(quoted))[rows] * shared
     return delta

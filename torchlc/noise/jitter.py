@@ -6,6 +6,7 @@ import math
 
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Quantity
+from torchlc.stages.showing import NIGHT, Shown
 
 
 class Jitter(NoiseKind):
@@ -16,6 +17,7 @@ class Jitter(NoiseKind):
 
     name = "jitter"
     title = "errors larger than quoted"
+    shown = Shown(NIGHT, "mag", {"mag": 0.05})
     widens = True
     mends_errors = True
     quantities = (
@@ -26,6 +28,9 @@ class Jitter(NoiseKind):
     )  # fmt: skip
 
     def missing(self, context):
+        return self.held_already(context)
+
+    def held_already(self, context):
         return None if context.errors else "the errors are fitted, and jitter is part of them"
 
     def noise(self, noise, p, context):

@@ -15,6 +15,9 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from torchlc.stages.noise import HALF_LOG_2PI
+from torchlc.tensors.autodiff_state import readable
+
 POINTS = 1024
 FAR_LOG_P = -15.0
 """ln of a probability, 5 standard deviations out, below which its quantile is found from the logarithm."""
@@ -81,16 +84,26 @@ def log_quantile(log_p: Tensor) -> Tensor:
     """The standard normal quantile of probabilities given by their logarithm, with its slope, also far out."""
     with torch.no_grad():
         x = torch.special.ndtri(torch.exp(log_p.clamp(min=LEAST_LOG_P)))
-        x = torch.where(log_p < FAR_LOG_P, -torch.sqrt(-2.0 * log_p), x)
-        for _ in range(POLISH):
-            x = torch.where(log_p < FAR_LOG_P, x + (log_p - torch.special.log_ndtr(x)) / _hazard(x), x)
-        slope, value = _hazard(x), torch.special.log_ndtr(x)
+        far = log_p < FAR_LOG_P
+        value = torch.special.log_ndtr(x)
+        if not readable(far) or bool(far.any()):
+            x = torch.where(far, -torch.sqrt(-2.0 * log_p), x)
+            for _ in range(POLISH):
+                value = torch.special.log_ndtr(x)
+                x = torch.where(far, x + (log_p - value) / _slope(x, value), x)
+            value = torch.special.log_ndtr(x)
+        slope = _slope(x, value)
     return x + (log_p - value) / slope
 
 
 def _hazard(x: Tensor) -> Tensor:
     """Slope of ln Phi."""
-    return torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - torch.special.log_ndtr(x)).clamp(min=1e-300)
+    return _slope(x, torch.special.log_ndtr(x))
+
+
+def _slope(x: Tensor, log_phi: Tensor) -> Tensor:
+    """Slope of ln Phi, whose value is at hand."""
+    return torch.exp(-0.5 * x * x - HALF_LOG_2PI - log_phi).clamp(min=1e-300)
 
 
 @lru_cache(maxsize=8)

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import HALF_LOG_2PI, Law
+from torchlc.stages.showing import NIGHT, Shown
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class Outliers(NoiseKind):
 
     name = "outliers"
     title = "a share of bad rows, with far larger errors"
+    shown = Shown(NIGHT, "mag", {"fraction": 0.05, "width": 8.0})
     reshapes = True
     quantities = (
         Quantity(

@@ -45,7 +45,7 @@ class Rows:
         self.observed = torch.as_tensor(recording.observed).to(like)
         self.curve = curve
         self.curves = len(recording.curve_ids)
-        self.limit = torch.as_tensor(recording.upper_limit)
+        self.limit = torch.as_tensor(recording.upper_limit, device=like.device)
         self.measured = ~self.limit
         self.censored = bool(self.limit.any())
         self.fainter = 1.0 if self.flux else -1.0

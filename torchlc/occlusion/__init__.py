@@ -28,8 +28,8 @@ def visible_fractions(
 ) -> list[Tensor]:
     """Fraction (N, F) of each part's facet areas that is lit and seen at once; 1 where nothing is in the way.
 
-    facets: one a part, at rest; poses: rotation (N, 3, 3) of each part about its pivot, or None; to_sun,
-    to_observer (N, 3): unit vectors, all in the body frame. Whether a facet faces the two is not included;
+    facets: one a part, at rest; of sizes that differ, those of each row (N, F, ...). poses: rotation (N, 3, 3) of each part about
+    its pivot, or None; to_sun, to_observer (N, 3): unit vectors, all in the body frame. Whether a facet faces the two is not included;
     where it does not, 1.
 
     Convex parts among themselves: exact, with exact gradients. With a dish or a mesh among them: `rays`, no
@@ -39,11 +39,15 @@ def visible_fractions(
     convex = all(part.hull is not None for part in shape.parts)
     if convex and len(shape.parts) == 1:
         return [to_sun.new_ones(rows, len(shape.parts[0].faces))]
+    if to_sun.is_meta:  # shapes alone are asked for, and which polygons cut which is told by numbers
+        return [to_sun.new_empty(rows, len(part.faces)) for part in shape.parts]
     each: list[Tensor] = []
     for part, own, pose in zip(shape.parts, facets, poses, strict=True):
         turn = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
-        fixed = [own.vertices, own.normal] + ([own.u, part.hull_corners(own)] if convex else [])
-        each += [turn if turn.dim() > 2 else turn[None], *(tensor[None] for tensor in fixed)]
+        fixed = [(own.vertices, 3), (own.normal, 2)]
+        fixed += [(own.u, 2), (part.hull_corners(own), 2)] if convex else []
+        each += [turn if turn.dim() > 2 else turn[None]]
+        each += [tensor if tensor.dim() > ends else tensor[None] for tensor, ends in fixed]
     if convex:
         return list(rowwise(partial(polygon_fractions, shape.parts), to_sun, to_observer, *each))
     still = tuple(pose is None for pose in poses)

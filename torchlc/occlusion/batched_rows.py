@@ -8,6 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchlc.tensors.autodiff_state import transformed
+
+MOST_KEPT = 2**14
+"""Rows up to which the graph behind a value is kept for its gradient; it takes some 10 KiB a row that is partly hidden."""
 Rows = Callable[..., tuple[Tensor, ...]]
 
 
@@ -16,15 +20,65 @@ def rowwise(function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:
 
     The leading axis of the first input and of every output is N rows; that of the others is N, or 1 for what
     is the same in every row. Under vmap the function sees the batch as more rows, never a batched tensor.
-    Derivatives run it again. Its Jacobian is taken as constant: second derivatives have the Gauss-Newton
+    Derivatives run it again, but for the gradient of few rows. Its Jacobian is taken as constant: second derivatives have the Gauss-Newton
     terms, not its own curvature.
     """
-    return _Value.apply(function, *inputs)  # pyright: ignore[reportReturnType]
+    followed = torch.is_grad_enabled() and any(one.requires_grad for one in inputs)
+    kind = _Kept if followed and not transformed() and len(inputs[0]) <= MOST_KEPT else _Value
+    return kind.apply(function, *inputs)  # pyright: ignore[reportReturnType]
 
 
 def picked(tensor: Tensor, row: Tensor) -> Tensor:
     """The given rows of a tensor whose leading axis is N or 1."""
     return tensor[row] if len(tensor) > 1 else tensor.expand(len(row), *tensor.shape[1:])
+
+
+class _Kept(torch.autograd.Function):
+    """The value with the graph behind it, which a gradient then need not make again; a gradient that is itself followed is
+    made as that of `_Value`."""
+
+    @staticmethod
+    def forward(ctx: Any, function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
+        ctx.function, ctx.wanted = function, tuple(one.requires_grad for one in inputs)
+        ctx.save_for_backward(*inputs)
+        ctx.leaves, ctx.outputs = _graph(function, ctx.wanted, inputs)
+        return tuple(output.detach() for output in ctx.outputs)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> Any:
+        if torch.is_grad_enabled():
+            pulled = _PulledBack.apply(ctx.function, ctx.wanted, *ctx.saved_tensors, *cotangents)
+        else:
+            pulled = _pulled(ctx.leaves, ctx.outputs, cotangents, kept=True)
+        found = iter(pulled)  # pyright: ignore
+        return None, *(next(found) if want else None for want in ctx.wanted)
+
+
+def _graph(
+    function: Rows, wanted: Sequence[bool], inputs: Sequence[Tensor]
+) -> tuple[list[Tensor], tuple[Tensor, ...]]:
+    """Inputs of which a gradient is wanted, cut off from what they come from, and the outputs that follow from them."""
+    with torch.enable_grad():
+        leaves = [one.detach().requires_grad_(want) for one, want in zip(inputs, wanted, strict=True)]
+        outputs = function(*leaves)
+    return [leaf for leaf in leaves if leaf.requires_grad], outputs
+
+
+def _pulled(
+    leaves: Sequence[Tensor], outputs: Sequence[Tensor], cotangents: Sequence[Tensor], *, kept: bool
+) -> tuple[Tensor, ...]:
+    """Cotangents times the Jacobian of outputs by leaves; a graph that is ``kept`` may be asked again."""
+    moving = [k for k, output in enumerate(outputs) if output.requires_grad]
+    if not moving:
+        return tuple(map(torch.zeros_like, leaves))
+    return torch.autograd.grad(
+        [outputs[k] for k in moving],
+        leaves,
+        [cotangents[k] for k in moving],
+        retain_graph=kept,
+        allow_unused=True,
+        materialize_grads=True,
+    )
 
 
 class _Value(torch.autograd.Function):
@@ -100,20 +154,7 @@ class _PulledBack(torch.autograd.Function):
     @staticmethod
     def forward(function: Rows, wanted: tuple[bool, ...], *rows: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
         inputs, cotangents = rows[: len(wanted)], rows[len(wanted) :]
-        with torch.enable_grad():
-            leaves = [row.detach().requires_grad_(want) for row, want in zip(inputs, wanted, strict=True)]
-            outputs = function(*leaves)
-        leaves = [leaf for leaf in leaves if leaf.requires_grad]
-        moving = [k for k, output in enumerate(outputs) if output.requires_grad]
-        if not moving:
-            return tuple(map(torch.zeros_like, leaves))
-        return torch.autograd.grad(
-            [outputs[k] for k in moving],
-            leaves,
-            [cotangents[k] for k in moving],
-            allow_unused=True,
-            materialize_grads=True,
-        )
+        return _pulled(*_graph(function, wanted, inputs), cotangents, kept=False)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:

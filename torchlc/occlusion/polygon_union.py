@@ -23,7 +23,7 @@ def settled(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tuple[T
     Arguments as in `covered_area`. A polygon is clear of a facet that is outside one of its edges.
     """
     outward = _outward(end - start)
-    offset = torch.where(valid, (outward * start).sum(dim=-1), torch.inf).flatten(1, 2)
+    offset = torch.where(valid, _dot(outward, start), torch.inf).flatten(1, 2)
     beyond = (facet @ outward.flatten(1, 2).mT - offset[:, None]).unflatten(-1, valid.shape[1:])
     there = valid.any(dim=-1)
     clear = (beyond.amin(dim=1) >= 0).any(dim=-1) | ~there
@@ -63,10 +63,10 @@ def _stretches(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tupl
     )
     outward = _outward(end - start)
     shifted = start + inflation[:, :, None, None] * outward
-    offset = torch.where(valid, (outward * shifted).sum(dim=-1), torch.inf)
+    offset = torch.where(valid, _dot(outward, shifted), torch.inf)
     corner_end = facet.roll(-1, dims=1)
     walls = _outward(corner_end - facet)
-    wall_offset = (walls * facet).sum(dim=-1)
+    wall_offset = _dot(walls, facet)
 
     a = torch.cat([shifted.flatten(1, 2), facet], dim=1)
     along = torch.cat([(end - start).flatten(1, 2), corner_end - facet], dim=1)
@@ -117,9 +117,14 @@ def _left_free(begin: Tensor, finish: Tensor, low: Tensor, high: Tensor) -> tupl
 
 def _outward(along: Tensor) -> Tensor:
     """Unit normals (..., 2) to the right of counter-clockwise edges; zero for an edge of no length."""
-    length = along.norm(dim=-1, keepdim=True)
+    length = torch.sqrt(_dot(along, along))[..., None]
     right = torch.stack([along[..., 1], -along[..., 0]], dim=-1)
     return right / torch.where(length > 0, length, 1.0)
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    """Scalar products (...) of vectors (..., 2): a reduction over an axis of two takes several times as long."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:

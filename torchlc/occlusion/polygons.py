@@ -13,14 +13,17 @@ import torch
 from torch import Tensor
 
 from torchlc.occlusion.batched_rows import picked
-from torchlc.occlusion.outline import Joints, facing, outline
+from torchlc.occlusion.outline import Joints, cuts, extent, facing, outline
 from torchlc.occlusion.polygon_union import covered_area, settled
 from torchlc.shapes import Part
 from torchlc.shapes.part import like
+from torchlc.tensors.vectors import dot
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
-VALUES_AT_ONCE = 3_000_000  # (row, facet, corner of a hull) triples, which bounds the memory
+VALUES_AT_ONCE = (
+    500_000  # (row, facet, corner of a hull) triples: a few MB a tensor, which the allocator keeps at hand
+)
 TENSORS_PER_PART = 5
 
 
@@ -123,16 +126,35 @@ def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) 
         return fractions
     planes = Planes.of(target, row, facet, directions)
     start, end, present = _outlines(planes, reach, others)
-    if not present.any():
+    (hidden,) = present.flatten(1).any(dim=-1).nonzero(as_tuple=True)
+    if not len(hidden):
         return fractions
-    clear, within = settled(planes.facet, start, end, present)
+    row, facet, polygons = row[hidden], facet[hidden], planes.facet[hidden]
+    start, end, present = start[hidden], end[hidden], present[hidden]
+    clear, within = settled(polygons, start, end, present)
     fractions[row[within], facet[within]] = 0.0
     partly = ~clear & ~within
-    polygon = planes.facet[partly]
-    after = polygon.roll(-1, dims=1)
-    whole = 0.5 * (polygon[..., 0] * after[..., 1] - polygon[..., 1] * after[..., 0]).sum(dim=-1)
-    covered = covered_area(polygon, start[partly], end[partly], present[partly]) / whole
-    return fractions.index_put((row[partly], facet[partly]), 1.0 - covered.clamp(0.0, 1.0))
+    number = present.any(dim=-1).sum(dim=-1)
+    for count in range(1, present.shape[1] + 1):  # cost is the square of how many hide a facet
+        (alike,) = (partly & (number == count)).nonzero(as_tuple=True)
+        if not len(alike):
+            continue
+        polygon = polygons[alike]
+        after = polygon.roll(-1, dims=1)
+        whole = 0.5 * (polygon[..., 0] * after[..., 1] - polygon[..., 1] * after[..., 0]).sum(dim=-1)
+        there = present[alike].any(dim=-1).to(torch.uint8)
+        order = there.argsort(dim=1, descending=True, stable=True)[:, :count]
+        edges = order[..., None].expand(-1, -1, present.shape[2])
+        ends = edges[..., None].expand(-1, -1, -1, 2)
+        covered = covered_area(
+            polygon,
+            start[alike].gather(1, ends),
+            end[alike].gather(1, ends),
+            present[alike].gather(1, edges),
+        )
+        covered = (covered / whole).clamp(0.0, 1.0)
+        fractions = fractions.index_put((row[alike], facet[alike]), 1.0 - covered)
+    return fractions
 
 
 @torch.no_grad()
@@ -145,18 +167,20 @@ def _in_reach(
     """
     pivot = like(target.part.pivot, directions)
     at_rest = target.vertices.mean(dim=2)
-    radius = (target.vertices - at_rest[:, :, None]).norm(dim=-1).amax(dim=-1)
+    apart = target.vertices - at_rest[:, :, None]
+    radius = torch.sqrt(dot(apart, apart).amax(dim=-1))
     middle = ((at_rest - pivot) @ target.pose.mT + pivot).expand(len(directions), -1, -1)[row, facet]
     radius = radius.expand(len(directions), -1)[row, facet]
     reach = []
     for other in others:
         centre = other.corners.mean(dim=1)
-        size = (other.corners - centre[:, None]).norm(dim=-1).amax(dim=-1)
+        apart = other.corners - centre[:, None]
+        size = torch.sqrt(dot(apart, apart).amax(dim=-1))
         offset = picked(centre, row) - middle
-        squared = offset.square().sum(dim=-1)
+        squared = dot(offset, offset)
         both = picked(size, row) + radius
         for side in range(2):
-            along = (offset * directions[row, side]).sum(dim=-1)
+            along = dot(offset, directions[row, side])
             reach.append((squared - along**2 < both**2) & (along > -both))
     return torch.stack(reach, dim=-1)
 
@@ -175,11 +199,15 @@ def _outlines(planes: Planes, reach: Tensor, others: Sequence[Posed]) -> tuple[T
             outside = (flat.amax(dim=1) < low[item]) | (flat.amin(dim=1) > high[item])
             near = (height > 0).any(dim=-1) & ~outside.any(dim=-1)
             item, flat, height = item[near], flat[near], height[near]
+            cut, passes = cuts(flat, height, other.joints)
+            least, most = extent(flat.detach(), height, cut.detach(), passes)
+            (near,) = ((most >= low[item]) & (least <= high[item])).all(dim=-1).nonzero(as_tuple=True)
+            item, flat, height, cut = item[near], flat[near], height[near], cut[near]
             faces = picked(other.faces, planes.row[item])[:, side]
-            start, end, present = outline(flat, height, faces, other.joints)
+            start, end, present = outline(flat, height, cut, faces, other.joints)
             found.append((item, rank[item], start, end, present))
             rank[item] += 1
-    shape = (len(planes.row), int(rank.max()), max(present.shape[1] for *_, present in found))
+    shape = (len(planes.row), max(int(rank.max()), 1), max(present.shape[1] for *_, present in found))
     start, end = planes.facet.new_zeros(*shape, 2), planes.facet.new_zeros(*shape, 2)
     present = torch.zeros(shape, dtype=torch.bool, device=rank.device)
     for item, slot, first, second, there in found:

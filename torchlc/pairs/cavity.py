@@ -76,15 +76,21 @@ def _sampled(part: int, inner: Tensor, facets: Facets, materials: tuple[str, ...
     chosen = inner[:: math.ceil(len(inner) / (2 * PATCHES))]
     share = facets.area[inner].sum() / facets.area[chosen].sum()
     names = tuple(str(materials[i]) for i in chosen.tolist())
-    return Cavity(part, chosen, torch.arange(len(chosen)), share.detach().expand(len(chosen)), names)
+    return Cavity(
+        part,
+        chosen,
+        torch.arange(len(chosen), device=chosen.device),
+        share.detach().expand(len(chosen)),
+        names,
+    )
 
 
 def _clustered(part: int, inner: Tensor, facets: Facets, materials: tuple[str, ...]) -> Cavity:
     """Facets that lie and face alike are one patch: the widest patch is halved until there are PATCHES."""
-    area = facets.area[inner].numpy()
-    place = facets.centroid[inner].numpy()
+    area = facets.area[inner].cpu().numpy()
+    place = facets.centroid[inner].cpu().numpy()
     size = np.linalg.norm(np.ptp(place, axis=0))
-    features = np.concatenate([place / size, facets.normal[inner].numpy()], axis=1)
+    features = np.concatenate([place / size, facets.normal[inner].cpu().numpy()], axis=1)
     names = np.array([materials[i] for i in inner.tolist()])
 
     def entry(members: np.ndarray) -> tuple[float, int, np.ndarray]:
@@ -106,7 +112,7 @@ def _clustered(part: int, inner: Tensor, facets: Facets, materials: tuple[str, .
     for number, (_, _, members) in enumerate(heap):
         patch[members] = number
     return Cavity(
-        part, inner, torch.as_tensor(patch), torch.ones(len(inner), dtype=facets.area.dtype),
+        part, inner, torch.as_tensor(patch, device=inner.device), torch.ones_like(facets.area[inner]),
         tuple(str(names[members[0]]) for _, _, members in heap),
     )  # fmt: skip
 
@@ -125,7 +131,9 @@ def exchanged(cavity: Cavity, facets: Facets, context: Context) -> tuple[Tensor,
         apart = ~torch.eye(len(middle), dtype=torch.bool, device=middle.device)
         relative = corners[None] - middle[:, None, None]
         # a facet seen from itself has corners in its plane, at which the formula has no slope
-        relative = torch.where(apart[..., None, None], relative, 1.0 + torch.eye(4, 3).to(middle))
+        relative = torch.where(
+            apart[..., None, None], relative, 1.0 + torch.eye(4, 3, dtype=middle.dtype, device=middle.device)
+        )
         share = torch.where(apart, form_factor(relative, normal[:, None]) * cavity.share, 0.0)
     else:
         share, open_ = context.memory.recall(
@@ -146,12 +154,12 @@ def _by_patch(cavity: Cavity, values: Tensor) -> Tensor:
 def _thrown(cavity: Cavity, facets: Facets, _items: list[int]) -> tuple[Tensor, Tensor]:
     """Shares (1, P, P) by rays from each patch, even over its area and by the cosine law over directions, and what
     part of a patch is open (1, P)."""
-    vertices, normal = facets.vertices.numpy(), facets.normal.numpy()
+    vertices, normal = facets.vertices.cpu().numpy(), facets.normal.cpu().numpy()
     scene = Traced(vertices)
-    chosen, patch = cavity.facets.numpy(), cavity.patch.numpy()
+    chosen, patch = cavity.facets.cpu().numpy(), cavity.patch.cpu().numpy()
     owner = np.full(len(vertices), -1)
     owner[chosen] = patch
-    area = facets.area.numpy()
+    area = facets.area.cpu().numpy()
     count = len(cavity.materials)
     uniform = qmc.Sobol(5, rng=np.random.default_rng(0)).random(RAYS)
     share, open_ = np.zeros((count, count)), np.zeros(count)
@@ -177,7 +185,7 @@ def _thrown(cavity: Cavity, facets: Facets, _items: list[int]) -> tuple[Tensor, 
         began = max(int(((met < 0) | front).sum()), 1)
         share[number] = np.bincount(reached[reached >= 0], minlength=count) / began
         open_[number] = began / RAYS
-    return torch.as_tensor(share)[None], torch.as_tensor(open_)[None]
+    return torch.as_tensor(share).to(facets.area)[None], torch.as_tensor(open_).to(facets.area)[None]
 
 
 def sources_and_sinks(cavity: Cavity, view: View, context: Context, rows: slice) -> tuple[Tensor, Tensor]:

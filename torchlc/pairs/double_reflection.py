@@ -18,7 +18,7 @@ from torch import Tensor
 from torchlc.brdf.base import Incidence, incidence
 from torchlc.occlusion.batched_rows import picked, rowwise
 from torchlc.occlusion.lines import blocked, planes
-from torchlc.occlusion.outline import Joints, outline
+from torchlc.occlusion.outline import Joints, cuts, outline
 from torchlc.occlusion.polygon_union import covered_area
 from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
@@ -334,7 +334,8 @@ def _led(way: Tensor, wanted: Tensor, first: Tensor, second: Tensor) -> tuple[Te
     flat = (b - origin) @ axes.mT - height[..., None] * slope[:, None]
     turned = (torch.linalg.cross(b[:, 2] - b[:, 0], b[:, 3] - b[:, 1]) * ahead).sum(-1) > 0
     joints = Joints.of(Plate.hull, way.device)  # pyright: ignore[reportArgumentType]
-    start, end, present = outline(flat, height, torch.stack([turned, ~turned], -1), joints)
+    cut, _ = cuts(flat, height, joints)
+    start, end, present = outline(flat, height, cut, torch.stack([turned, ~turned], -1), joints)
     if not start.shape[1]:
         return (torch.zeros_like(wanted),)
     area = covered_area((a - origin) @ axes.mT, start[:, None], end[:, None], present[:, None])

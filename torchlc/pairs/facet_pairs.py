@@ -8,20 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import reduce
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from torchlc.brdf.base import Brdf, Incidence, projected
+from torchlc.pairs.discs import DiscPairs
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
-from torchlc.stages.effect import Columns, Light, Patch, View
-from torchlc.tensors.autodiff_state import followed, transformed
+from torchlc.stages.effect import Columns, Light, Patch, Response, View
+from torchlc.tensors.autodiff_state import followed, readable, transformed
 from torchlc.tensors.vectors import dot
 
 PAIRS_PER_CHUNK = 200_000
 """Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the
 cache."""
+DARKEST_RADIANCE = 1e-9
+"""Of that of a surface that faces its source: what is left is light of no account, and a power below 1 has no slope at 0."""
 MOST_COMPARED = 64
 """Slots up to which equal pairs are looked for."""
 ANGLES = len(fields(Incidence))
@@ -46,7 +50,8 @@ def pair_table(
     if not model.additive:
         patches = [_as_one(patch) for patch in patches]
     if not compact:
-        return _tabulated(model, _gridded(view, patches))
+        gridded = _gridded(view, patches)
+        return None if gridded is None else _tabulated(model, gridded)
     if columns is None:
         own = torch.arange(view.to_observer.shape[1])
         columns = Columns(own, own, own, own)
@@ -92,9 +97,11 @@ def _slots(patch: Patch) -> int:
 
 def _falling(patch: Patch, light: Light) -> Light:
     """A light from as many directions as a patch needs."""
-    if light.fewer is None or not isinstance(patch.surface, Band | Dome):
-        return light
-    return light.fewer[patch.surface.axes - 1]
+    if not isinstance(patch.surface, Band | Dome):
+        return light if light.disc is None or not patch.by_facet else light.disc.spread(light, -1)
+    if light.disc is not None:
+        return light.disc.spread(light, 2 - patch.surface.axes)
+    return light if light.fewer is None else light.fewer[patch.surface.axes - 1]
 
 
 def _cuts(columns: Columns, size: int) -> list[slice]:
@@ -120,11 +127,15 @@ def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
         observer = _into(pose, view.to_observer[:, rows])
         for light in view.lights:
             source = _into(pose, light.direction[:, :, rows])
-            cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
-            weight = _weight(view, patch, light, cos_i, cos_r, rows)
+            if patch.by_facet:
+                cos_i, cos_r, _, _, square, weight = _by_facet(view, patch, light, source, observer, rows)
+                half = 0.5 * torch.sqrt(square.clamp(min=1e-30))
+            else:
+                cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+                weight = _weight(view, patch, light, cos_i, cos_r, rows)
+                half = 0.5 * torch.linalg.vector_norm(source + observer, dim=-1)[:, :, None]
             shape = (-1, weight.shape[-1])
             none = torch.zeros_like(weight[0, 0, 0])
-            half = 0.5 * torch.linalg.vector_norm(source + observer, dim=-1)[:, :, None]
             half, cos_r = (cosine.expand_as(weight).reshape(shape) for cosine in (half, cos_r))
             angles = Incidence(cos_i.reshape(shape), cos_r, half, none, none)
             for name, table in model.tabulate(angles, weight.reshape(shape)).items():
@@ -156,34 +167,124 @@ class Sides:
     back: Tensor | None
 
 
-def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...]:
+def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...] | None:
     """The fields of :class:`Incidence`, the least variance of the lobe if a source has an extent, and the
-    weight of all pairs, whether lit or not: (K, T), or (B, K, T) where the values of a batch differ."""
+    weight of all pairs, whether lit or not: (K, T), or (B, K, T) where the values of a batch differ. Pairs of :func:`disc_pairs` are left out; None
+    if there are no others."""
     curved = [
         patch for patch in patches if isinstance(patch.surface, Band | Dome) and not patch.model.additive
     ]
-    flat = [patch for patch in patches if not any(patch is one for one in curved)]
-    found = [_of_sides(view, light, sides) for light in view.lights for sides in _sides(flat, light.primary)]
+    flat = [patch for patch in patches if not patch.by_facet and not any(patch is one for one in curved)]
+    found = [
+        _of_sides(view, light, sides)
+        for light in view.lights
+        if light.disc is None
+        for sides in _sides(view, flat, light.primary)
+    ]
+    found += [
+        _of_points(
+            view,
+            light,
+            _by_facet(
+                view,
+                patch,
+                light,
+                _into(patch.pose, light.direction),
+                _into(patch.pose, view.to_observer),
+                slice(None),
+            ),
+        )
+        for patch in patches
+        if patch.by_facet
+        for light in (_falling(patch, one) for one in view.lights)
+    ]
     found += [
         _of_points(view, _falling(patch, light), pairs)
         for patch in curved
         for light in view.lights
         for pairs in _about(view, patch, _falling(patch, light), slice(None))
     ]
-    if len(found) == 1:
-        joint = found[0]
-    else:
-        batch = max(column.shape[1] for columns in found for column in columns)
-        sizes = [max(map(len, columns)) for columns in found]
-        joint = [
-            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
-            for column in zip(*found, strict=True)
-        ]
+    if not found:
+        return None
+    joint = _side_by_side(found)
     alone = all(column.shape[1] == 1 for column in joint)
     return tuple(column[:, 0] if alone else column.movedim(0, 1) for column in joint)
 
 
-def _sides(patches: Sequence[Patch], primary: bool) -> list[Sides]:
+def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
+    """Columns (K, B or 1, T) of several groups of pairs as one, each of one axis B that is 1 where nothing differs."""
+    if len(found) == 1:
+        return list(found[0])
+    sizes = [max(map(len, columns)) for columns in found]
+    joint = []
+    for column in zip(*found, strict=True):
+        batch = max(one.shape[1] for one in column)
+        joint.append(
+            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
+        )
+    return joint
+
+
+def _alike(columns: Sequence[Tensor]) -> list[Tensor]:
+    """Columns (G, L, Q, B or 1, T) as (G L Q, B or 1, T): of one shape but for the axis of the batch, along which what is the same
+    for all stays one."""
+    shape = torch.broadcast_shapes(*(column.shape for column in columns))
+    return [column.expand(*shape[:3], -1, shape[4]).flatten(0, 2) for column in columns]
+
+
+def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
+    """All pairs of flat facets of one material with lights that are discs; None if there are none."""
+    model = patches[0].model
+    flat = [one if model.additive else _as_one(one) for one in patches if not one.by_facet]
+    flat = [one for one in flat if model.additive or not isinstance(one.surface, Band | Dome)]
+    lights = [light for light in view.lights if light.disc is not None]
+    found = [
+        _side_pairs(view, light, sides) for light in lights for sides in _sides(view, flat, light.primary)
+    ]
+    if not found:
+        return None
+    joint = [column.movedim(0, 1) for column in _side_by_side(found)]
+    su, sv, ci, ou, ov, cr, radius, gain, cover = joint
+    area = reduce(torch.add, (patch.area.sum(-1) for patch in view.patches))
+    area = area[:, None, None] if area.ndim else area
+    disc = lights[0].disc
+    assert disc is not None
+    return DiscPairs(disc, model, su, sv, ci, ou, ov, cr, radius, cover / area, gain * area)
+
+
+def _side_pairs(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
+    """Of some sides in a light that is a disc, (K, B or 1, T) each: the directions to its middle and to the observer along
+    u, v and the normal on the observer's side, the disc's radius, what multiplies areas, and the area."""
+    source = view.apart(_into(sides.pose, light.direction), 1).movedim(-1, 0).contiguous()
+    observer = view.apart(_into(sides.pose, view.to_observer))[None].movedim(-1, 0).contiguous()
+    v = torch.linalg.cross(sides.normal, sides.u)
+    cos_i, cos_r = _facing(sides.normal, source), _facing(sides.normal, observer)
+    cover = _by_plane(view, sides.front)
+    if sides.back is not None:
+        ahead = cos_r > 0
+        cos_i, cover = (
+            torch.where(ahead, cos_i, -cos_i),
+            torch.where(ahead, cover, _by_plane(view, sides.back)),
+        )
+        cos_r = cos_r.abs()
+    assert light.disc is not None
+    radius = view.apart(light.disc.radius)[None, None]
+    gain = view.apart(light.irradiance, 1) * view.apart(view.nodes.weight) / view.apart(view.range_m) ** 2
+    columns = (
+        _facing(sides.u, source),
+        _facing(v, source),
+        cos_i,
+        _facing(sides.u, observer),
+        _facing(v, observer),
+        cos_r,
+        radius,
+        gain,
+        cover * (cos_r > 0) * (cos_i > -radius),
+    )
+    return tuple(_alike(columns))
+
+
+def _sides(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]:
     """The facets of some patches, those of one plane or of opposite ones together: never two such are lit and
     seen at once, and but for the weight they are alike.
 
@@ -193,17 +294,17 @@ def _sides(patches: Sequence[Patch], primary: bool) -> list[Sides]:
     found: list[Sides] = []
     for patch in patches:
         turned = followed(patch.normal) or followed(patch.u)
-        if turned or transformed() or patch.normal.ndim > 2:
-            found.append(Sides(patch.pose, patch.normal, patch.u, _cover(patch, primary), None))
+        if turned or transformed() or patch.normal.ndim > 2 or not readable(patch.normal):
+            found.append(Sides(patch.pose, patch.normal, patch.u, _cover(view, patch, primary), None))
         else:
             groups.setdefault(id(patch.pose), []).append(patch)
     for alike in groups.values():
         normal, ahead = _signed(torch.cat([patch.normal for patch in alike]))
         u, _ = _signed(torch.cat([patch.u for patch in alike]))
         planes, member = torch.unique(torch.cat([normal, u], 1), dim=0, return_inverse=True)
-        covers = [_cover(patch, primary) for patch in alike]
+        covers = [_cover(view, patch, primary) for patch in alike]
         rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
-        cover = torch.cat([one.expand(*rows, -1) for one in covers], -1)
+        cover = torch.cat([one.expand(*rows, one.shape[-1]) for one in covers], -1)
         front, back = (
             cover.new_zeros(*rows, len(planes)).index_add(-1, member[side], cover[..., side])
             for side in (ahead, ~ahead)
@@ -219,9 +320,14 @@ def _signed(vectors: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(lead > 0, vectors, -vectors) + 0.0, lead[:, 0] > 0
 
 
-def _cover(patch: Patch, primary: bool) -> Tensor:
+def _cover(view: View, patch: Patch, primary: bool) -> Tensor:
+    """What facets count, (F,), or (Q, T or 1, F) where it is not the same at all instants."""
     visible = patch.visible if primary else patch.seen
-    return patch.area if visible is None else patch.area * visible
+    area = patch.area
+    if area.ndim > 1:  # of a batch, whose members are the last axis of Q
+        instants = max(1, len(view.nodes.offset) // view.batch)
+        area = area[:, None].repeat(instants, 1, 1)
+    return area if visible is None else area * visible
 
 
 def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
@@ -250,7 +356,7 @@ def _of_sides(view: View, light: Light, sides: Sides) -> tuple[Tensor, ...]:
     spread = [] if light.spread is None else [0.25 * view.apart(light.spread, 1)]
     columns = (*vars(angles).values(), *spread, gain * cover)
     if source.shape[1] * source.shape[2] > 1:  # else what all planes share stays as it is
-        columns = torch.broadcast_tensors(*columns)
+        return tuple(_alike(columns))
     return tuple(column.flatten(0, 2) for column in columns)
 
 
@@ -267,11 +373,9 @@ def _facing(normal: Tensor, direction: Tensor) -> Tensor:
 
 
 def _by_plane(view: View, cover: Tensor) -> Tensor:
-    """What planes (G,), (B, G) or (Q, T, G) count, shaped to meet (G, L, Q, B, T)."""
+    """What planes (G,) or (Q, T, G) count, shaped to meet (G, L, Q, B, T)."""
     cover = cover.movedim(-1, 0)
-    if cover.ndim == 3:
-        return view.apart(cover, 1)[:, None]
-    return cover[:, None, None, ..., None] if cover.ndim == 2 else cover[:, None, None, None, None]
+    return view.apart(cover, 1)[:, None] if cover.ndim == 3 else cover[:, None, None, None, None]
 
 
 def _packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> tuple[Tensor, ...]:
@@ -285,6 +389,9 @@ def _packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
         for light in (_falling(patch, one) for one in view.lights):
             if isinstance(patch.surface, Band | Dome):
                 several = _about(view, patch, light, rows)
+            elif patch.by_facet:
+                source = _into(pose, light.direction[:, :, rows])
+                several = [_by_facet(view, patch, light, source, observer, rows)]
             else:
                 projections = _projections(patch, _into(pose, light.direction[:, :, rows]), observer)
                 cos_i, cos_r = projections[:2]
@@ -317,6 +424,61 @@ def _projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor
     v = torch.linalg.cross(patch.normal, patch.u)
     pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
     return *((one @ axis.mT).mT for one, axis in pairs), dot(bisector, bisector)[..., None, :]
+
+
+def _by_facet(
+    view: View, patch: Patch, light: Light, source: Tensor, observer: Tensor, rows: slice
+) -> tuple[Tensor, ...]:
+    """The projections of :func:`_projections` and the weight of a patch, (L, Q, F, T) each, whose facets have directions of
+    their own to lamp and camera, and whose radiance is not recorded linearly.
+
+    With s the direction from the body's origin and d the distance, a facet at c sees the lamp along s - c / d, whose length r takes
+    1 / r^2 of the light; likewise the camera.
+    """
+    cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
+    v = torch.linalg.cross(patch.normal, patch.u)
+    axes = () if patch.model.additive else (patch.u, v)
+    light_along, sight_along = ([(one @ axis.mT).mT for axis in axes] for one in (source, observer))
+    cosine = dot(source, observer)[..., None, :]
+    gain: Tensor | None = None
+    radiance = cos_i
+    if patch.near is not None:
+        point = patch.near.point
+        lamp, camera = (
+            one if one.shape[-1] == 1 else one[:, rows] for one in (patch.near.lamp, patch.near.camera)
+        )
+        lamp, camera = lamp[:, None] * light.primary, camera[:, None]
+        size, off = dot(point, point)[..., None], dot(point, patch.normal)[..., None]
+        to_lamp, to_camera = ((one @ point.mT).mT for one in (source, observer))
+        nearer = torch.rsqrt(1 - 2 * lamp * to_lamp + lamp**2 * size)
+        closer = torch.rsqrt(1 - 2 * camera * to_camera + camera**2 * size)
+        cos_i, cos_r = (cos_i - lamp * off) * nearer, (cos_r - camera * off) * closer
+        places = [dot(point, axis)[..., None] for axis in axes]
+        light_along = [(one - lamp * at) * nearer for one, at in zip(light_along, places, strict=True)]
+        sight_along = [(one - camera * at) * closer for one, at in zip(sight_along, places, strict=True)]
+        cosine = cosine - camera * to_lamp - lamp * to_camera + lamp * camera * size
+        cosine = cosine * nearer * closer
+        radiance = cos_i * nearer**2
+        gain = (nearer * closer) ** 2
+    weight = _weight(view, patch, light, cos_i, cos_r, rows)
+    if gain is not None:
+        weight = weight * gain
+    if patch.response is not None and light.primary:
+        weight = weight * _recorded(patch.response, radiance, rows)
+    along = [one + other for one, other in zip(light_along, sight_along, strict=True)] or [cosine, cosine]
+    return cos_i, cos_r, *along, 2 + 2 * cosine, weight
+
+
+def _recorded(response: Response, radiance: Tensor, rows: slice) -> Tensor:
+    """What is recorded of a radiance (L, Q, F, T) over the radiance itself; 1 where there is none."""
+    power, threshold, pedestal = (
+        (one if one.shape[-1] == 1 else one[:, rows])[:, None]
+        for one in (response.power, response.threshold, response.pedestal)
+    )
+    lit = radiance > DARKEST_RADIANCE
+    safe = torch.where(lit, radiance, 1.0)
+    recorded = (safe**power - threshold).clamp(min=0) + pedestal
+    return torch.where(lit, recorded / safe, 1.0)
 
 
 def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Tensor, ...]]:

@@ -17,6 +17,7 @@ from torch import Tensor
 from torchlc.effects import registry
 from torchlc.geometry.orbit.earth import julian_dates
 from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.kind import NoiseKind
 from torchlc.prediction.passes import Pass, Span
 from torchlc.readers import Recording
 from torchlc.readers.groups import compact, local_nights
@@ -29,8 +30,6 @@ ROWS_AT_ONCE = 20_000
 MOST_MOVED = 400_000
 """Draws times rows where every draw has its own geometry: 30 s to 2 min on one core."""
 LEAST_DRAWS = 16
-JITTER = "jitter"
-"""The effect of noise that widens a prediction: a model that needs it is off by as much."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +102,10 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
 
 
 def _of_the_recording(effect: type[Effect]) -> bool:
-    if effect.stage in ("clock", "detector", "noise"):
-        return effect.name != JITTER
+    if issubclass(effect, NoiseKind):
+        return not effect.mends_errors  # a model that needs more noise than is quoted is off by as much
+    if effect.stage in ("clock", "detector"):
+        return True
     moves = effect.stage == "orbit" and bool(effect.quantities)
     return moves or effect.timed_by_rows
 

@@ -26,8 +26,6 @@ SHARP_DEG = 5.0
 """Lobes wider than this make no glint, but a broad maximum."""
 LEAST_PROBABILITY = 0.05
 MOST_GEOMETRIES = 24
-ABOUT_MIRROR = "phong-mirror"
-"""The law whose lobe is about the mirror direction, not about the facet's normal."""
 MESH_FACETS = 200
 """Flat facets of one mesh beyond which its glints are not looked for."""
 
@@ -86,26 +84,20 @@ def _angles(view: View, patch: Patch) -> Tensor:
 
 def lobe_widths_deg(model: LightCurve, theta: Tensor, material: str) -> np.ndarray | None:
     """Angle (D,), deg, from the top of a material's lobe at which it has fallen to exp(-1/2), on the scale of the normal's
-    tilt: 1/sqrt(n) for cos^n, alpha/sqrt(2) or m/sqrt(2) for a distribution of slopes; None without a lobe.
-
-    Exponents apart along u and v count by the smaller. A lobe about the mirror direction (phong-mirror) moves twice as fast
-    as the normal, and counts half.
+    tilt: 1/sqrt(n) for cos^n, half of it about the mirror direction, which moves twice as fast as the normal, m/sqrt(2) or
+    alpha/2 for a distribution of slopes; None without a lobe. Numbers apart along u and v count by those of the wider axis.
     """
     a = model.assembly
     brdf = a.models[material]
     own = a.material_values(material, brdf, model.values(theta))
-    exponents = [own[name] for name in ("n", "n_u", "n_v") if name in own]
-    slopes = [own[name] for name in ("alpha", "m") if name in own]
-    if exponents:
-        least = torch.stack(torch.broadcast_tensors(*exponents)).amin(0)
-        width = torch.rsqrt(least.clamp(min=1e-6))
-        width = 0.5 * width if model.scene.materials[material].model == ABOUT_MIRROR else width
-    elif slopes:
-        width = slopes[0] / math.sqrt(2)
-    else:
+    along = brdf.along_axes
+    alike = [dict.fromkeys(along, own[other]) for other in along] or [{}]
+    widest = torch.stack(
+        [brdf.lobe_variance({**own, **numbers}).expand(len(theta)) for numbers in alike]
+    ).amax(0)
+    if not bool(torch.isfinite(widest).any()):
         return None
-    found = torch.rad2deg(width).detach().numpy()
-    return np.broadcast_to(found, (len(theta),))
+    return torch.rad2deg(widest.sqrt()).detach().numpy()
 
 
 def find_glints(

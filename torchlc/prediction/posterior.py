@@ -11,6 +11,7 @@ import numpy as np
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
+from torchlc.files.hdf5 import check_hdf5
 from torchlc.files.reading import readable_file
 from torchlc.prediction.brightness import Posterior
 from torchlc.results.fit_result import FitResult
@@ -46,6 +47,7 @@ def read_posterior(path: Path) -> tuple[Scene, Posterior]:
     readable_file(path, EXPECTED)
     if path.stat().st_size > MOST_BYTES:
         raise InputError(path, None, "more than 2 GB", EXPECTED)
+    check_hdf5(path, EXPECTED)
     try:
         with h5py.File(path, "r") as file:
             group: Any = file["posterior"]

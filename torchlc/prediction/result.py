@@ -164,15 +164,13 @@ class Prediction:
         """A row a pass, brightest first; the content of passes.ecsv."""
         told = [self._told_pass(one, number) for number, one in enumerate(self.passes, 1)]
         texts = ("object", "number", "station", "begin", "begins", "top", "end", "ends", "brightest")
-        numbers = (
-            "begin_azimuth_deg", "top_elevation_deg", "top_azimuth_deg", "end_azimuth_deg", "time_sd_s",
-            *QUANTILES, "apparent_mag",
-        )  # fmt: skip
+        angles = ("begin_azimuth_deg", "top_elevation_deg", "top_azimuth_deg", "end_azimuth_deg")
+        units = dict.fromkeys(angles, "deg") | {"time_sd_s": "s"}
+        units |= dict.fromkeys((*QUANTILES, "apparent_mag"), "mag")
         columns: dict[str, Any] = {"pass": np.array([one["pass"] for one in told], dtype=int)}
         columns |= {key: np.array([one[key] or "" for one in told], dtype=str) for key in texts}
-        for key in numbers:
+        for key, unit in units.items():
             values = np.array([math.nan if one[key] is None else one[key] for one in told], dtype=float)
-            unit = "deg" if key.endswith("deg") else "s" if key.endswith("_s") else "mag"
             columns[key] = _column(values, unit)
         for word in ("events", "glints"):
             columns[word] = np.array([self._sentence(one, word) for one in self.passes], dtype=str)

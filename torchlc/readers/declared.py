@@ -34,8 +34,18 @@ SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb
 ON_A_CLOCK = re.compile(
     r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])"
 )
+NAMES_OF_SCALES = {
+    "tt": r"terrestrial([ _-]dynamical)?[ _-]time",
+    "tdb": r"barycentric[ _-]dynamical[ _-]time|ephemeris[ _-]time",
+    "tai": r"(international[ _-])?atomic[ _-]time",
+    "tcb": r"barycentric[ _-]coordinate[ _-]time",
+    "tcg": r"geocentric[ _-]coordinate[ _-]time",
+    "utc": r"(coordinated[ _-])?universal[ _-]time",
+}
+"""Time scales whose names are written out. The ephemeris time of planetary ephemerides is TDB (Standish 1998)."""
 AT_THE_SUN = re.compile(
-    r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*)(?![A-Za-z])", re.IGNORECASE
+    r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*(?![ _-](dynamical|coordinate)))(?![A-Za-z])",
+    re.IGNORECASE,
 )
 _EXPOSED = r"(expos\w*|integration|frame|shutter|observation)"
 _OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
@@ -269,6 +279,7 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
         )
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
+    named |= {scale for scale, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
     if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
         named -= {"gps"}  # what keeps the clock, beside a scale that is told
     known = {SCALES[name] for name in named if name in SCALES}
@@ -407,6 +418,24 @@ def _refuse_logarithms(header: Header, text: str | None) -> None:
     if hasattr(unit, "function_unit") or any(unit == one for one in (u.mag, u.dex, u.dB)):
         hint = "Name the columns mag and mag_err if they are magnitudes"
         raise InputError(header.source, "column flux", f"unit {text}", "a linear unit", hint)
+
+
+NOT_APPARENT = re.compile(
+    r"\b(instrumental|differential|relative|reduced|normali[sz]ed|detrended|absolute|unit distances?|delta[ _-]?mag\w*)\b",
+    re.IGNORECASE,
+)
+"""How people say that a magnitude is not apparent, or not calibrated."""
+
+
+def magnitudes_told(header: Header, kind: str) -> list[str]:
+    """What has to be said where the description of magnitudes speaks of others than apparent ones."""
+    text = header.descriptions.get("mag", "")
+    if kind != "mag" or not NOT_APPARENT.search(text):
+        return []
+    return [
+        f"the description of mag says {text[:60]!r}: torchlc takes apparent magnitudes, corrected for extinction. "
+        "Give relative fluxes in a column flux, or a free zero_point, if they are others"
+    ]
 
 
 def units_told(header: Header, kind: str) -> list[str]:

@@ -73,3 +73,14 @@ def nights_between_gaps(jd: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     minutes = np.floor((jd[starts] - (NOON_OF_2000_JAN_1 - 0.5)) * 1440 + 1e-3).astype(np.int64)
     dates = np.datetime64("2000-01-01T00:00") + minutes.astype("timedelta64[m]")
     return night, tuple(map(str, dates))
+
+
+def between_directions(
+    columns: Mapping[str, np.ndarray], before: np.ndarray, after: np.ndarray, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Altitude and azimuth (N,), deg, of the directions a ``share`` (N,) of the chord from those of the rows ``before``
+    (N,) to those of ``after`` (N,)."""
+    alt, az = np.radians(columns["alt"]), np.radians(columns["az"])
+    towards = np.stack([np.cos(alt) * np.cos(az), np.cos(alt) * np.sin(az), np.sin(alt)], -1)
+    x, y, z = ((1 - share)[:, None] * towards[before] + share[:, None] * towards[after]).T
+    return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x)) % 360.0

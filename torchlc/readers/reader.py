@@ -13,11 +13,14 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal
 from torchlc.readers import declared, groups
 from torchlc.readers.civil_time import to_utc
+from torchlc.readers.copies import copies
+from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
 from torchlc.readers.roles import VECTORS
 from torchlc.readers.table import (
     BEYOND_MAG,
+    MAX_ROWS,
     BrightnessReader,
     Header,
     LabelReader,
@@ -25,6 +28,7 @@ from torchlc.readers.table import (
     read_flags,
     read_numbers,
     row_place,
+    too_long,
     with_point,
 )
 from torchlc.scene.reading import Reading
@@ -58,6 +62,10 @@ MARKERS = np.array(
     ]
 )
 """-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
+CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
+"""0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
+FAR_MAG = 5.0
+"""From all others: less is a glint, a sunset or a cloud."""
 JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
@@ -111,6 +119,7 @@ class _Reader:
             *taken,
             *self.timing.notes,
             *declared.units_told(header, self.kind),
+            *declared.magnitudes_told(header, self.kind),
             *self.units_told,
         ]
 
@@ -204,14 +213,17 @@ class _Reader:
 
     def measurements(self, min_rows: int) -> Measurements:
         self._move_to_middle()
+        self.times_of_file = self.columns["time"]
         self._drop_markers()
         self._drop_non_finite()
         self._to_observer()
+        self._suspect_markers()
         self._check_limits()
         self._check_errors()
         self._sort()
         first_time = cast(Time, self._time()[:1])
         self._keep(~groups.repeats(self.columns), "duplicate")
+        self._add_non_detections()
         if "alt" in self.columns:
             self._keep(self.columns["alt"] >= 0, "below the horizon")
         rows = len(self.rows)
@@ -235,9 +247,12 @@ class _Reader:
             if name != "velocity" and not (np.abs(vector).max(-1) > SHORTEST_KM).all():
                 place = f"columns {VECTORS[name]}_x, _y, _z"
                 raise InputError(self.source, place, "a vector of length 0", "a direction")
+        limit = columns.get("upper_limit", np.zeros(len(days), dtype=bool))
+        seconds = seconds_since(time, cast(Time, time[:1]))
+        self.warnings += copies(seconds[~limit], columns[self.kind][~limit], curve[~limit], curve_ids)
         return Measurements(
             time=time,
-            seconds=seconds_since(time, cast(Time, time[:1])),
+            seconds=seconds,
             first_time=cast(Time, first_time[0]),
             kind=self.kind,
             observed=columns[self.kind],
@@ -248,7 +263,7 @@ class _Reader:
             curve_ids=curve_ids,
             night=night,
             night_ids=night_ids,
-            upper_limit=columns.get("upper_limit", np.zeros(len(days), dtype=bool)),
+            upper_limit=limit,
             exptime=columns.get("exptime"),
             band=self._band(),
             sun=vectors.get("sun"),
@@ -342,6 +357,27 @@ class _Reader:
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
 
+    def _suspect_markers(self) -> None:
+        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
+        if self.kind != "mag":
+            return
+        values = self.columns["mag"]
+        different = np.unique(values)
+        chosen = [value for value in different.tolist() if CHOSEN.fullmatch(f"{value:.10g}")]
+        likely = np.isin(values, chosen)
+        others = values[~likely]
+        if not chosen or not len(others):
+            return
+        apart = np.maximum(others.min() - values, values - others.max())
+        far = likely & (apart > FAR_MAG)
+        if far.any():
+            first = row_place(int(self.rows[far][0]), "mag")
+            self.warnings.append(
+                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from all others"
+                f"{f', and so are {np.count_nonzero(far) - 1} more rows' if far.sum() > 1 else ''}: if it stands for a "
+                "missing measurement, leave it blank or out. It is taken as measured"
+            )
+
     def _drop_non_finite(self) -> None:
         """Rows with a blank or infinite number go; an upper limit without an error takes the median."""
         error, limit = self.columns.get(f"{self.kind}_err"), self.columns.get("upper_limit")
@@ -388,6 +424,59 @@ class _Reader:
             self.rows = self.rows[order]
             self.warnings.append("the rows were not in order of time and have been sorted")
 
+    def _add_non_detections(self) -> None:
+        """Upper limits of slots in which the object was in the frame and not found, where the recording leaves them out.
+
+        Other columns of such a row are those on the straight line between the rows beside it: at the longest gap, 5 s, a
+        position in a low orbit is 30 m off, 0.003 deg at 500 km. An error is the median of the errors.
+        """
+        wanted = self.reading.non_detections
+        if not (self.header.skips_non_detections if wanted is None else wanted):
+            return
+        days, columns = self.columns["time"], self.columns
+        station, station_ids = self._stations()
+        curve, curve_ids = self._curves(station, station_ids)
+        limit = columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
+        slots = empty_slots(
+            _seconds(days, days[0]),
+            columns[self.kind],
+            curve,
+            curve_ids,
+            " mag" if self.kind == "mag" else "",
+            fainter=1 if self.kind == "mag" else -1,
+            measured=~limit,
+            view=np.unique(
+                np.stack([station, columns.get("band", 0 * station)]), axis=1, return_inverse=True
+            )[1],
+            unusable=_seconds(self.times_of_file, days[0]),
+            **({} if self.reading.longest_gap is None else {"longest_gap": self.reading.longest_gap}),
+        )
+        self.warnings += slots.notes
+        if not len(slots.limit):
+            return
+        before, after, share = slots.before, slots.after, slots.share
+        if len(self.rows) + len(before) > MAX_ROWS:
+            raise too_long(self.source)
+        columns.setdefault("upper_limit", limit)
+        added = {name: column[before] for name, column in columns.items()}
+        for name, column in columns.items():
+            if column.dtype.kind == "f" and name != "time":
+                added[name] = (1 - share) * column[before] + share * column[after]
+        if "az" in columns:
+            added["alt"], added["az"] = groups.between_directions(columns, before, after, share)
+        step = (days[after] - days[before]).sum(-1)
+        added["time"] = days[before] + np.stack([0 * step, share * step], -1)
+        added[self.kind] = slots.limit
+        added["upper_limit"] = np.ones(len(before), dtype=bool)
+        if f"{self.kind}_err" in columns:
+            added[f"{self.kind}_err"] = np.full(len(before), np.median(columns[f"{self.kind}_err"][~limit]))
+        self.columns = {name: np.concatenate([column, added[name]]) for name, column in columns.items()}
+        self.rows = np.concatenate([self.rows, self.rows[before]])
+        order = groups.time_order(self.columns["time"])
+        if order is not None:
+            self.columns = {name: column[order] for name, column in self.columns.items()}
+            self.rows = self.rows[order]
+
     def _time(self) -> Time:
         days = self.columns["time"]
         return cast(Time, Time(days[:, 0], days[:, 1], format="jd", scale=self.scale))
@@ -432,6 +521,11 @@ class _Reader:
         if "band" not in self.columns:
             return None
         return np.array(self.labels["band"].ids, dtype=object)[self.columns["band"]]
+
+
+def _seconds(days: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Seconds (T,) of two-part Julian dates (T, 2) after one of them (2,)."""
+    return 86400.0 * ((days[:, 0] - origin[0]) + (days[:, 1] - origin[1]))
 
 
 def _because(dropped: Mapping[str, int]) -> str:

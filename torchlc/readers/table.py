@@ -44,6 +44,7 @@ class Header:
     down to its header (0: there is none); lines that begin with one of ``marks`` are comments. ``decimal`` is the
     decimal sign. ``columns`` holds the places of what :mod:`torchlc.readers.roles` took under our names, several
     where cells are joined, and ``theirs`` the names that these have in the file. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    ``skips_non_detections``: the format has a row only where the object was found.
     """
 
     source: Path
@@ -62,6 +63,7 @@ class Header:
     decimal: str = "."
     columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     theirs: Mapping[str, str] = field(default_factory=dict)
+    skips_non_detections: bool = False
 
     def places(self, name: str) -> tuple[int, ...]:
         """Where the cells of a column stand in a row."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -33,31 +32,18 @@ GOOD_MATCH = 0.05
 """Known materials less probable than this are not named in words."""
 
 
-def without_cluster() -> AbstractContextManager[Any]:
-    """Work done here: xarray asks dask for its scheduler when it writes, and the client of a cluster may have gone."""
-    try:
-        import dask.config
-    except ImportError:
-        return nullcontext()
-    return dask.config.set(scheduler="synchronous")
-
-
 def write_fit(
     result: FitResult,
     directory: OutputDirectory,
     progress: Callable[[str, float], None] | None = None,
     diagnosis: dict[str, Any] | None = None,
 ) -> None:
-    """fit.json, posterior.nc, the figures and report.html, in this order; what a run before left and this one does
+    """The numbers, the figures and report.html, in this order; what a run before left and this one does
     not write goes first: a file that is missing is noticed, one of another run is not.
     """
     written = FIT_FILES - (SAMPLED_FILES if result.posterior is None else frozenset())
     directory.clear(RESULT_FILES - written - (frozenset() if diagnosis is None else DIAGNOSIS_FILES))
-    directory.write_json("fit.json", result.to_json())
-    if result.posterior is not None:
-        data = result.to_arviz()
-        with without_cluster():
-            directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
+    result.write_into(directory)
     drawn = draw_all("fit", result)
     for number, (kind, figure) in enumerate(drawn):
         directory.write_bytes(f"{kind.name}.png", png(figure))

@@ -9,6 +9,7 @@ import math
 import unicodedata
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -18,7 +19,8 @@ import torch
 from torch import Tensor
 
 from torchlc.digits import stated
-from torchlc.files.writing import without_nan
+from torchlc.files.libraries import arviz_library
+from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
@@ -365,10 +367,9 @@ class FitResult:
         """Posterior by walker and draw, with the log density and the recording; "/" in names becomes "|",
         which netCDF needs, and the attribute ``parameter`` of each variable holds the name itself.
         """
-        import arviz
-
         if self.posterior is None:
             raise ValueError("nothing was free: there is no posterior")
+        arviz = arviz_library()
         names = variable_names(self.posterior.names)
         posterior = {name: self.posterior.theta[..., i].numpy() for i, name in enumerate(names)}
         with warnings.catch_warnings():
@@ -389,6 +390,14 @@ class FitResult:
         for variable, name in names.items():
             data["posterior"][variable].attrs["parameter"] = name
         return data
+
+    def write_into(self, directory: OutputDirectory) -> None:
+        """fit.json and posterior.nc: the numbers, for which nothing has to be drawn."""
+        directory.write_json("fit.json", self.to_json())
+        if self.posterior is not None:
+            data = self.to_arviz()
+            with _without_cluster():
+                directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
 
     # ------------------------------------------------------------------ pictures
 
@@ -466,6 +475,15 @@ class FitResult:
         )
         warned = "".join(f"<li>{html.escape(text)}</li>" for text in self.all_warnings)
         return f"<p>{html.escape(self.headline())}</p><table>{rows}</table><ul>{warned}</ul>"
+
+
+def _without_cluster() -> AbstractContextManager[Any]:
+    """Work done here: xarray asks dask for its scheduler when it writes, and the client of a cluster may have gone."""
+    try:
+        import dask.config
+    except ImportError:
+        return nullcontext()
+    return dask.config.set(scheduler="synchronous")
 
 
 def _notebook_figure(size: tuple[float, float]) -> Figure:

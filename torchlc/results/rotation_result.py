@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,14 +13,15 @@ import torch
 
 from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
+from torchlc.inference.rotation.modes import RotationMode, RotationSearch
 from torchlc.inference.rotation.passes import rows_of
-from torchlc.inference.rotation.search import RotationMode, RotationSearch
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Free, Scene
 from torchlc.scene.parts import Attitude
 
 if TYPE_CHECKING:
     from astropy.table import Table
+    from matplotlib.figure import Figure
 
 SCHEMA = "torchlc-rotation/1"
 
@@ -50,8 +51,9 @@ class RotationResult:
         shrunk = math.cos(math.radians(numbers["pole_lat"]))
         pole_sd = math.hypot(sd.get("pole_lat", 0.0), sd.get("pole_lon", 0.0) * shrunk)
         tilt = [numbers[f"tilt_{axis}"] for axis in "xyz"] if "tilt_x" in numbers else None
+        rates, moments = mode.rates, mode.moments
         return {
-            "mode": "spin-pole",
+            "mode": mode.scene.attitude.mode,
             "pole_icrs": [ra, dec],
             "pole_ecliptic_j2000": [lon, lat],
             "pole_sd_deg": pole_sd,
@@ -59,17 +61,38 @@ class RotationResult:
             "period_sd_s": mode.period_sd_s,
             "period_h": numbers["period"],
             "rev_per_hour": 1 / numbers["period"],
-            "period_rate_ms_per_day": numbers.get("period_rate"),
+            "periods_s": None
+            if rates is None
+            else {
+                "precession_long": mode.period_s,
+                "precession_short": 1 / float(rates.precession_short),
+                "rotation": 1 / float(rates.polhode),
+            },
+            "axis_mode": None if rates is None else "short" if bool(rates.short_axis_mode) else "long",
+            "period_rate_ms_per_day": numbers.get("period_rate", 0.0 if "period_rate" in sd else None),
             "period_rate_sd_ms_per_day": sd.get("period_rate"),
             "epoch": str(mode.scene.attitude.epoch),
             "phase_deg": numbers["phase"] % 360,
             "phase_sd_deg": sd.get("phase"),
+            "polhode_phase_deg": numbers["polhode_phase"] % 360 if mode.tumbling else None,
             "tilt_deg": tilt,
-            "nutation_deg": 0.0,
-            "inertia_ratios": None,
+            "nutation_deg": numbers.get("nutation", 0.0),
+            "nutation_sd_deg": sd.get("nutation"),
+            "inertia_xyz": None if moments is None else list(moments),
+            "inertia_ratios": None
+            if moments is None
+            else [one / max(moments) for one in sorted(moments)[:2]],
+            "inertia_sd": [sd[f"inertia_{axis}"] for axis in "xy"] if moments else None,
             "chi2": mode.chi2,
+            "above_best": mode.above,
+            "rms_mag": mode.rms,
+            "passes": [{"period_s": period, "period_sd_s": sd_} for period, sd_ in mode.periods],
             "probability": mode.probability,
             "turns_between_passes": list(mode.counts),
+            "counts_possible": mode.possible,
+            "counts_likely": [
+                {"turns_more": list(turns), "probability": chance} for turns, chance in mode.likely
+            ],
             "mirror": mode.mirror,
         }
 
@@ -115,13 +138,33 @@ class RotationResult:
                 f"turn in {one['period_s']:.8g} +- {one['period_sd_s']:.1g} s ({one['rev_per_hour']:.6g} rev/h)",
                 f"phase {one['phase_deg']:.1f} deg at {one['epoch']}",
             ]
+            if one["periods_s"] is not None:
+                first, second = one["inertia_ratios"]
+                parts[1] = (
+                    f"long axis about it in {one['period_s']:.8g} +- {one['period_sd_s']:.1g} s ({one['rev_per_hour']:.6g} rev/h), "
+                    f"short axis in {one['periods_s']['precession_short']:.6g} s, the body's own turn {one['periods_s']['rotation']:.6g} s"
+                )
+                parts.append(
+                    f"{one['axis_mode']}-axis mode, nutation {one['nutation_deg']:.2f} deg, "
+                    f"moments of inertia {first:.3f} : {second:.3f} : 1"
+                )
             if rate is not None and one["period_rate_sd_ms_per_day"] is not None:
-                parts.append(f"period grows by {rate:.4g} +- {one['period_rate_sd_ms_per_day']:.1g} ms a day")
+                sd = one["period_rate_sd_ms_per_day"]
+                parts.append(
+                    f"period grows by {rate:.4g} +- {sd:.1g} ms a day"
+                    if rate
+                    else f"a change of the period by {sd:.1g} ms a day would not show"
+                )
             if one["tilt_deg"] is not None:
                 parts.append(f"tilt {', '.join(f'{x:.2f}' for x in one['tilt_deg'])} deg")
             if any(one["turns_between_passes"]):
                 turns = ", ".join(f"{count:+g}" for count in one["turns_between_passes"])
                 parts.append(f"turns between passes {turns} against mode 1")
+            if mode.possible > 1 and mode.periods:
+                each = ", ".join(f"{period:.6g} +- {sd_:.1g}" for period, sd_ in mode.periods)
+                parts.append(f"turns of the passes, each by itself: {each} s")
+            if mode.possible > 1:
+                parts.append(f"{mode.possible} counts of turns between passes fit")
             if mode.mirror:
                 parts.append(mode.mirror)
             lines.append(
@@ -142,9 +185,14 @@ class RotationResult:
             _at(one, numbers[key])
             for one, key in zip(attitude["pole"], ("pole_lon", "pole_lat"), strict=True)
         )
-        for key in ("period", "phase", "period_rate"):
+        for key in ("period", "phase", "period_rate", "nutation", "polhode_phase"):
             if key in attitude:
                 attitude[key] = _at(attitude[key], numbers[key])
+        if "inertia" in attitude:
+            attitude["inertia"] = tuple(
+                _at(one, numbers[f"inertia_{axis}"])
+                for one, axis in zip(attitude["inertia"], "xy", strict=True)
+            )
         if "tilt" in attitude:
             attitude["tilt"] = tuple(
                 _at(one, numbers[f"tilt_{axis}"]) for one, axis in zip(attitude["tilt"], "xyz", strict=True)
@@ -164,29 +212,39 @@ class RotationResult:
 
     def write(self, directory: OutputDirectory) -> None:
         """rotation.json, scene.toml of the best mode, and figures."""
-        from torchlc.figures import rotation as figures
-
         search = self.search
         best = search.modes[0]
         directory.write_json("rotation.json", self.to_json())
         directory.write_text("scene.toml", self.scene().to_toml())
+        from torchlc.figures import rotation as figures
+        from torchlc.figures.saving import drawn, save
+
+        def write(name: str, draw: Callable[[], Figure]) -> None:
+            directory.write(
+                name,
+                lambda path: save(drawn(draw), path, dpi=figures.PNG_DPI, format="png", facecolor="white"),
+            )
+
         with np.errstate(divide="ignore"):
             period = 1 / search.frequency
         marks = [mode.period_s for mode in search.modes]
-        directory.write(
-            "periodogram.png", lambda path: figures.periodogram(path, period, search.power, marks)
-        )
+        write("periodogram.png", lambda: figures.periodogram(period, search.power, marks))
         modes = np.array([_unit(*equatorial(mode)) for mode in search.modes])
-        directory.write("poles.png", lambda path: figures.poles(path, *search.pole_map, modes))
+        write("poles.png", lambda: figures.poles(*search.pole_map, modes))
         model = LightCurve(best.scene, search.recording)
         rows = rows_of(model)
         with torch.no_grad():
             predicted = model(best.theta).numpy()[rows.index.numpy()]
-        phase = (rows.seconds.numpy() / best.period_s) % 1.0
+        seconds, number = rows.seconds.numpy(), rows.number.numpy()
+        phase, meaning = (seconds / best.period_s) % 1.0, "phase of a turn"
+        if best.tumbling:  # no phase of one turn folds it
+            first = np.array([seconds[number == one].min() for one in range(rows.passes)])
+            phase, meaning = (
+                (seconds - first[number]) / best.period_s,
+                "turns of the long axis since the first row",
+            )
         observed = search.recording.observed[rows.index.numpy()]
-        directory.write(
-            "folded.png", lambda path: figures.folded(path, phase, observed, predicted, rows.number.numpy())
-        )
+        write("folded.png", lambda: figures.folded(phase, observed, predicted, number, meaning))
 
     def __repr__(self) -> str:
         return "\n".join([*self.lines(), *(f"  ! {text}" for text in self.warnings)])

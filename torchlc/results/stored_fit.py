@@ -14,6 +14,8 @@ import numpy as np
 
 from torchlc.digits import stated
 from torchlc.errors import InputError
+from torchlc.files.hdf5 import check_hdf5
+from torchlc.files.libraries import arviz_library
 from torchlc.files.reading import readable_file
 from torchlc.results.tables import parameter_table
 
@@ -72,11 +74,9 @@ class StoredFit:
 
     def to_arviz(self) -> arviz.InferenceData:
         """The content of posterior.nc."""
-        import arviz
-
         if not self.draws:
             raise ValueError("nothing was free: there is no posterior")
-        return arviz.from_netcdf(str(self.directory / "posterior.nc"), engine="h5netcdf")
+        return arviz_library().from_netcdf(str(self.directory / "posterior.nc"), engine="h5netcdf")
 
     def __repr__(self) -> str:
         content = self.content
@@ -121,9 +121,8 @@ def load_fit(folder: str | Path) -> StoredFit:
 
 
 def _draws(path: Path) -> dict[str, np.ndarray]:
-    readable_file(path, "the posterior that the fit wrote")
-    import arviz
-
+    check_hdf5(readable_file(path, "the posterior that the fit wrote"), "a posterior.nc that torchlc wrote")
+    arviz = arviz_library()
     try:
         data = arviz.from_netcdf(str(path), engine="h5netcdf")
         found = {

@@ -8,7 +8,7 @@ from torchlc.scene.parts import (
     Orbit,
     Station,
 )
-from torchlc.scene.scene import Scene, load_scene
+from torchlc.scene.scene import Scene, content_of_scene, load_scene
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.shapes import Component, Tracks
 
@@ -26,6 +26,7 @@ __all__ = [
     "Scene",
     "Station",
     "Tracks",
+    "content_of_scene",
     "load_scene",
     "value_of",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
 from torchlc.errors import InputError
-from torchlc.files.numbers import Free, value_of, within
+from torchlc.files.numbers import Free, problem, value_of, within
 from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
 from torchlc.scene.parts import Material
@@ -23,6 +24,8 @@ from torchlc.suggest import did_you_mean
 
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
+MOST_NAMED = 10
+"""New names that a warning lists."""
 PARAMETER_KEY = re.compile(
     r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
 )
@@ -30,9 +33,9 @@ PARAMETER_KEY = re.compile(
 
 def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None) -> Tables:
     """``scene`` with its materials completed; InputError where its tables contradict each other."""
+    scene = numbered_components(scene)
     check = _Checks(scene, trust)
     check.unique("stations", "id", [station.id for station in scene.stations])
-    check.unique("components", "name", [component.name for component in scene.components])
     if scene.orbit.vectors is None and not scene.stations:
         raise check.error(
             "stations", "no station", "at least one [[stations]], which the object is seen from"
@@ -47,9 +50,66 @@ def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None
     return scene.model_copy(update={"materials": completed})
 
 
+def numbered_components(scene: Tables) -> Tables:
+    """``scene`` with components of one name told apart by a number behind it, and a warning that says so.
+
+    Copies of a table are often left with its name, and nothing but a report needs another. An effect's parameter
+    that names one of them is refused: which of them it means cannot be told.
+    """
+    names = [component.name for component in scene.components]
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    taken, renamed = set(names), list(names)
+    for name in repeated:
+        places = [index for index, other in enumerate(names) if other == name]
+        for key in scene.model.parameters:
+            match = PARAMETER_KEY.fullmatch(key)
+            if match and match["target"] == name and name not in scene.materials:
+                hint = f"It is not clear which of the {len(places)} model.parameters.{key_text(key)!r} means."
+                place = f"components[{places[1]}].name"
+                raise InputError(scene.source, place, f"{name!r} again", "a name used once", hint)
+        numbers = (f"{name} {number}" for number in itertools.count(1))
+        unused = [new for new in itertools.islice(numbers, len(names) + len(places)) if new not in taken]
+        for index, new in zip(places, unused, strict=False):
+            renamed[index] = new
+        taken.update(renamed)
+        listed = ", ".join(repr(renamed[index]) for index in places[:MOST_NAMED])
+        scene.warnings.append(
+            f"components: {len(places)} have the name {name!r}. They are called "
+            f"{listed}{', ...' if len(places) > MOST_NAMED else ''} here, in the order of the file. "
+            "Give each a name of its own"
+        )
+    if not repeated:
+        return scene
+    pairs = zip(scene.components, renamed, strict=True)
+    return scene.model_copy(
+        update={"components": [one.model_copy(update={"name": new}) for one, new in pairs]}
+    )
+
+
 def key_text(key: str) -> str:
     """A key of the file as an error names it: as it is if that is plain and short."""
     return key if key.isprintable() and len(key) <= 60 else shown(key)
+
+
+def file_inside(directory: Path, name: str, *, trust: bool = False) -> Path:
+    """The file ``name`` of a scene in ``directory``, links resolved; raises the problem where it may not be read. Nothing
+    is opened."""
+    if not trust:
+        outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
+        if outside or ".." in re.split(r"[/\\]", name):
+            raise problem(shown(name), "a relative path inside the scene's folder")
+    try:
+        path = (directory / name).resolve()
+        size = path.stat().st_size if path.is_file() else None
+    except (OSError, ValueError, RuntimeError):
+        size, path = None, directory
+    if not trust and not path.is_relative_to(directory.resolve()):
+        raise problem(f"{shown(name)} leads out of the scene's folder", "a file inside it")
+    if size is None:
+        raise problem(f"no file {shown(name)}", f"a file in {directory}")
+    if size > MAX_FILE_BYTES:
+        raise problem(f"{size / 1e6:.0f} MB", f"at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+    return path
 
 
 class _Checks:
@@ -196,24 +256,13 @@ class _Checks:
 
     def _file(self, place: str, name: str) -> None:
         """Unless the scene is trusted, the file must lie in its folder, links resolved."""
-        if not self.trust:
-            outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
-            if outside or ".." in re.split(r"[/\\]", name):
-                raise self.error(place, shown(name), "a relative path inside the scene's folder")
-        directory = self.scene.directory
-        if directory is None:
+        if self.scene.directory is None:
             raise self.error(place, shown(name), "a scene read from a file, or its directory")
         try:
-            path = (directory / name).resolve()
-            size = path.stat().st_size if path.is_file() else None
-        except (OSError, ValueError, RuntimeError):
-            size, path = None, Path(directory)
-        if not self.trust and not path.is_relative_to(directory.resolve()):
-            raise self.error(place, f"{shown(name)} leads out of the scene's folder", "a file inside it")
-        if size is None:
-            raise self.error(place, f"no file {shown(name)}", f"a file in {directory}")
-        if size > MAX_FILE_BYTES:
-            raise self.error(place, f"{size / 1e6:.0f} MB", f"at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+            file_inside(self.scene.directory, name, trust=self.trust)
+        except PydanticCustomError as error:
+            context = error.context or {}
+            raise self.error(place, context["found"], context["expected"]) from None
 
     def effects(self, known: Collection[str] | None) -> None:
         listed = self.scene.model.effects or []
@@ -249,6 +298,5 @@ class _Checks:
 
     def _unknown_effect(self, place: str, name: str, known: Collection[str]) -> InputError:
         names = sorted(known)
-        return self.error(
-            place, f"unknown effect {shown(name)}", f"one of {', '.join(names)}", did_you_mean(name, names)
-        )
+        expected = f"one of the {len(names)} that torchlc effects lists"
+        return self.error(place, f"unknown effect {shown(name)}", expected, did_you_mean(name, names))

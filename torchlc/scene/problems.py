@@ -1,10 +1,9 @@
-"""What pydantic and tomllib find wrong with a scene, as one sentence with a place in the file."""
+"""What pydantic finds wrong with a scene, as one sentence with a place in the file."""
 
 from __future__ import annotations
 
 import re
 import reprlib
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,13 +31,6 @@ EXPECTED = {
     "model_attributes_type": "a table",
     "finite_number": "a finite number",
 }
-
-
-def of_toml(source: str | Path | None, error: tomllib.TOMLDecodeError) -> InputError:
-    """A syntax error with its line and column."""
-    place = re.search(r"\(at (line \d+, column \d+|end of document)\)", str(error))
-    found = re.sub(r"\s*\(at [^)]*\)", "", str(error))
-    return InputError(source, place.group(1) if place else None, found[:1].lower() + found[1:], "TOML")
 
 
 def of_validation(source: str | Path | None, error: ValidationError) -> InputError:

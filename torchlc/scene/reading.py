@@ -56,6 +56,8 @@ class Reading(Table):
     ``time_format``, ``time_scale``, ``time_zone`` and ``time_mark`` say what the times are; ``light_path``: the Sun
     or the barycentre, to which the way of light was reduced, for an object in the ``direction`` (ICRS right ascension
     and declination, deg); ``exptime`` of all rows, s; ``object``: name or number of the one wanted.
+    ``non_detections``: empty slots of a steady cadence are upper limits (None: where the format leaves such rows out), in
+    gaps of at most ``longest_gap`` s.
     """
 
     columns: dict[str, str] = Field(default_factory=dict)
@@ -70,6 +72,8 @@ class Reading(Table):
     object: str | None = None
     delimiter: Annotated[str, AfterValidator(_delimiter)] | None = None
     decimal: Annotated[str, AfterValidator(_decimal)] | None = None
+    non_detections: bool | None = None
+    longest_gap: Annotated[Real, between(0.0, 86400.0)] | None = None
 
     def with_given(self, given: Reading) -> Reading:
         """These entries, with those that are ``given`` in their place; columns and units each by name."""
@@ -95,8 +99,9 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
     columns = {key: str(value) for key, value in pairs.items() if key not in Reading.model_fields}
     if "exptime" in table and not _is_number(table["exptime"]):
         columns["exptime"] = str(table.pop("exptime"))
-    if "exptime" in table:
-        table["exptime"] = float(table["exptime"])
+    for name in ("exptime", "longest_gap"):
+        if _is_number(table.get(name)):
+            table[name] = float(table[name])
     if isinstance(table.get("direction"), str):
         parts = table["direction"].replace(",", " ").split()
         table["direction"] = [float(part) if _is_number(part) else part for part in parts]

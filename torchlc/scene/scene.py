@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import PydanticCustomError
 
 from torchlc.errors import InputError
 from torchlc.files.numbers import Table
 from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
-from torchlc.scene.checks import checked
-from torchlc.scene.problems import of_toml, of_validation
+from torchlc.files.toml import parse_toml
+from torchlc.scene.checks import checked, file_inside
+from torchlc.scene.problems import of_validation
 from torchlc.scene.tables import SceneTables
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
@@ -39,12 +40,7 @@ class Scene(SceneTables):
 
         ``trust`` lets file names leave ``directory``; effects are checked against ``known_effects`` if given.
         """
-        try:
-            data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise of_toml(source, error) from None
-        except (RecursionError, ValueError) as error:
-            raise InputError(source, None, f"unreadable TOML: {error}", "TOML without deep nesting") from None
+        data = parse_toml(text, source)
         try:
             scene = cls.model_validate(data)
         except ValidationError as error:
@@ -114,6 +110,36 @@ def load_scene(
     scene = Scene.from_toml(text, path.parent, path, trust=trust, known_effects=known_effects)
     scene._sha256 = digest
     return scene
+
+
+def content_of_scene(path: str | Path, *, trust: bool = False) -> tuple[str, dict[str, Path]]:
+    """Hash of a scene's bytes, and where the files lie that its text names, by their names, whether or not the scene is
+    sound.
+
+    Nothing is opened but the scene. A name is left out that reading the scene will refuse: a file that is not there, that
+    lies outside the scene's folder unless ``trust`` allows it, or that is too large.
+    """
+    path = Path(path)
+    text, digest = _text(path)
+    files: dict[str, Path] = {}
+    with contextlib.suppress(InputError):  # its reader will say what is wrong with the text
+        for name in _file_names(parse_toml(text, path)):
+            with contextlib.suppress(PydanticCustomError):
+                files[name] = file_inside(path.parent, name, trust=trust)
+    return digest, files
+
+
+def _file_names(node: Any) -> Iterator[str]:
+    """Meshes, quaternions, elements and ephemerides in a scene's tables."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if key in ("file", "tle_file", "oem_file") and isinstance(value, str):
+                yield value
+            else:
+                yield from _file_names(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _file_names(value)
 
 
 def _text(path: Path) -> tuple[str, str]:

@@ -80,7 +80,7 @@ class SceneTables(Table):
         except InputError:
             return ""
         values = {
-            name: torch.tensor(value_of(number), dtype=torch.float64)
+            name: torch.tensor(value_of(number), dtype=torch.float64, device="cpu")
             for name, number in self.numbers().items()
         }
         if sum(len(part.faces) for part in parts) > MOST_DRAWN:

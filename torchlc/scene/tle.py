@@ -51,8 +51,8 @@ FIELDS = (
 
 MAX_ELEMENT_BYTES = 50_000_000
 JD_OF_2000 = 2451544.5
-LIKE_ELEMENTS = re.compile(r"(?<![\w.])[12]\s{1,2}(?:x{5}|[ \dA-Za-z][ \d]{4})[A-Za-z]?\s")
-"""A line number and a catalogue number, the placeholder of papers included."""
+LIKE_ELEMENTS = re.compile(r"(?<![\w.])[12]\s{1,2}(?:x{5}|[ \dA-Za-z][ \dOIl]{4})[A-Za-z]?\s")
+"""A line number and a catalogue number, also with letters typed for 0 and 1; the placeholder of papers included."""
 ALPHA_5 = "ABCDEFGHJKLMNPQRSTUVWXYZ"
 """First signs of catalogue numbers from 100000 on, without I and O."""
 MOST_LISTED = 200

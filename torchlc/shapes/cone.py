@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor
 
-from torchlc.files.numbers import Constant, Direction, Size, between
+from torchlc.files.numbers import Constant, Direction, Name, Size, between
 from torchlc.shapes.component import Component
 from torchlc.shapes.curved import Band, Plane, Surface
 from torchlc.shapes.part import Facets, Hull, frame_about, like, unit
@@ -19,14 +20,27 @@ from torchlc.shapes.smooth import Around, Smooth, joined
 HULL_SIDES = 24  # sides of the prism that a cylinder or cone is when it stands in the way of others
 
 
-class ConeKeys(Component):
-    """A frustum from ``radius`` to ``radius_top`` along ``axis``; ``facets`` is the least number of side facets."""
+class RoundKeys(Component):
+    """A body that is round about ``axis``; ``facets`` is the least number of side facets, ``face_materials`` of what "side",
+    "cap+" or "cap-" is made where it is not ``material``."""
+
+    axis: Direction = (0.0, 0.0, 1.0)
+    facets: Around | None = None
+    face_materials: dict[Literal["side", "cap+", "cap-"], Name] = Field(default_factory=dict)
+
+    def materials(self) -> list[tuple[str, str]]:
+        return [
+            *super().materials(),
+            *((f"face_materials.{face}", name) for face, name in self.face_materials.items()),
+        ]
+
+
+class ConeKeys(RoundKeys):
+    """A frustum from ``radius`` to ``radius_top`` along ``axis``."""
 
     radius: Size
     radius_top: Annotated[Constant, between(0.0)] = 0.0
     length: Size
-    axis: Direction = (0.0, 0.0, 1.0)
-    facets: Around | None = None
 
 
 class Cone(Smooth):
@@ -49,7 +63,8 @@ class Cone(Smooth):
         self._has_top = hasattr(top, "value") or top > 0
         caps = ["cap+"] * self._has_top + ["cap-"]
         self.faces = ("side",) * self._around + tuple(np.repeat(caps, HULL_SIDES // 2).tolist())
-        self.materials = (component.material,) * len(self.faces)
+        special = component.face_materials
+        self.materials = tuple(special.get(face, component.material) for face in self.faces)
         flared = self.top_key != "radius"
         self.whole = {
             face: Band.points_of(flared) if face == "side" else 1 for face in dict.fromkeys(self.faces)

@@ -145,7 +145,7 @@ def _projected(vectors: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
     """Triangles (F, 3, 3) counter-clockwise from outside in the file's unit, and what was mended."""
     try:
-        import trimesh
+        import trimesh  # noqa: F401 - whether it is there
     except ImportError as error:
         raise MissingExtraError(
             f"{place}: reading the mesh {path.name} needs an extra: pip install 'torchlc[mesh]'"
@@ -159,6 +159,19 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
             path, place, f"{path.stat().st_size / 1e6:.0f} MB", f"at most {MOST_BYTES / 1e6:.0f} MB"
         )
     whole, warnings = _cut(read_faces(path, place), path.name)
+    try:
+        return _repaired(path, place, whole, warnings)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # trimesh and what it calls raise anything where a mesh is strange enough
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(path, place, f"trimesh cannot use it ({said})", "a mesh of one body") from None
+
+
+def _repaired(path: Path, place: str, whole: Faces, warnings: list[str]) -> tuple[np.ndarray, list[str]]:
+    """Corners of the triangles (F, 3, 3) that have an area, facing outwards where the mesh is closed, and what was done."""
+    import trimesh
+
     mesh = trimesh.Trimesh(whole.corners, whole.faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
@@ -174,10 +187,7 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
     if not sound.all():
         warnings.append(f"{path.name}: {np.count_nonzero(~sound)} faces without area dropped")
     if not mesh.is_watertight:
-        holes = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
-        warnings.append(
-            f"{path.name}: the mesh has holes ({len(holes)} open edges); light can pass through them"
-        )
+        warnings += _faults_of_edges(mesh.edges_sorted[np.repeat(sound, 3)], path.name)
     else:
         before = mesh.faces.copy()
         mesh.fix_normals(multibody=True)
@@ -225,3 +235,18 @@ def _cut(mesh: Faces, name: str) -> tuple[Faces, list[str]]:
 def _kept(before: np.ndarray, after: np.ndarray) -> int:
     """How many faces run round in the same sense as before."""
     return int(sum((np.roll(before, k, axis=1) == after).all(axis=1).sum() for k in range(3)))
+
+
+def _faults_of_edges(edges: np.ndarray, name: str) -> list[str]:
+    """Of the edges (3 a face, two corners each) of a mesh that is not closed: what is wrong, in words."""
+    faces_at = np.unique(edges, axis=0, return_counts=True)[1]
+    holes, crowded = np.count_nonzero(faces_at % 2), np.count_nonzero(faces_at > 2)
+    told = []
+    if holes:
+        told.append(f"{name}: the mesh has holes ({holes} open edges); light can pass through them")
+    if crowded:
+        told.append(
+            f"{name}: more than two faces meet at {crowded} edges; faces that lie on one another, or inside another body, "
+            "count each for itself unless one hides the other (self_shadowing)"
+        )
+    return told

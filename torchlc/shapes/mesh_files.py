@@ -202,6 +202,8 @@ def read_ply(content: bytes, refuse: Refuse) -> Faces:
         ) from None
     except (ValueError, OverflowError) as error:
         raise refuse(f"a row that cannot be read ({error})", "numbers") from None
+    if any(len(row[axis]) != 1 for row in rows["vertex"] for axis in ("x", "y", "z")):
+        raise refuse("a corner whose x, y or z is a list", "a number each")
     corners = [[row[axis][0] for axis in ("x", "y", "z")] for row in rows["vertex"]]
     faces = []
     for number, row in enumerate(rows["face"], 1):

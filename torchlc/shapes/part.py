@@ -28,7 +28,8 @@ class Facets:
     """Facets of one part at rest, body frame.
 
     vertices (F, V, 3) counter-clockwise from outside, padded by repeating the last; normal (F, 3); u (F, 3),
-    the in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3).
+    the in-plane axis of anisotropic materials (v = normal x u); area (F,) m2; centroid (F, 3). Of sizes that differ within
+    a batch vertices, area and centroid have an axis B before the others.
     """
 
     vertices: Tensor
@@ -43,12 +44,13 @@ class Hull:
     """How the corners of a convex part join: ``loops`` (faces, corners) counter-clockwise from outside.
 
     edges (E, 2) corner indices; sides (E, 2): the face that runs along the edge forwards, the one that runs
-    backwards.
+    backwards. around (faces, corners): the edge that follows each corner of a loop.
     """
 
     loops: np.ndarray
     edges: np.ndarray
     sides: np.ndarray
+    around: np.ndarray
 
     @classmethod
     def of(cls, loops: Sequence[Sequence[int]]) -> Hull:
@@ -59,7 +61,13 @@ class Hull:
         longest = max(map(len, loops))
         padded = [[*loop, *[loop[-1]] * (longest - len(loop))] for loop in loops]
         sides = [(forwards[a, b], forwards[b, a]) for a, b in edges]
-        return cls(np.array(padded), np.array(edges), np.array(sides))
+        place = {frozenset(edge): index for index, edge in enumerate(edges)}
+        around = [
+            # a corner that only pads a loop is followed by no edge, and never asked for it
+            [place.get(frozenset(edge), 0) for edge in zip(loop, [*loop[1:], loop[0]], strict=True)]
+            for loop in padded
+        ]
+        return cls(np.array(padded), np.array(edges), np.array(sides), np.array(around))
 
 
 @dataclass(frozen=True)
@@ -82,11 +90,13 @@ class Part(ABC):
     whole: labels of faces whose facets are pieces of one plane or of one curved surface, with the points at which its light
     is summed.
     thin: it encloses nothing, and each facet has a twin that faces the other way.
+    scalable: sizes turn none of its facets, and `facets` takes a batch (B,) of them.
     """
 
     kind: ClassVar[str]
     keys: ClassVar[type[Component]]
     thin: ClassVar[bool] = False
+    scalable: ClassVar[bool] = False
     hull: Hull | None = None
 
     def __init_subclass__(cls, **keywords: Any) -> None:

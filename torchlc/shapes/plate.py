@@ -55,6 +55,7 @@ class Plate(Part):
 
     kind = "plate"
     keys = PlateKeys
+    scalable = True
     thin = True
     hull = Hull.of([[0, 1, 2, 3], [0, 3, 2, 1]])
 
@@ -72,16 +73,16 @@ class Plate(Part):
         self.front = self.turn @ normal
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(self.sizes(values, "size_u", "size_v"))
+        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_u", "size_v")), -1)
         axes = like(self._axes, size)
-        vertices = (like(self._corners, size) * size) @ axes
+        vertices = (like(self._corners, size) * size[..., None, None, :]) @ axes
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=axes[:1].expand(2, 3),
-            area=size.prod().expand(2),
-            centroid=vertices.mean(dim=1),
+            area=size.prod(-1, keepdim=True).expand(*size.shape[:-1], 2),
+            centroid=vertices.mean(dim=-2),
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:
-        return facets.vertices[0]
+        return facets.vertices[..., 0, :, :]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchlc.tensors.autodiff_state import transformed
+from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import dot, unit
 
 ALONG_AXIS = 1e-6  # sine of the angle to the axis below which the Sun does not say how the part should turn
@@ -25,7 +25,11 @@ def tracking_pose(axis: Tensor, front: Tensor, to_sun: Tensor) -> Tensor:
     defined = dot(across, across).detach() > ALONG_AXIS**2 * dot(to_sun, to_sun).detach()
     rest = front - (front @ axis) * axis
     rest = rest / rest.norm()
-    chosen = across if not transformed() and bool(defined.all()) else _carried(across, defined, rest)
+    chosen = (
+        across
+        if not transformed() and readable(defined) and bool(defined.all())
+        else _carried(across, defined, rest)
+    )
     turned = unit(chosen)
     third = torch.linalg.cross(axis, rest, dim=-1)
     now = torch.stack([turned, torch.linalg.cross(axis.expand(turned.shape), turned, dim=-1)], dim=-1)

@@ -40,7 +40,9 @@ from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
 from torchlc.stages.noise import Noise
-from torchlc.tensors.autodiff_state import apart
+from torchlc.stages.showing import Shown
+from torchlc.tensors.autodiff_state import apart, readable
+from torchlc.tensors.vectors import least_axis
 
 if TYPE_CHECKING:
     from torchlc.geometry.orbit import State, Track
@@ -53,8 +55,12 @@ STAGES = (
     "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "shade",
     "scatter", "material", "detector", "noise",
 )  # fmt: skip
+PARALLEL = 1e-12
+"""Square of the sine of an angle below which two directions have no direction across them."""
 LARGEST_MEMORY = 400 * 2**20
 MANY_FACETS = 100
+UNRESOLVED = 1e7
+"""Distance of an observer, in radii of the object, at which its radius is 0.02 arcsec: no camera resolves it."""
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
 
 
@@ -134,12 +140,45 @@ class Columns:
 
 @dataclass(frozen=True)
 class Request:
-    """Seconds after the stamp for observer and object, (Q, T), and how far the object is ahead on its orbit,
-    rad (1,) or (T,)."""
+    """Seconds after the stamp for observer and object, (Q, T), how far the object is ahead on its orbit, rad (1,) or
+    (T,), and by how much the observer's direction is off to the ``east`` and ``north``, deg, None where it is not."""
 
     observer_offset: Tensor
     object_offset: Tensor
     ahead: Tensor
+    east: Tensor | None = None
+    north: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Disc:
+    """What a source looks like from the object: angular ``radius`` (Q, T), rad, and ``rules`` for means over it, the coarsest
+    first: points (D, 2) in radii and weights (D,) that sum to 1."""
+
+    radius: Tensor
+    rules: tuple[tuple[Tensor, Tensor], ...]
+
+    def around(self, middle: Tensor, radius: Tensor, rule: int, towards: Tensor | None = None) -> Tensor:
+        """Unit directions (D, ..., 3) of the points of a rule, on discs of ``radius`` (...) about ``middle`` (..., 3).
+        Their x axis points ``towards`` a unit vector (..., 3): they are the same in any frame, turned or mirrored."""
+        points, _ = self.rules[rule]
+        first = torch.linalg.cross(middle, least_axis(middle))
+        if towards is not None:
+            across = towards - (towards * middle).sum(-1, keepdim=True) * middle
+            first = torch.where((across * across).sum(-1, keepdim=True) > PARALLEL, across, first)
+        first = first / torch.linalg.vector_norm(first, dim=-1, keepdim=True)
+        second = torch.linalg.cross(middle, first)
+        x, y = points.reshape(-1, 2, *(1,) * middle.ndim).unbind(1)
+        spread = middle + (x * first + y * second) * radius[..., None]
+        return spread / torch.linalg.vector_norm(spread, dim=-1, keepdim=True)
+
+    def spread(self, light: Light, rule: int) -> Light:
+        """Each source (L, Q, T) of a light as the points of a disc, (D L, Q, T)."""
+        direction = self.around(light.direction, self.radius, rule)
+        irradiance = self.rules[rule][1][:, None, None, None] * light.irradiance
+        return replace(
+            light, direction=direction.flatten(0, 1), irradiance=irradiance.flatten(0, 1), disc=None
+        )
 
 
 @dataclass(frozen=True)
@@ -150,7 +189,8 @@ class Light:
     ``primary`` marks the Sun, whose shadows count. ``spread`` (L, Q, T), rad^2, is the variance per axis of a
     source that stands for a piece of sky: narrower lobes are widened to it, so that a mirror shows no lattice
     of points. ``scale`` names a parameter that multiplies it. ``fewer`` is the same light from fewer directions, as many as a
-    surface needs that is curved about one axis, and about two, whose normals spread it themselves.
+    surface needs that is curved about one axis, and about two, whose normals spread it themselves. ``disc``: each source is
+    the middle of one that is yet to be spread over it.
     """
 
     direction: Tensor
@@ -159,6 +199,27 @@ class Light:
     spread: Tensor | None = None
     scale: str | None = None
     fewer: tuple[Light, Light] | None = None
+    disc: Disc | None = None
+
+
+@dataclass(frozen=True)
+class Near:
+    """That lamp and camera are at distances: ``point`` (F, 3) m, the middle of each facet at rest in the body frame, and
+    one over the distances from the body's origin, ``lamp`` and ``camera`` (Q or 1, T or 1), 1/m."""
+
+    point: Tensor
+    lamp: Tensor
+    camera: Tensor
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a detector that resolves the object records of a radiance x, over that of a surface which faces the source at its nominal
+    distance: max(x^power - threshold, 0) + pedestal, each (Q or 1, T or 1)."""
+
+    power: Tensor
+    threshold: Tensor
+    pedestal: Tensor
 
 
 @dataclass(frozen=True)
@@ -169,7 +230,7 @@ class Patch:
     within a batch; ``pose`` (Q, T, 3, 3) turns them into
     the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
     seen, ``seen`` (Q, T, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
-    of, if they are.
+    of, if they are; ``vertices`` (F, V, 3) m are their corners at rest where they are not facets ``select`` of ``part``. ``near`` and ``response`` say what differs from parallel light and from a linear detector.
     """
 
     component: str
@@ -185,6 +246,14 @@ class Patch:
     part: int | None = None
     select: Tensor | None = None
     surface: SurfaceShape | None = None
+    vertices: Tensor | None = None
+    near: Near | None = None
+    response: Response | None = None
+
+    @property
+    def by_facet(self) -> bool:
+        """Whether each facet has to be worked out by itself."""
+        return self.near is not None or self.response is not None
 
 
 @dataclass(frozen=True)
@@ -192,7 +261,8 @@ class View:
     """The geometry of all rows and instants: directions are unit vectors in the body frame.
 
     For a ``batch`` of values of the parameters the axis Q holds the instants of all, those of the first instant
-    first, or 1 where nothing differs.
+    first, or 1 where nothing differs. ``whole_discs``: light effects leave a source that is a disc whole (:attr:`Light.disc`), for
+    it is spread where it matters.
     """
 
     nodes: Nodes
@@ -206,6 +276,7 @@ class View:
     lights: tuple[Light, ...] = ()
     patches: tuple[Patch, ...] = ()
     batch: int = 1
+    whole_discs: bool = False
 
     def at(self, instants: Tensor) -> View:
         """The view of some of the instants (K,) along the axis T, each of which stands for its whole row."""
@@ -233,6 +304,12 @@ class View:
             poses=tuple(None if pose is None else pose[:, instants] for pose in self.poses),
             lights=tuple(map(picked, self.lights)),
         )
+
+    def every(self, value: Tensor) -> Tensor:
+        """A parameter (..., 1 or T) of the values of the batch for all its instants, (Q or 1, 1 or T)."""
+        if value.ndim < 2:
+            return value[None]
+        return value.repeat(max(self.nodes.offset.shape[0] // self.batch, 1), 1)
 
     def apart(self, tensor: Tensor, axis: int = 0) -> Tensor:
         """``tensor`` with its axis Q as two: instants, and the values of the batch or 1."""
@@ -288,6 +365,8 @@ class Memory:
     ) -> list[Tensor]:
         """What ``compute`` gives for some of the N items of ``inputs``, by their numbers, as tensors (items,
         ...): for all of them, (N, ...), but asked only for items that are new."""
+        if not all(readable(tensor) for item in inputs for tensor in item):
+            return list(compute(list(range(len(inputs)))))
         keys = [_digest(item) for item in inputs]
         new = {key: k for k, key in enumerate(keys) if key not in self._kept}
         found = compute(list(new.values())) if new else ()
@@ -373,6 +452,20 @@ class Context:
         return self.shape.parts
 
     @property
+    def radius(self) -> float:
+        """Largest distance of a corner of the object from the body's origin, m, at the scene's sizes."""
+        return max(float(torch.linalg.vector_norm(own.vertices, dim=-1).max()) for own in self.rest)
+
+    @property
+    def a_point(self) -> str | None:
+        """Why the observer cannot tell one side of the object from the other, in words; None if it may."""
+        if self.track.supports("position"):
+            return "an object in orbit is a point for a photometer"
+        if 1e3 * float(self.track.range_km.min()) > UNRESOLVED * self.radius:
+            return f"the object is a point at {UNRESOLVED:.0e} times its radius"
+        return None
+
+    @property
     def many_facets(self) -> bool:
         """True for meshes, whose facets smooth an extended source themselves."""
         return sum(face not in part.whole for part in self.parts for face in part.faces) > MANY_FACETS
@@ -450,9 +543,9 @@ EFFECTS: Registry[type[Effect]] = Registry("effect")
 
 class Effect(nn.Module):
     """Physics, or noise, that a bare facet sum leaves out. Subclasses set ``name``, ``title`` (what it is, in a few plain
-    words), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
+    words), ``shown`` (how its page shows it), ``stage``, ``quantities`` and override the method of their stage; ``per`` gives each material or component its own set of
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
-    lights; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
+    lights; ``widens`` a light effect that leaves discs whole where a view asks for that; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
     after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
     whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
@@ -475,6 +568,7 @@ class Effect(nn.Module):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    shown: ClassVar[Shown] = Shown()
     stage: ClassVar[str]
     quantities: tuple[Quantity, ...] = ()
     per: ClassVar[str | None] = None
@@ -482,6 +576,7 @@ class Effect(nn.Module):
     order: ClassVar[int] = 0
     needs_shares: ClassVar[bool] = False
     nodes: int = 1
+    widens: ClassVar[bool] = False
     steps: int = 0
     scanned: ClassVar[str] = ""
     turning: ClassVar[str] = ""
@@ -558,6 +653,11 @@ class Effect(nn.Module):
         able = self.targets(context)
         return None if self.target in able or (self.target is None and able) else self.unable
 
+    def held_already(self, context: Context) -> str | None:
+        """Why every model of these data has the effect, asked for or not, in words; None if that is not so. A scene that
+        lists it is read with a warning, so that one scene serves recordings with it and without."""
+        return None
+
     def beside(self, others: Sequence[Effect]) -> str | None:
         """Why the effect cannot be applied together with these others, in words; None if it can."""
         return None
@@ -565,6 +665,12 @@ class Effect(nn.Module):
     def standard(self, context: Context) -> bool:
         """Whether a scene without a list of effects has it, if these data can carry it."""
         return self.known
+
+    @property
+    def capped(self) -> tuple[int, int] | None:
+        """Of an effect that divides exposures: the instants that there are and that are needed, where memory does not
+        allow all; else None."""
+        return None
 
     def jumps(self, context: Context) -> str | None:
         """What of it jumps where the geometry moves steadily, as a plural: its slope is that of a step, 0, and not
@@ -623,7 +729,7 @@ class Effect(nn.Module):
 
     def shade(self, sky: Sky, p: Parameters, context: Context) -> Tensor:
         """Factor (..., T) on sunlight; () if all of it is there."""
-        return torch.ones(())
+        return next(iter(p.values()), context.seconds).new_ones(())
 
     def surface(
         self, patches: tuple[Patch, ...], view: View, p: Parameters, context: Context

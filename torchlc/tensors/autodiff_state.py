@@ -28,12 +28,13 @@ def followed(tensor: Tensor) -> bool:
 
 
 def readable(tensor: Tensor) -> bool:
-    """True if the numbers of ``tensor`` are at hand: not if torch.func.vmap runs over them."""
+    """True if the numbers of ``tensor`` are at hand: not if torch.func.vmap runs over them, nor on the device "meta", where
+    tensors are shapes alone."""
     while _functorch.is_functorch_wrapped_tensor(tensor):
         if _functorch.is_batchedtensor(tensor):
             return False
         tensor = _functorch.get_unwrapped(tensor)
-    return True
+    return not tensor.is_meta
 
 
 @contextmanager

@@ -39,7 +39,8 @@ def minimise(
     (B, R).
 
     Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where
-    they lower the cost, so every start descends monotonically. A start has converged when a step gains less
+    they lower the cost, so every start descends monotonically. Only starts that are at work, and slopes where a step was kept, are
+    worked out again. A start has converged when a step gains less
     than ``tolerance`` of its cost (plus 1).
     """
     y = torch.minimum(torch.maximum(start, low), high)
@@ -64,7 +65,8 @@ def minimise(
         move = -torch.linalg.solve(system, (gradient * moving)[..., None])[..., 0]
         move = torch.maximum(torch.minimum(torch.nan_to_num(move), cap), -cap)
         trial = torch.minimum(torch.maximum(y + move, low), high)
-        trial_r = residual(trial)
+        (working,) = torch.nonzero(~converged, as_tuple=True)
+        trial_r = r.index_copy(0, working, residual(trial[working]))
         trial_cost = _finite(trial_r.square().sum(-1))
         better = (trial_cost < cost) & ~converged
         gain = cost - trial_cost
@@ -77,8 +79,9 @@ def minimise(
             converged | (better & small & (damping < 10.0)) | stuck | (~better & small & (damping < 10.0))
         )
         damping = torch.where(better, (damping / 6).clamp(min=1e-9), damping * 5)
-        if bool(better.any()):
-            jac = differences(residual, y, low, high, r, colours)
+        (moved,) = torch.nonzero(better, as_tuple=True)
+        if len(moved):
+            jac = jac.index_copy(0, moved, differences(residual, y[moved], low, high, r[moved], colours))
     return Minimum(y, cost, jac, r, converged, done)
 
 

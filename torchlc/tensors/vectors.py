@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+AT_POLE = 1e-6
+"""Sine of the distance from a pole, 0.2 arcsec, below which a direction has no east of its own."""
+
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Scalar products (...) of vectors (..., 3) that broadcast, component by component: a reduction over an
@@ -22,3 +25,17 @@ def least_axis(vector: Tensor) -> Tensor:
     ``one_hot`` would look at the numbers."""
     axes = torch.arange(3, device=vector.device)
     return (vector.abs().argmin(-1, keepdim=True) == axes).to(vector)
+
+
+def east_and_north(direction: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vectors (..., 3) at right angles to unit directions (..., 3), of growing longitude and latitude; at a pole, where
+    there is no east, +Y is."""
+    x, y, _ = direction.unbind(-1)
+    square = x**2 + y**2
+    polar = square < AT_POLE**2
+    across = torch.sqrt(torch.where(polar, 1.0, square))
+    east = torch.stack(
+        [torch.where(polar, 0.0, -y / across), torch.where(polar, 1.0, x / across), torch.zeros_like(x)], -1
+    )
+    north = torch.linalg.cross(direction, east)
+    return east, north / torch.linalg.vector_norm(north, dim=-1, keepdim=True)

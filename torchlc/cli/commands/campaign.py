@@ -102,12 +102,23 @@ def init_campaign(
         Path, typer.Argument(metavar="FOLDER", help="Recordings, one object a file.", show_default=False)
     ],
     shape: Annotated[
-        str, typer.Option(help="Shape of every scene, as of torchlc init.", autocompletion=completion.shapes)
+        str,
+        typer.Option(
+            "--shape",
+            "--preset",
+            metavar="NAME",
+            help="Shape of every scene, as of torchlc init.",
+            autocompletion=completion.shapes,
+        ),
     ] = "box-wing",
     station: Annotated[
         str | None, typer.Option(metavar="ID,LAT,LON,HEIGHT", help="Observer, deg and m.", show_default=False)
     ] = None,
     task: Annotated[str, typer.Option(help="fit or diagnose.")] = "diagnose",
+    exact: Annotated[
+        bool,
+        typer.Option("--exact", help="Sizes, attitude and errors as if known exactly: no priors on them."),
+    ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Replace scenes and a manifest that are there.")
     ] = False,
@@ -121,7 +132,7 @@ def init_campaign(
     from torchlc.cli.scaffold import read_station
 
     place = None if station is None else read_station(station)
-    done = write_campaign(elements, folder, shape=shape, station=place, task=task, force=force)
+    done = write_campaign(elements, folder, shape=shape, station=place, task=task, exact=exact, force=force)
     if json:
         show_json(
             {

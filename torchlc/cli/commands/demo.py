@@ -13,6 +13,7 @@ from torchlc.cli.options import (
     Quiet,
     Seed,
     Threads,
+    directory,
 )
 from torchlc.cli.printing import command_line, show_fit, use_threads
 from torchlc.terminal import printable, progress_bar
@@ -22,7 +23,7 @@ from torchlc.terminal import printable, progress_bar
 def demo(
     context: typer.Context,
     out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.")
+        Path, typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", parser=directory)
     ] = Path("torchlc-demo"),
     seed: Seed = 0,
     quiet: Quiet = False,

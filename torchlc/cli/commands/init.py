@@ -32,7 +32,11 @@ def init(
     shape: Annotated[
         str,
         typer.Option(
-            help="box-wing, cubesat, rocket body, cylinder, mesh, starlink-v1.5 or starlink-v2-mini.",
+            "--shape",
+            "--preset",
+            metavar="NAME",
+            help="What it is: box-wing, oneweb, iridium-next, starlink-v2-mini, cubesat-6u, rocket-body-sl-16, iss, mesh ...; "
+            "a wrong name lists them all.",
             autocompletion=completion.shapes,
         ),
     ] = "box-wing",
@@ -56,13 +60,17 @@ def init(
     mesh: Annotated[
         str | None, typer.Option(metavar="FILE", help="Mesh beside the scene.", show_default=False)
     ] = None,
+    exact: Annotated[
+        bool,
+        typer.Option("--exact", help="Sizes, attitude and errors as if known exactly: no priors on them."),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Threads = None,
     json: Json = False,
 ) -> None:
-    """Write a commented scene to start from: elements, a preset shape, free materials."""
+    """Write a commented scene to start from: elements, a preset shape, free materials, and priors on what nobody knows exactly."""
     from torchlc.cli import scaffold
     from torchlc.errors import InputError
     from torchlc.files.writing import check_replaceable, write_whole
@@ -75,7 +83,7 @@ def init(
     wanted = None if date is None else moment(date)
     chosen = scaffold.elements_for(tle, wanted, object_)
     place = None if station is None else scaffold.read_station(station)
-    text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh)
+    text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh, exact=exact)
     read = scaffold.check_scene(text, scene.parent, scene)
     write_whole(scene, lambda partial: partial.write_text(text, encoding="utf-8"))
     if json:

@@ -15,6 +15,7 @@ from torchlc.cli.options import (
     Seed,
     Threads,
     Trust,
+    directory,
     moment,
     number,
     whole_number,
@@ -39,7 +40,14 @@ def predict(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="DIR",
+            help="Directory for the results.",
+            show_default=False,
+            parser=directory,
+        ),
     ] = None,
     preset: Annotated[
         str | None,

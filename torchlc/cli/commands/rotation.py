@@ -16,6 +16,7 @@ from torchlc.cli.options import (
     Threads,
     Trust,
     Use,
+    directory,
     number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
@@ -31,7 +32,14 @@ def rotation(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="DIR",
+            help="Directory for the results.",
+            show_default=False,
+            parser=directory,
+        ),
     ] = None,
     shortest: Annotated[
         float | None, number("Shortest turn, s; default: the scene's bound.", show_default=False)

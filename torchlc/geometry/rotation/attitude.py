@@ -27,7 +27,8 @@ from torchlc.geometry.rotation.quaternions import Slerp, read_quaternions
 from torchlc.geometry.rotation.rigid_body import free_rotation
 from torchlc.readers import seconds_since
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.tensors.autodiff_state import transformed
+from torchlc.shapes.part import frame_about
+from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import dot, unit
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ ALIGNED = 1e-12
 """Square of the sine below which two directions do not define a plane."""
 TURNING = ("spin-pole", "rigid-body")
 """Modes of a body that turns about a direction in space by itself, with a period."""
+FURTHER = frozenset(("attitude.period_rate",))
+"""Numbers of these modes that a scene need not have, and an effect may bring."""
 MS_A_DAY = 1e-3 / 86400.0
 SLIGHT = 1e-4
 """Relative change of the period up to which the turns are taken by a series: its first term left out is 1e-17."""
@@ -88,9 +91,12 @@ def turns(elapsed_s: Tensor, period_s: Tensor, rate: Tensor | None = None) -> Te
     """Turns in ``elapsed_s`` of a body whose period is ``period_s`` + ``rate`` times the time elapsed: ln(1 + rate t / P) /
     rate. ``rate``, s/s, may be 0. A period that falls is held at SHORTEST of its start: without a torque it would not."""
     steady = elapsed_s / period_s
-    if rate is None:
-        return steady
-    x = (rate * steady).clamp(min=SHORTEST - 1.0)
+    return steady if rate is None else grown(steady, rate * steady)
+
+
+def grown(steady: Tensor, growth: Tensor) -> Tensor:
+    """Turns of a body whose period has grown by the share ``growth``, where without a growth they would be ``steady``."""
+    x = growth.clamp(min=SHORTEST - 1.0)
     slight = x.abs() < SLIGHT
     larger = torch.where(slight, 1.0, x)
     series = 1 - x / 2 + x**2 / 3 - x**3 / 4
@@ -101,7 +107,7 @@ def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
     """Unit vector along a x b (..., 3), ``a`` being unit; where they are parallel, one at right angles."""
     cross = torch.linalg.cross(a, b)
     parallel = (dot(cross, cross) <= ALIGNED * dot(b, b))[..., None]
-    if not transformed() and not bool(parallel.any()):
+    if not transformed() and readable(parallel) and not bool(parallel.any()):
         return unit(cross)
     x, y = (a.new_tensor(axis).expand_as(a) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     instead = torch.linalg.cross(a, torch.where(a[..., :1].abs() < 0.8, x, y))
@@ -109,9 +115,13 @@ def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 class Attitude(nn.Module):
-    """The attitude of a scene at the rows of a recording."""
+    """The attitude of a scene at the rows of a recording.
+
+    ``about_spin_axis``: right-handed rows of the body frame (3, 3), the last along the axis of spin: the body's own for +Z.
+    """
 
     spin_axis: Tensor
+    about_spin_axis: Tensor
     frame: Tensor
     slerp: Slerp
 
@@ -124,6 +134,9 @@ class Attitude(nn.Module):
         if attitude.spin_axis is not None:
             axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
             self.register_buffer("spin_axis", axis / torch.linalg.norm(axis), persistent=False)
+        about = np.array([0.0, 0.0, 1.0] if self.mode in TURNING else attitude.spin_axis or [0.0, 0.0, 1.0])
+        about = torch.from_numpy(frame_about(about / np.linalg.norm(about)))
+        self.register_buffer("about_spin_axis", about, persistent=False)
         self._spin_epoch_s = epoch_seconds(scene, recording, "spin_epoch")
         self._retarded = self.mode in TURNING and not recording.light_time_corrected
         if self.mode in ("nadir", "yaw-steering"):
@@ -140,6 +153,13 @@ class Attitude(nn.Module):
     def spins(self) -> bool:
         """Whether there is a rate of spin, be it 0."""
         return self._spinning or self.mode in TURNING
+
+    @property
+    def spin_rate_at_start(self) -> float:
+        """Rate of spin, rev/h, where the scene's numbers begin; 0 without a spin."""
+        if self.mode in TURNING:
+            return 1 / self.numbers["attitude.period"]
+        return self.numbers["attitude.spin_rate"] if self._spinning else 0.0
 
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
@@ -167,16 +187,18 @@ class Attitude(nn.Module):
         """The further spin: phase + 360 deg rate (t - epoch) about a body axis."""
         phase = self._value("attitude.spin_phase", values, time)
         rate = self._value("attitude.spin_rate", values, time)
-        angle = torch.deg2rad(phase) + 2 * torch.pi * rate * (time - self._spin_epoch_s) / 3600.0
+        turn = rate * (time - self._spin_epoch_s) / 3600.0
+        if "attitude.period_rate" in values:
+            growth = MS_A_DAY * self._value("attitude.period_rate", values, time)
+            turn = grown(turn, growth * rate.abs() * (time - self._spin_epoch_s) / 3600.0)
+        angle = torch.deg2rad(phase) + 2 * torch.pi * turn
         return rotation_about(self.spin_axis.expand(*angle.shape, 3), angle)
 
     def _turning(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         time = state.time
         if self._retarded:
             time = time - torch.linalg.norm(state.observer, dim=-1) / LIGHT_KM_S
-        number = {
-            name: self._value(name, values, time) for name in self.numbers if name.startswith("attitude.")
-        }
+        number = {name: self._value(name, values, time) for name in (*self.numbers, *FURTHER & values.keys())}
         phase, period, longitude, latitude = (
             number[f"attitude.{name}"] for name in ("phase", "period", "pole_lon", "pole_lat")
         )

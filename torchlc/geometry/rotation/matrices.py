@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchlc.tensors.vectors import east_and_north
+
 SERIES_BELOW = 1e-4
 """Square of the angle, rad^2, below which the series of Rodrigues' coefficients are exact to 1e-17."""
 
@@ -28,6 +30,15 @@ def frame_turned_about_y(angle: Tensor) -> Tensor:
     """Ry (..., 3, 3) that turns the frame by ``angle`` (...,) rad: [[c, 0, -s], [0, 1, 0], [s, 0, c]]."""
     cos, sin, zero, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
     return torch.stack([cos, zero, -sin, zero, one, zero, sin, zero, cos], dim=-1).unflatten(-1, (3, 3))
+
+
+def rotation_towards(direction: Tensor, east_deg: Tensor, north_deg: Tensor) -> Tensor:
+    """Rotation (..., 3, 3) that moves unit directions (..., 3) by the arc (``east_deg``, ``north_deg``), (...,), along its
+    great circle."""
+    east, north = east_and_north(direction)
+    return rotation_of(
+        torch.deg2rad(east_deg)[..., None] * north - torch.deg2rad(north_deg)[..., None] * east
+    )
 
 
 def rotation_of(vector: Tensor) -> Tensor:

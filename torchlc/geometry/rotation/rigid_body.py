@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.rotation.matrices import frame_turned_about_z
-from torchlc.tensors.autodiff_state import transformed
+from torchlc.tensors.autodiff_state import readable, transformed
 
 NODES = 128
 """Instants over half a period at which the rate of phi is sampled. Its harmonics fall as the nome to the k-th power:
@@ -185,7 +185,7 @@ def _means(m: Tensor) -> list[tuple[Tensor, Tensor]]:
     for _ in range(MEANS):
         a, b, c = (a + b) / 2, torch.sqrt(a * b), (a - b) / 2
         found.append((a, c))
-        if not transformed() and bool((c.abs() < NEGLIGIBLE).all()):
+        if not transformed() and readable(c) and bool((c.abs() < NEGLIGIBLE).all()):
             break
     return found
 
@@ -201,7 +201,7 @@ def _elliptic(means: list[tuple[Tensor, Tensor]], m: Tensor, x: Tensor) -> tuple
 
 def _significant(harmonics: Tensor) -> Tensor:
     """The harmonics (..., K) up to the last that is not negligible."""
-    if transformed():
+    if transformed() or not readable(harmonics):
         return harmonics
     large = (harmonics.detach().abs() > NEGLIGIBLE).reshape(-1, harmonics.shape[-1]).any(0)
     last = int(large.nonzero()[-1]) + 1 if bool(large.any()) else 1

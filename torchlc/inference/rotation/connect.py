@@ -1,8 +1,8 @@
 """Which counts of turns between passes are possible: integers that join the phases of passes to one rotation.
 
-phi(t) = phi0 + f (t - t0) + g (t - t0)^2 / 2, in turns; each pass says its phase but for whole turns, or parts of one of
-which the body looks the same after each. The counts are found pass by pass, best first, and judged by the squared
-distance in the covariance of phases and frequency. Letters: N passes.
+phi(t) = phi0 + f (t - t0) + g (t - t0)^2 / 2, in turns; each pass says its frequency, and its phase but for whole turns, or
+parts of one of which the body looks the same after each. The counts are found pass by pass, best first, and judged by the squared
+distance in the covariance of phases and frequencies. Letters: N passes.
 """
 
 from __future__ import annotations
@@ -12,12 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.passes import DAY_S, RATE_A_DAY, Rows
 from torchlc.inference.rotation.refine import Local
 
-DAY_S = 86400.0
-RATE_A_DAY = 3e-4
-"""Standard deviation of the change of a period in a day, of itself, before the data: 5 ms for 16 s."""
 WIDTH = 5.0
 """Standard deviations of the predicted phase within which counts are tried."""
 MOST = 3000
@@ -55,18 +52,19 @@ def connections(
     middles = rows.middle.numpy()
     reference = float(middles.mean())
     phases = local.phases.numpy()
+    turning = local.frequencies.numpy()
     covariance = local.covariance.numpy().copy()
-    covariance[np.arange(1, passes + 1), np.arange(1, passes + 1)] += PHASE_FLOOR**2
-    tightest = 0.3 * PHASE_FLOOR / float(rows.span.max())
-    covariance[0, 0] += tightest**2
+    own = np.arange(passes)
+    covariance[passes + own, passes + own] += PHASE_FLOOR**2
+    covariance[own, own] += (0.3 * PHASE_FLOOR / np.maximum(rows.span.numpy(), 1e-3)) ** 2
     prior = RATE_A_DAY / DAY_S * local.frequency
     free = 3 if changing else 2
     elapsed = middles - reference
-    design = np.zeros((passes + 2, 3))
-    design[0] = [0.0, 1.0, 0.0]
-    design[1:-1] = np.stack([np.ones(passes), elapsed, elapsed**2 / 2], 1)
+    design = np.zeros((2 * passes + 1, 3))
+    design[:passes] = np.stack([np.zeros(passes), np.ones(passes), elapsed], 1)
+    design[passes:-1] = np.stack([np.ones(passes), elapsed, elapsed**2 / 2], 1)
     design[-1] = [0.0, 0.0, 1.0]
-    full = np.zeros((passes + 2, passes + 2))
+    full = np.zeros((2 * passes + 1, 2 * passes + 1))
     full[:-1, :-1], full[-1, -1] = covariance, prior**2
     extent, start = max(float(np.ptp(middles)), 1.0), np.array([0.0, local.frequency, 0.0])
     order = np.argsort(np.abs(middles - middles[np.argmax(rows.span.numpy())]), kind="stable")
@@ -74,8 +72,8 @@ def connections(
     complete = True
 
     def solved(known: dict[int, int]) -> tuple[np.ndarray, np.ndarray, float]:
-        at = [0, *(1 + one for one in known), passes + 1]
-        values = np.array([local.frequency, *(phases[one] + k / symmetry for one, k in known.items()), 0.0])
+        at = [*range(passes), *(passes + one for one in known), 2 * passes]
+        values = np.array([*turning, *(phases[one] + k / symmetry for one, k in known.items()), 0.0])
         weight = np.linalg.inv(full[np.ix_(at, at)])
         part = design[at][:, :free]
         scale = np.array([1.0, 1 / extent, 1 / extent**2])[:free]
@@ -91,11 +89,11 @@ def connections(
 
     for one in order[1:]:
         one = int(one)
-        row = design[1 + one]
+        row = design[passes + one]
         grown: list[tuple[float, dict[int, int]]] = []
         for known in beams:
             result, spread, _ = solved(known)
-            sd = float(np.sqrt(row @ spread @ row + covariance[1 + one, 1 + one]))
+            sd = float(np.sqrt(row @ spread @ row + covariance[passes + one, passes + one]))
             expected = (row @ result - phases[one]) * symmetry
             reach = min(WIDTH * sd * symmetry, MOST)
             if WIDTH * sd * symmetry > MOST:

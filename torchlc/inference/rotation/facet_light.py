@@ -16,14 +16,15 @@ from torch import Tensor
 
 from torchlc.brdf.base import Incidence, coupled_diffuse, lambert
 from torchlc.lightcurve.assembly import Assembly
+from torchlc.parameters import EXPONENT, REFLECTANCE, WIDTH
 from torchlc.tensors.vectors import unit
 
 SAME_WAY = 1e-6
 """Distance of unit normals that count as one."""
 MOST_FACETS = 400
 """Directions beyond which normals are gathered on a coarser grid."""
-LOBES = ("n", "n_u", "alpha", "m")
-"""Numbers that say that a law has a lobe."""
+ROUND = 12
+"""The symmetry up to which bodies are told; one of more is round."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,16 @@ class FacetLight:
         area.index_put_((places, of), torch.cat(areas), accumulate=True)
         mean = normal.new_zeros(len(area), 3).index_add(0, places, normal * torch.cat(areas)[:, None])
         models = assembly.models
-        lobed = tuple(any(quantity.name in LOBES for quantity in models[name].quantities) for name in names)
-        coupled = tuple("r_diff" in models[name].simplex for name in names)
+        lobed = tuple(
+            any(quantity.role in (EXPONENT, WIDTH) for quantity in models[name].quantities) for name in names
+        )
+        coupled = tuple(
+            any(
+                one.role == REFLECTANCE and one.name in models[name].simplex
+                for one in models[name].quantities
+            )
+            for name in names
+        )
         return cls(unit(mean), area, names, lobed, coupled, tuple(notes))
 
     def turned(self, rotation: Tensor) -> FacetLight:
@@ -97,14 +106,14 @@ class FacetLight:
         return torch.stack(found, -1)
 
     def symmetry(self, axis: Tensor) -> int:
-        """The largest m up to 12 for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""
+        """The largest m up to ROUND for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""
         from torchlc.geometry.rotation.matrices import rotation_about
 
         generator = torch.Generator().manual_seed(0)
         ways = unit(torch.randn(2, 40, 3, generator=generator, dtype=axis.dtype))
         exponent = axis.new_full((40, sum(self.lobed)), 3.0)
         start = self.light(ways[0], ways[1], exponent)
-        for m in range(12, 1, -1):
+        for m in range(ROUND, 1, -1):
             turn = rotation_about(axis, axis.new_tensor(2 * math.pi / m))
             moved = self.turned(turn).light(ways[0], ways[1], exponent)
             if bool(((moved - start).abs() <= 1e-3 * start.abs().amax(0)).all()):

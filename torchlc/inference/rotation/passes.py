@@ -17,14 +17,20 @@ from torchlc.tensors.vectors import unit
 LONGEST_GAP = 600.0
 """Seconds without a row that end a pass, if it was not much longer itself."""
 GAP_SHARE = 0.3
-AU_KM = 149_597_870.7
+DAY_S = 86400.0
+LEAST_NOISE = 0.01
+MEDIAN_OF_SQUARE = 0.4549
+"""Median of the square of a normal number."""
+RATE_A_DAY = 3e-4
+"""Standard deviation of the change of a period in a day, of itself, before the data: 5 ms for 16 s."""
 
 
 @dataclass(frozen=True)
 class Rows:
     """Measured rows (T,): ``seconds`` at the body (light time taken off) since the recording's first row; unit
     directions in GCRS; ``flux`` times the square of the range in m2 and ``error`` of its logarithm; the number of
-    each row's pass, of which ``middle`` (N,) and ``span`` (N,) are seconds. ``scaled``: a gain of its own a pass."""
+    each row's pass, of which ``middle`` (N,) and ``span`` (N,) are seconds. ``scaled``: a gain of its own a pass; ``noise``, in ln of the flux, of
+    successive rows where errors are not given."""
 
     index: Tensor
     seconds: Tensor
@@ -36,6 +42,7 @@ class Rows:
     middle: Tensor
     span: Tensor
     scaled: bool
+    noise: float | None = None
 
     @property
     def passes(self) -> int:
@@ -45,9 +52,20 @@ class Rows:
         """Rows of a pass."""
         return torch.nonzero(self.number == one)[:, 0]
 
+    @property
+    def longest(self) -> int:
+        """The number of the longest pass."""
+        return int(self.span.argmax())
+
+    @property
+    def drift(self) -> Tensor:
+        """Standard deviation (N,), before the data, of the relative difference of the frequency in each pass from that in
+        the longest."""
+        return RATE_A_DAY * (self.middle - self.middle[self.longest]).abs() / DAY_S
+
 
 def rows_of(model: LightCurve) -> Rows:
-    """The measured rows of a model's recording."""
+    """The measured rows of a model's recording. Neglects the distance of the Sun: reflectances are off by 3.4 % at most."""
     likelihood = Likelihood(model)
     assembly, recording = model.assembly, model.recording
     state = assembly.track.at(0.0, 0.0, 0.0)
@@ -56,9 +74,6 @@ def rows_of(model: LightCurve) -> Rows:
     late = 0.0 if recording.light_time_corrected else distance / LIGHT_KM_S
     seconds = state.time[index] - late
     sun = state.sun.expand(len(recording), 3)[index]
-    near = (torch.linalg.vector_norm(sun, dim=-1) / AU_KM) ** 2 if "sun_distance" in {
-        effect.name for effect in assembly.effects
-    } else 1.0  # fmt: skip
     scaled = likelihood.kind == "flux"
     observed = likelihood.observed[index]
     if scaled:
@@ -69,6 +84,10 @@ def rows_of(model: LightCurve) -> Rows:
         flux = 10 ** (-0.4 * (observed - sun_magnitude - zero))
         error = likelihood.error[index] / MAG_PER_LN
     number = _passes(seconds.numpy())
+    noise = None
+    if likelihood.fitted_errors:
+        noise = successive_noise(flux, number)
+        error = torch.full_like(error, max(noise, LEAST_NOISE))
     count = int(number.max()) + 1
     each = [seconds[number == one] for one in range(count)]
     return Rows(
@@ -76,13 +95,25 @@ def rows_of(model: LightCurve) -> Rows:
         seconds,
         unit(sun),
         unit(state.observer.expand(len(recording), 3)[index]),
-        flux * (1e3 * distance) ** 2 * near,
+        flux * (1e3 * distance) ** 2,
         error,
         number,
         torch.stack([(one.max() + one.min()) / 2 for one in each]),
         torch.stack([one.max() - one.min() for one in each]),
         scaled,
+        noise,
     )
+
+
+def successive_noise(flux: Tensor, number: Tensor) -> float:
+    """Standard deviation of ln of the flux (T,) about the line through a row's neighbours, of the same pass ``number`` (T,):
+    what no smooth light explains. The median of squares, so that a few glints do not count."""
+    light = torch.log(flux.clamp(min=1e-300))
+    bend = light[:-2] - 2 * light[1:-1] + light[2:]
+    inside = (number[:-2] == number[2:]) & torch.isfinite(bend)
+    if not bool(inside.any()):
+        return LEAST_NOISE
+    return float((bend[inside].square().median() / (6 * MEDIAN_OF_SQUARE)).sqrt())
 
 
 def _passes(seconds: np.ndarray) -> Tensor:

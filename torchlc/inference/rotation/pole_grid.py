@@ -1,8 +1,8 @@
 """Uniform spin on a grid: every pole, period and phase, with reflectances of their own least squares.
 
-Each pass has its phase; passes share pole, period (to the width of a step) and reflectances, so that neither a change
-of the period nor the count of turns between passes matters here. Letters: D poles, N passes, G frequencies, H phases,
-K reflectances, T rows of a pass.
+Each pass has its phase, and a frequency within what it may have changed since the longest pass; all share pole and
+reflectances, so that neither a change of the period nor the count of turns between passes matters here. Letters: D
+poles, N passes, G frequencies, H phases, K reflectances, T rows of a pass.
 """
 
 from __future__ import annotations
@@ -20,21 +20,24 @@ from torchlc.inference.rotation.passes import Rows
 STEPS = 120
 """Angles of a turn, 3 deg apart, at which light is worked out; phases are every other one."""
 NODES = 10
-"""Instants of a pass at which the directions of Sun and observer are taken."""
+NODE_STEP = 0.08
+"""Most instants of a pass at which the directions of Sun and observer are taken, and how far these may move between, rad."""
 EXPONENTS = (6.0, 60.0)
 FLOOR = 0.15
 """Error, as a share of the light, that a grid of these steps has of itself."""
 TYPICAL = 0.1
 SWEEPS = 25
 POLES_AT_ONCE = 8
+DRIFT_SD = 2.0
+"""Standard deviations by which the frequency of a pass may differ from that of the longest."""
 
 
 @dataclass(frozen=True)
 class GridState:
-    """A place of the grid: pole as a unit vector in GCRS, turns a second, phase of each pass in turns at its middle, and its misfit."""
+    """A place of the grid: pole as a unit vector in GCRS; turns a second in each pass, and its phase in turns at its middle; the misfit."""
 
     pole: Tensor
-    frequency: float
+    frequencies: tuple[float, ...]
     phases: tuple[float, ...]
     misfit: float
     weights: Tensor
@@ -93,14 +96,20 @@ def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symm
         for a, b, size in zip(products, targets, sizes, strict=True)
     ]
     poles_index = torch.arange(len(poles))
+    allowed = [
+        DRIFT_SD * float(drift) * frequencies[:, None] >= (frequencies - frequencies[:, None]).abs()
+        for drift in rows.drift
+    ]
     weights = torch.zeros(0)
-    total, phases = torch.zeros(0), []
-    for _ in range(3):
-        by_frequency = sum(one.amin(-1) for one in misfits)
-        assert isinstance(by_frequency, Tensor)
-        total, best = by_frequency.min(-1)
-        phases = [one[poles_index, best].argmin(-1) for one in misfits]
-        chosen = [(poles_index, best, phase) for phase in phases]
+    for turn in range(4):
+        by_frequency = [one.amin(-1) for one in misfits]
+        least = [_least(one, near) for one, near in zip(by_frequency, allowed, strict=True)]
+        total, best = torch.stack([value for value, _ in least]).sum(0).min(-1)
+        turning = [at[poles_index, best] for _, at in least]
+        phases = [one[poles_index, at].argmin(-1) for one, at in zip(misfits, turning, strict=True)]
+        if turn == 3:
+            break
+        chosen = [(poles_index, at, phase) for at, phase in zip(turning, phases, strict=True)]
         if rows.scaled:
             strength = [b[at].amax(-1).clamp(min=1e-30) for b, at in zip(targets, chosen, strict=True)]
             a = sum(
@@ -116,20 +125,23 @@ def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symm
             _misfit(a, b, weights[:, None, None].expand_as(b), size, rows.scaled)
             for a, b, size in zip(products, targets, sizes, strict=True)
         ]
-    by_frequency = sum(one.amin(-1) for one in misfits)
-    assert isinstance(by_frequency, Tensor)
-    total, best = by_frequency.min(-1)
-    phases = [one[poles_index, best].argmin(-1) for one in misfits]
     return [
         GridState(
             poles[k],
-            float(frequencies[best[k]]),
+            tuple(float(frequencies[at[k]]) for at in turning),
             tuple(float(phase[k]) * 2 / STEPS for phase in phases),
             float(total[k]),
             weights[k],
         )
         for k in range(len(poles))
     ]
+
+
+def _least(misfit: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
+    """The least of misfits (D, G) among the frequencies allowed (G, G) with each of G, and which it is."""
+    if int(allowed.sum()) == len(allowed):
+        return misfit, torch.arange(len(allowed)).expand_as(misfit)
+    return torch.where(allowed, misfit[:, None], torch.inf).min(-1)
 
 
 def _normal_equations(
@@ -142,9 +154,9 @@ def _normal_equations(
     symmetry: int,
 ) -> tuple[Tensor, Tensor, float]:
     """Products (D, G, H, K, K) of the columns and (D, G, H, K) of these with the light, over a pass, and the square of
-    the light, all over errors."""
+    the light, all over errors. Rows are put on steps of a turn, and all phases follow by one correlation."""
     seconds = rows.seconds[here] - middle
-    place = torch.linspace(0, len(here) - 1, min(NODES, len(here))).round().long()
+    place = instants(rows, here)
     nodes = here[place]
     nearest = (seconds[:, None] - seconds[place]).abs().argmin(-1)
     sun, observer = (
@@ -157,26 +169,53 @@ def _normal_equations(
         x, y, z = (part[..., None] for part in way.unbind(-1))
         return torch.stack([cos * x + sin * y, cos * y - sin * x, z.expand(*z.shape[:-1], STEPS)], -1)
 
-    seen = [turned(one) for one in (sun, observer)]
-    lobes = sum(body.lobed)
-    first = body.light(seen[0], seen[1], torch.full((lobes,), EXPONENTS[0], dtype=torch.float64))
-    tables = [first]
-    if lobes:
-        second = body.light(seen[0], seen[1], torch.full((lobes,), EXPONENTS[1], dtype=torch.float64))
-        tables.append(second[..., len(body.names) :])
-    table = torch.cat(tables, -1)  # (D, nodes, STEPS, K)
-    weight = 1 / _spread(rows.flux[here], rows.error[here])
+    table = columns_of(body, turned(sun), turned(observer))  # (D, nodes, STEPS, K)
+    weight = 1 / spread(rows.flux[here], rows.error[here])
     target = rows.flux[here] * weight
-    shift = (seconds * frequencies[:, None] * STEPS).round().long()  # (G, T)
+    shift = (seconds * frequencies[:, None] * STEPS).round().long() % STEPS  # (G, T)
+    at = nearest * STEPS + shift
+    binned = table.new_zeros(2, len(frequencies), len(place) * STEPS)
+    for one, value in enumerate((weight**2, weight * target)):
+        binned[one].scatter_add_(1, at, value.expand_as(at))
+    binned = binned.unflatten(-1, (len(place), STEPS))
     phase = torch.arange(0, STEPS // symmetry, 2)
-    step = (shift[:, None] + phase[:, None]) % STEPS  # (G, H, T)
-    flat = table.flatten(1, 2)  # (D, nodes STEPS, K)
-    columns = flat[:, nearest * STEPS + step] * weight[:, None]  # (D, G, H, T, K)
-    products = columns.mT @ columns
-    return products, (columns.mT @ target[:, None])[..., 0], float((target**2).sum())
+    first, second = torch.triu_indices(table.shape[-1], table.shape[-1])
+    squares = _correlated(table[..., first] * table[..., second], binned[0])[:, :, phase]
+    products = squares.new_empty(*squares.shape[:-1], table.shape[-1], table.shape[-1])
+    products[..., first, second] = products[..., second, first] = squares
+    return products, _correlated(table, binned[1])[:, :, phase], float((target**2).sum())
 
 
-def _spread(flux: Tensor, error: Tensor) -> Tensor:
+def columns_of(body: FacetLight, to_sun: Tensor, to_observer: Tensor) -> Tensor:
+    """Light (..., K) of each reflectance at directions (..., 3) in the body, with a wide and a narrow lobe for each that has
+    one."""
+    lobes = sum(body.lobed)
+    wide, narrow = (torch.full((lobes,), one, dtype=torch.float64) for one in EXPONENTS)
+    first = body.light(to_sun, to_observer, wide)
+    if not lobes:
+        return first
+    return torch.cat([first, body.light(to_sun, to_observer, narrow)[..., len(body.names) :]], -1)
+
+
+def instants(rows: Rows, here: Tensor) -> Tensor:
+    """Which of the rows of a pass stand for the directions of all: as many as the directions move."""
+    moved = max(
+        float(torch.linalg.vector_norm(one[here].diff(dim=0), dim=-1).sum())
+        for one in (rows.to_sun, rows.to_observer)
+    )
+    count = max(2, min(NODES, len(here), math.ceil(moved / NODE_STEP) + 1))
+    return torch.linspace(0, len(here) - 1, count).round().long()
+
+
+def _correlated(table: Tensor, binned: Tensor) -> Tensor:
+    """(D, G, STEPS, K): sums over instants and steps s of ``binned`` (G, nodes, STEPS) times ``table`` (D, nodes, STEPS, K)
+    at s + p, for each p."""
+    spectrum = torch.fft.rfft(table, dim=2)
+    weights = torch.fft.rfft(binned, dim=-1).conj()
+    return torch.fft.irfft(torch.einsum("gns,dnsk->dgsk", weights, spectrum), n=STEPS, dim=2)
+
+
+def spread(flux: Tensor, error: Tensor) -> Tensor:
     """Error (T,) that the light of a grid has at rows of a pass: a share of it, a share of the typical light, and half of what
     changes from row to row, which a phase that is a step off does."""
     change = torch.zeros_like(flux)

@@ -1,35 +1,45 @@
 """From a scene and a recording to rotation states: the periods to look at, a grid of poles, least squares, the counts of
-turns between passes, and the model with everything in it.
+turns between passes, and the model with everything in it. What turns about no axis fixed in it is looked for where that leaves
+structure.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchlc.errors import InputError
-from torchlc.files.numbers import value_of
-from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.matrices import rotation_of
-from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.optimiser import laplace, polish
-from torchlc.inference.rotation import pole_grid
-from torchlc.inference.rotation.connect import Connection, connections, differences
+from torchlc.inference.likelihood import MAG_PER_LN
+from torchlc.inference.rotation import pole_grid, tumble_grid
+from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
 from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.model_fit import Candidate, Trial, fitted, steady_trial, tumbling_trial
+from torchlc.inference.rotation.modes import (
+    CHANGED,
+    KEPT_CHI2,
+    SAME_DEG,
+    RotationSearch,
+    apart_deg,
+    merged,
+    verdict,
+)
+from torchlc.inference.rotation.modes import RotationMode as RotationMode
 from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import GridState
-from torchlc.inference.rotation.refine import Local, Refiner
+from torchlc.inference.rotation.refine import Local, Refiner, free_tilts
+from torchlc.inference.rotation.steps import Steps
+from torchlc.inference.rotation.tumble_refine import Tumble, TumbleRefiner
+from torchlc.inference.rotation.two_frequencies import frequency_pairs
 from torchlc.inference.rotation.windows import windows
 from torchlc.lightcurve.model import LightCurve
-from torchlc.readers import Recording, iso_times
+from torchlc.readers import Recording
 from torchlc.scene import Free, Scene
-from torchlc.scene.parts import Attitude
 
 POLES = 500
 STEPS_A_TURN = 12.0
@@ -41,63 +51,20 @@ FLOOR = 0.05
 """Relative error of the light of facets."""
 LOCALS, JOINED = 4, 3
 """Solutions of different poles, and counts of turns of the best, that the model is fitted to."""
-KEPT_CHI2 = 25.0
-SAME_DEG = 1.5
+LIKELY = 12
+"""Counts of turns that are told of a mode, if its phases leave several."""
 TILTED_DEG = 9.0
 STRUCTURE = 1.25
-"""Chi-square a degree of freedom above which a body is tried with its axes tilted."""
-CHANGED = 16.0
-"""Fall of chi-square that a change of the period has to bring."""
+"""Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 UNSTEADY = 150.0
 """Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
-ALIKE_DEG = 12.0
+PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS, SECOND_STARTS = 4, 2, 36, 30
+"""Pairs of frequencies of a free rotation that are looked at, this many at once; states of the grid that are refined, first over all bodies
+and then of the best body."""
+TUMBLES = 2
+"""Solutions of free rotation, and counts of turns of each, that the model is fitted to."""
 MIN_ROWS = 12
-NAMES = ("pole_lon", "pole_lat", "period", "phase", "period_rate", "tilt_x", "tilt_y", "tilt_z")
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class RotationMode:
-    """One state that fits: ``numbers`` of the attitude and ``sd`` of the free ones by name (pole deg in the scene's frame,
-    period h, phase deg, period_rate ms a day, tilt deg); ``counts``, turns less those of the most probable mode between
-    passes; ``probability`` among the modes that were found; ``mirror``, what it is of the best."""
-
-    numbers: Mapping[str, float]
-    sd: Mapping[str, float]
-    chi2: float
-    counts: tuple[float, ...]
-    probability: float
-    mirror: str | None
-    theta: Tensor
-    scene: Scene
-
-    @property
-    def period_s(self) -> float:
-        return 3600.0 * self.numbers["period"]
-
-    @property
-    def period_sd_s(self) -> float:
-        return 3600.0 * self.sd.get("period", 0.0)
-
-
-@dataclass(frozen=True)
-class RotationSearch:
-    """Modes best first, and what was looked at. ``pole_map``: unit vectors (D, 3), GCRS, and misfits (D,) of the grid."""
-
-    modes: Sequence[RotationMode]
-    rows: int
-    dof: int
-    passes: int
-    symmetry: int
-    searched_s: tuple[float, float]
-    frequency: np.ndarray
-    power: np.ndarray
-    pole_map: tuple[np.ndarray, np.ndarray]
-    connected: bool
-    decided: bool
-    verdict: str
-    recording: Recording
-    warnings: Sequence[str] = field(default_factory=tuple)
 
 
 def search_rotation(
@@ -106,11 +73,12 @@ def search_rotation(
     *,
     shortest_s: float | None = None,
     longest_s: float | None = None,
-    seed: int = 0,
     progress: Progress | None = None,
+    steps: Steps | None = None,
 ) -> RotationSearch:
-    """Rotation states of a body that turns about a direction fixed in it and in space."""
+    """Rotation states of a body: about a direction fixed in it and in space, or, where that leaves structure, free."""
     say = progress or (lambda _text, _share: None)
+    kept = steps or Steps()
     if scene.attitude.mode not in ("spin-pole", "rigid-body"):
         raise InputError(
             scene.source,
@@ -141,37 +109,61 @@ def search_rotation(
     symmetry = body.symmetry(axis)
     poles = pole_grid.directions(POLES)
     say("poles", 0.0)
-    states = pole_grid.search(
-        rows, body, poles, grid, symmetry=_whole_steps(symmetry), progress=lambda share: say("poles", share)
+    states = kept.of(
+        "poles",
+        GridState,
+        lambda: pole_grid.search(
+            rows,
+            body,
+            poles,
+            grid,
+            symmetry=_whole_steps(symmetry),
+            progress=lambda share: say("poles", share),
+        ),
     )
     count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux)))
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)
-    refiner = Refiner(rows, body, FLOOR, tilted=False)
-    locals_ = _distinct(refiner.refined(states[:count], [still] * len(states[:count])))
-    dof = max(1, len(rows.flux) - rows.passes - 6)
+    refiner = Refiner(rows, body, FLOOR)
+    locals_ = kept.of(
+        "least squares",
+        Local,
+        lambda: _distinct(refiner.refined(states[:count], [still] * len(states[:count]))),
+    )
+    dof = max(1, len(rows.flux) - 2 * rows.passes - 4)
     tilted = "tilt" in scene.attitude.model_fields_set
     if tilted or locals_[0].chi2 / dof > STRUCTURE:
-        slanted = _tilted(rows, body, poles, grid, states, count, axis)
+        say("tilted bodies", 0.0)
+        slanted = kept.of("tilted", Local, lambda: _tilted(rows, body, poles, grid, states, count, axis))
         if slanted and slanted[0].chi2 < locals_[0].chi2 - CHANGED:
             locals_, tilted, symmetry = slanted, True, 1
+    tumbles: list[Tumble] = []
+    if scene.attitude.mode == "rigid-body" or locals_[0].chi2 / dof > STRUCTURE:
+        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, locals_[0].chi2, say))
+        if not tumbles:
+            warnings.append("no pair of frequencies of a free rotation explains the light")
+        tumbles = [one for one in tumbles if one.chi2 < locals_[0].chi2 - CHANGED]
     say("model", 0.0)
-    found, connected, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), say)
-    warnings += told
-    modes = _merged(found, rows)
+    found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
+    if not found or min(one.chi2 for one in found) > 2 * len(rows.flux):
+        more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), say)
+        found += more
+        warnings += told
+    modes = merged([one for one in found if math.isfinite(one.chi2)], rows)
     if not modes:
         raise InputError(
             recording.source, None, "no rotation with a finite chi-square", "rows that the model can fit"
         )
-    free = len(modes[0].sd) + len(modes[0].theta) - sum(name in modes[0].sd for name in NAMES)
-    left = len(rows.flux) - free
-    decided, verdict = _verdict(modes, left, connected, rows.passes)
+    left = len(rows.flux) - len(modes[0].theta)
+    noise = None if rows.noise is None else MAG_PER_LN * rows.noise
+    decided, words = verdict(modes, left, rows.passes, noise)
     order = {tuple(one.pole.tolist()): one.misfit for one in states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
+    connected = rows.passes == 1 or modes[0].possible == 1
     return RotationSearch(
         modes, len(rows.flux), left, rows.passes, symmetry, (1 / high, 1 / low), frequency, power,
-        (poles.numpy(), misfits), connected, decided, verdict, recording, tuple(dict.fromkeys(warnings)),
+        (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)),
     )  # fmt: skip
 
 
@@ -219,10 +211,9 @@ def _tilted(
     """Solutions with the body's axes turned against the axis of the spin, from the best of the straight ones turned
     either way, each pass at each of the phases that a straight body cannot tell apart."""
     angle = math.radians(TILTED_DEG)
-    tilts = [
-        angle * torch.tensor(one, dtype=torch.float64)
-        for one in ([1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0])
-    ]
+    eye = torch.eye(3, dtype=torch.float64)
+    free = free_tilts(body)
+    tilts = [sign * angle * eye[one] for sign in (1.0, -1.0) for one in free]
     generator = torch.Generator().manual_seed(0)
     ways = torch.nn.functional.normalize(
         torch.randn(2, 40, 3, generator=generator, dtype=torch.float64), dim=-1
@@ -230,7 +221,7 @@ def _tilted(
     exponent = torch.full((40, sum(body.lobed)), 3.0, dtype=torch.float64)
     plain = body.light(ways[0], ways[1], exponent)
     near = torch.stack([one.pole for one in states[: max(12, count // 4)]])
-    best = torch.tensor([one.frequency for one in states[:3]], dtype=torch.float64)
+    best = torch.tensor([one for state in states[:3] for one in state.frequencies], dtype=torch.float64)
     close = grid[(grid[:, None] - best).abs().amin(-1) < 2.5 / float(rows.span.max()) / STEPS_A_TURN]
     symmetric = body.symmetry(axis) % 2 == 0
     starts: list[GridState] = []
@@ -238,14 +229,18 @@ def _tilted(
     for number, tilt in enumerate(tilts):
         slanted = body.turned(rotation_of(tilt))
         moved = slanted.light(ways[0], ways[1], exponent)
-        if bool(((moved - plain).abs() <= 1e-3 * plain.abs().amax(0)).all()) or (symmetric and number > 1):
+        if bool(((moved - plain).abs() <= 1e-3 * plain.abs().amax(0)).all()) or (
+            symmetric and number >= len(free)
+        ):
             continue  # a turn that changes nothing, or the half turn of another
         for state in pole_grid.search(rows, slanted, near, close)[: max(6, count // 8)]:
             starts.append(state)
             turned.append(tilt)
     if not starts:
         return []
-    return _distinct(Refiner(rows, body, FLOOR, tilted=True).refined(starts, turned, iterations=40))
+    return _distinct(
+        Refiner(rows, body, FLOOR, tilted=free_tilts(body)).refined(starts, turned, iterations=40)
+    )
 
 
 def _distinct(found: Sequence[Local]) -> list[Local]:
@@ -255,27 +250,70 @@ def _distinct(found: Sequence[Local]) -> list[Local]:
         if not math.isfinite(one.chi2):
             continue
         if all(
-            _apart_deg(one.pole, other.pole) > SAME_DEG or abs(one.frequency / other.frequency - 1) > 1e-3
+            apart_deg(one.pole, other.pole) > SAME_DEG or abs(one.frequency / other.frequency - 1) > 1e-3
             for other in kept
         ):
             kept.append(one)
     return kept
 
 
-def _apart_deg(a: Tensor, b: Tensor) -> float:
-    return math.degrees(2 * math.asin(min(1.0, float(torch.linalg.vector_norm(a - b)) / 2)))
+def _tumbling(
+    rows: Rows, body: FacetLight, low: float, high: float, dof: int, about_an_axis: float, say: Progress
+) -> list[Tumble]:
+    """Solutions of free rotation, joined over the passes, best first. Further pairs of frequencies are looked at only where
+    the first do better than ``about_an_axis``, the chi-square of a turn about an axis of the body."""
+    axes = torch.eye(3, dtype=torch.float64)
+    halves = all(body.symmetry(axis) % 2 == 0 for axis in axes)
+    say("two frequencies", 0.0)
+    pairs = frequency_pairs(rows, low, high, halves=halves, most=PAIRS)
+    refiner = TumbleRefiner(rows, body, FLOOR)
+    found: list[tuple[Tumble, Tensor, Tensor]] = []
+    for start in range(0, len(pairs), PAIRS_AT_ONCE):
+        some = pairs[start : start + PAIRS_AT_ONCE]
+        first = tumble_grid.search(
+            rows, body, some, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
+        )
+        rough = refiner.refined(first[:TUMBLE_STARTS], progress=lambda share: say("their bodies", share))
+        found += rough
+        if not rough or rough[0][0].chi2 > about_an_axis - CHANGED:
+            break
+        # the bodies are known now; with them the grid tells directions of the angular momentum apart
+        for state in _distinct_tumbles(rough, TUMBLES):
+            states = tumble_grid.search(rows, body, [state.pair], state.moments[None], kept=SECOND_STARTS)
+            found += refiner.refined(states, progress=lambda share: say("their poles", share))
+        if min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
+            break
+    found.sort(key=lambda one: one[0].chi2)
+    kept: list[tuple[Tumble, Tensor, Tensor]] = []
+    for one in found:
+        if len(kept) < TUMBLES and all(not _same(one[0], other[0]) for other in kept):
+            kept.append(one)
+    joined = []
+    for one in kept:
+        if one[0].chi2 < 1.5 * kept[0][0].chi2 + 200:
+            joined += refiner.joined(one)[:TUMBLES]
+    joined.sort(key=lambda one: one.chi2)
+    return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2]
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    scene: Scene
-    theta: Tensor
-    numbers: dict[str, float]
-    sd: dict[str, float]
-    chi2: float
-    counts: tuple[float, ...]
-    changing: bool
-    pole: Tensor
+def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
+    """The best solutions of different bodies."""
+    kept: list[Tumble] = []
+    for one, _, _ in found:
+        if len(kept) < most and all(
+            bool(((one.moments - other.moments).abs() > 0.05).any()) for other in kept
+        ):
+            kept.append(one)
+    return [one for one in kept if one.chi2 < 2 * kept[0].chi2]
+
+
+def _same(one: Tumble, other: Tumble) -> bool:
+    """Whether two solutions are one: of a pole, a body and periods."""
+    return (
+        apart_deg(one.pole, other.pole) < SAME_DEG
+        and abs(one.long / other.long - 1) < 1e-3
+        and bool(((one.moments - other.moments).abs() < 0.02).all())
+    )
 
 
 def _fitted(
@@ -287,282 +325,100 @@ def _fitted(
     tilted: bool,
     bounds: tuple[float, float],
     say: Progress,
-) -> tuple[list[_Candidate], bool, list[str]]:
-    """The model fitted at the solutions and counts of turns that may be right; whether the passes are connected."""
+) -> tuple[list[Candidate], list[str]]:
+    """The model fitted at the solutions and counts of turns that may be right, and what there is to say."""
     told: list[str] = []
     rate = scene.attitude.period_rate
     may_change = isinstance(rate, Free) or rows.passes > 2
     always = isinstance(rate, Free)
     wide = (bounds[0] * (1 - 1e-9), bounds[1] * (1 + 1e-9))
-    tasks: list[tuple[Local, Connection, bool]] = []
-    connected = True
+    tasks: list[Trial] = []
     for number, local in enumerate(locals_[:LOCALS]):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
             break
+        changes = connections(rows, local, symmetry, changing=True, bounds=wide) if rows.passes > 1 else None
         for changing in (False, True) if may_change else (False,):
-            joined = connections(rows, local, symmetry, changing=changing, bounds=wide)
-            if not joined.complete:
-                connected = False
+            joined = changes if changing and changes else connections(
+                rows, local, symmetry, changing=False, bounds=wide
+            )  # fmt: skip
             if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
             tried = JOINED if number == 0 else 1
-            if number == 0 and len(near) > tried:
-                told.append(
-                    f"{len(near)} counts of turns between the passes are possible by their phases"
-                    f"{' if the period changes' if changing else ''}; the {tried} best were tried with the model"
+            for one in near[:tried]:
+                trial = steady_trial(
+                    scene, recording, rows, local, one, symmetry, changing=changing, tilted=tilted
                 )
-            tasks += [(local, one, changing) for one in near[:tried]]
+                tasks.append(_with_spread(trial, one, near, joined, changes, symmetry))
     if not tasks:
         told.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
         )
-    if not connected:
+    found: list[Candidate] = []
+    for number, trial in enumerate(tasks):
+        if trial.changing and not always and found and not _wanting(found, rows):
+            continue
+        found.append(fitted(trial, recording))
+        say("model", (number + 1) / len(tasks))
+    if found and not found[0].trial.complete:
         told.append(
             "the passes are too far apart for their phases to be connected: the counts of turns between them that are "
-            "shown are some of many"
+            "told are some of many"
         )
-    found: list[_Candidate] = []
-    for number, (local, one, changing) in enumerate(tasks):
-        if changing and not always and found and not _wanting(found, rows):
-            continue
-        found.append(_polished(scene, recording, rows, local, one, changing, tilted, symmetry))
-        say("model", (number + 1) / len(tasks))
-    return [one for one in found if math.isfinite(one.chi2)], connected, told
+    return found, told
 
 
-def _wanting(found: Sequence[_Candidate], rows: Rows) -> bool:
+def _with_spread(
+    trial: Trial,
+    one: Connection,
+    near: Sequence[Connection],
+    joined: Connections,
+    changes: Connections | None,
+    symmetry: int,
+) -> Trial:
+    """A trial with what the counts of turns that are as possible leave open of its period and rate. Where the period is
+    taken as steady, the rate that would not show is that of all counts with one."""
+    chances = _chances(near)
+    middle = 1 / one.frequency
+    spread: dict[str, float] = {}
+    if len(near) > 1:
+        periods = np.array([1 / other.frequency for other in near]) / 3600
+        spread["period"] = float(np.sqrt(chances @ (periods - middle / 3600) ** 2))
+    if changes is not None and changes.found:
+        most = [other for other in changes.found if other.distance < changes.found[0].distance + KEPT_CHI2]
+        rates = np.array([_rate(other) for other in most])
+        spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - _rate(one)) ** 2))
+    base = np.array(differences(one.counts, symmetry))
+    likely = tuple(
+        (tuple((np.array(differences(other.counts, symmetry)) - base).tolist()), float(chance))
+        for other, chance in list(zip(near, chances, strict=True))[:LIKELY]
+    )
+    return replace(
+        trial,
+        possible=max(1, len(near)),
+        complete=joined.complete or len(near) < len(joined.found),
+        spread=spread,
+        likely=likely if len(near) > 1 else (),
+    )
+
+
+def _chances(near: Sequence[Connection]) -> np.ndarray:
+    """Probabilities of counts of turns by the distances of their phases."""
+    weight = np.exp(-0.5 * (np.array([one.distance for one in near]) - near[0].distance))
+    return weight / weight.sum()
+
+
+def _rate(one: Connection) -> float:
+    """Change of the period, ms a day."""
+    return -one.change / one.frequency**2 * 86400e3
+
+
+def _wanting(found: Sequence[Candidate], rows: Rows) -> bool:
     """Whether steady spin leaves more than the errors allow: chi-square beyond 3 of its standard deviations."""
     least = (
-        min(one.chi2 for one in found if not one.changing)
-        if any(not one.changing for one in found)
+        min(one.chi2 for one in found if not one.trial.changing)
+        if any(not one.trial.changing for one in found)
         else math.inf
     )
     count = len(rows.flux)
     return least > count + 3 * math.sqrt(2 * count)
-
-
-def _polished(
-    scene: Scene,
-    recording: Recording,
-    rows: Rows,
-    local: Local,
-    one: Connection,
-    changing: bool,
-    tilted: bool,
-    symmetry: int,
-) -> _Candidate:
-    """The model's own least squares from a solution and a count of turns."""
-    trial, start = _scene_at(scene, recording, rows, local, one, changing, tilted)
-    model = LightCurve(trial, recording)
-    likelihood = Likelihood(model)
-    parameters = model.parameter_set
-    theta = parameters.start().clone()
-    _materials(model, local, theta)
-    noise = model.noise(theta) if model.assembly.stage("noise") else None
-    moving = model.assembly.geometry_columns
-    if len(moving) < len(theta):  # the materials first, so that the attitude does not stand in for them
-        settled = polish(likelihood, theta[None], noise, iterations=12, held=moving)
-        theta = parameters.from_flat(settled.y[0])
-    best = polish(likelihood, theta[None], noise, iterations=40)
-    place = int(best.cost.argmin())
-    natural = parameters.from_flat(best.y[place])
-    with torch.no_grad():
-        chi2 = float(likelihood.chi2(natural))
-    low, high = parameters.flat_bounds()
-    covariance, _ = laplace(best.jacobian[place], best.y[place], low, high)
-    spread = torch.sqrt(torch.diagonal(covariance).clamp(min=0))
-    shifted = parameters.from_flat(best.y[place] + 1e-4 * spread)
-    natural_sd = ((shifted - natural).abs() / 1e-4).tolist()
-    numbers = dict(start)
-    sd: dict[str, float] = {}
-    for name, value, width in zip(parameters.names, natural.tolist(), natural_sd, strict=True):
-        short = name.removeprefix("attitude.")
-        if name.startswith("attitude.") and short in NAMES:
-            numbers[short] = value
-            sd[short] = width
-    return _Candidate(
-        trial, natural, numbers, sd, chi2, differences(one.counts, symmetry), changing, _pole(scene, numbers)
-    )
-
-
-def _pole(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
-    """Unit vector of the pole in GCRS."""
-    lon, lat = math.radians(numbers["pole_lon"]), math.radians(numbers["pole_lat"])
-    way = torch.tensor(
-        [math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)], dtype=torch.float64
-    )
-    return torch.from_numpy(icrs_from_ecliptic()) @ way if scene.orbit.vectors == "ecliptic" else way
-
-
-def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
-    """Epoch of the states and its seconds from row 0: the scene's, if it is within a day of the rows, else the first row."""
-    from torchlc.geometry.rotation.attitude import epoch_seconds
-
-    seconds = epoch_seconds(scene, recording, "epoch")
-    if -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
-        return scene.attitude.epoch, seconds
-    return iso_times(recording)[0], 0.0
-
-
-def _scene_at(
-    scene: Scene,
-    recording: Recording,
-    rows: Rows,
-    local: Local,
-    one: Connection,
-    changing: bool,
-    tilted: bool,
-) -> tuple[Scene, dict[str, float]]:
-    """The scene with the attitude of a solution, its numbers free near it."""
-    epoch, seconds = _epoch_s(scene, recording)
-    away = seconds - one.middle
-    frequency = one.frequency + one.change * away
-    phase = one.phase + one.frequency * away + one.change * away**2 / 2
-    period = 1 / frequency / 3600
-    rate = -one.change / frequency**2 * 86400e3
-    pole = local.pole
-    if scene.orbit.vectors == "ecliptic":
-        pole = torch.from_numpy(icrs_from_ecliptic()).T @ pole
-    longitude = math.degrees(math.atan2(float(pole[1]), float(pole[0]))) % 360
-    latitude = math.degrees(math.asin(max(-1.0, min(1.0, float(pole[2])))))
-    phase_deg = 360 * (phase % 1.0)
-    total = max(float(np.ptp(rows.seconds.numpy())), 1.0)
-    reach = period * min(0.03, 4 / (frequency * total))
-    values = {"pole_lon": longitude, "pole_lat": latitude, "period": period, "phase": phase_deg}
-    table: dict[str, Any] = {
-        "mode": "spin-pole",
-        "pole": (
-            Free(value=longitude, low=longitude - 180, high=longitude + 180),
-            Free(value=latitude, prior="isotropic"),
-        ),
-        "period": Free(value=period, low=period - reach, high=period + reach),
-        "phase": Free(value=phase_deg, low=phase_deg - 180, high=phase_deg + 180),
-        "epoch": epoch,
-    }
-    if changing:
-        most = max(20.0, 3 * abs(rate))
-        values["period_rate"] = rate
-        table["period_rate"] = Free(value=rate, low=-most, high=most)
-    elif value_of(scene.attitude.period_rate):
-        values["period_rate"] = table["period_rate"] = value_of(scene.attitude.period_rate)
-    if tilted:
-        tilt = [math.degrees(x) for x in local.tilt.tolist()]
-        values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
-        table["tilt"] = (
-            Free(value=tilt[0], low=min(-45.0, tilt[0]), high=max(45.0, tilt[0])),
-            Free(value=tilt[1], low=min(-45.0, tilt[1]), high=max(45.0, tilt[1])),
-            0.0,
-        )
-    return scene.model_copy(update={"attitude": Attitude(**table)}), values
-
-
-def _materials(model: LightCurve, local: Local, theta: Tensor) -> None:
-    """Reflectances and exponents of a solution put among the starting values theta (P,), where the law has such."""
-    parameters = model.parameter_set
-    names = list(dict.fromkeys(name for part in model.assembly.shape.parts for name in part.materials))
-    body = FacetLight.of(model.assembly)
-    place = {}
-    number = 0
-    for k, name in enumerate(names):
-        diffuse = float(local.weights[k])
-        place[name, "r_diff"] = place[name, "albedo"] = diffuse
-        if body.lobed[k]:
-            lobe, n = float(local.weights[len(names) + number]), float(local.exponents[number])
-            place[name, "r_spec"] = place[name, "f0"] = lobe
-            place[name, "n"] = place[name, "n_u"] = place[name, "n_v"] = n
-            place[name, "alpha"] = place[name, "m"] = math.sqrt(2 / n)
-            number += 1
-    for k, free in enumerate(parameters.free):
-        origin = free.origin
-        value = place.get((origin.owner, origin.quantity))
-        if origin.role == "materials" and value is not None:
-            low, high = max(free.prior.low, 0.0), free.prior.high
-            if origin.quantity in ("r_diff", "r_spec"):  # well inside of the triangle that they share
-                low, high = max(low, 0.01), min(high, 0.6 if origin.quantity == "r_diff" else 0.35)
-            theta[k] = min(max(value, low), high)
-
-
-def _merged(found: Sequence[_Candidate], rows: Rows) -> list[RotationMode]:
-    """Modes within KEPT_CHI2 of the best, equal ones once. A change of the period counts only where it takes CHANGED off
-    chi-square."""
-    steady = [one for one in found if not one.changing]
-    moving = [one for one in found if one.changing]
-    if steady and moving and min(one.chi2 for one in moving) > min(one.chi2 for one in steady) - CHANGED:
-        found = steady
-    ranked = sorted(found, key=lambda one: one.chi2)
-    kept: list[_Candidate] = []
-    for one in ranked:
-        if one.chi2 > ranked[0].chi2 + KEPT_CHI2:
-            break
-        if all(
-            _apart_deg(one.pole, other.pole) > SAME_DEG
-            or abs(one.numbers["period"] / other.numbers["period"] - 1) > 3 * _relative(one, other)
-            for other in kept
-        ):
-            kept.append(one)
-    if not kept:
-        return []
-    weights = np.exp(-0.5 * np.array([one.chi2 - kept[0].chi2 for one in kept]))
-    weights /= weights.sum()
-    base = kept[0].counts
-    return [
-        RotationMode(
-            one.numbers,
-            one.sd,
-            one.chi2,
-            tuple(a - b for a, b in zip(one.counts, base, strict=True)),
-            float(weight),
-            None if one is kept[0] else _mirror(one.pole, kept[0].pole, rows),
-            one.theta,
-            one.scene,
-        )
-        for one, weight in zip(kept, weights, strict=True)
-    ]
-
-
-def _relative(one: _Candidate, other: _Candidate) -> float:
-    """Standard deviation of the ratio of two periods, at least one of rounding."""
-    return 1e-12 + sum(
-        candidate.sd.get("period", 0.0) / candidate.numbers["period"] for candidate in (one, other)
-    )
-
-
-def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:
-    """What a pole is of the best one, if it is a mirror image."""
-    if _apart_deg(pole, -best) < ALIKE_DEG:
-        return "the opposite pole"
-    normal = torch.linalg.cross(rows.to_sun.mean(0), rows.to_observer.mean(0))
-    if float(torch.linalg.vector_norm(normal)) < 1e-6:
-        return None
-    normal = normal / torch.linalg.vector_norm(normal)
-    image = best - 2 * (best @ normal) * normal
-    if _apart_deg(pole, image) < ALIKE_DEG:
-        return "the mirror image in the plane of Sun and observer"
-    if _apart_deg(pole, -image) < ALIKE_DEG:
-        return "the opposite of the mirror image in the plane of Sun and observer"
-    return None
-
-
-def _verdict(modes: Sequence[RotationMode], dof: int, connected: bool, passes: int) -> tuple[bool, str]:
-    """Whether the data decide, and what they say."""
-    best = modes[0]
-    fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1))
-    poles = [mode for mode in modes if mode.probability > 0.01]
-    period = f"{best.period_s:.6g} s"
-    if not fits:
-        return False, (
-            f"cannot tell: the best rotation found, a turn in {period}, leaves chi-square {best.chi2:.0f} for {dof} degrees of "
-            "freedom; shape, materials or the kind of rotation are not those of the scene"
-        )
-    if len(poles) > 1:
-        return False, (
-            f"cannot tell: {len(poles)} rotations fit about as well, the best with a turn in {period}; the table lists them"
-        )
-    if passes > 1 and not connected:
-        return False, (
-            f"cannot tell how often it turned between the passes: a turn takes {period} to about a thousandth, and neither its further "
-            "digits nor a change of the period is known; errors that are given hold for the counts of turns that are shown"
-        )
-    joined = "" if passes < 2 else ", the turns between the passes counted"
-    return True, f"one turn in {period}{joined}"

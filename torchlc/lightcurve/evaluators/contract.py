@@ -14,6 +14,7 @@ from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet
 from torchlc.stages.effect import Brightness, Surface
+from torchlc.tensors.autodiff_state import apart
 
 MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call. For a cylinder of
@@ -93,6 +94,12 @@ class Evaluator(ABC):
         """What it neglects that a person should know, a sentence each."""
         return ()
 
+    def settle(self) -> None:
+        """Makes whatever is worked out on first use and kept."""
+        with apart():
+            for shares in (False, True):
+                self.brightness(self.parameters.start(), shares)
+
     def forget(self) -> None:  # noqa: B027 - most keep none
         """Drops what it keeps of recent geometries."""
 
@@ -108,15 +115,14 @@ class Evaluator(ABC):
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
         if pairs <= MOST_SLOTS or not self.condensable(surface.material):
             return surface
-        return replace(surface, table=surface.model.condense(table))  # pyright: ignore[reportAttributeAccessIssue]
+        return replace(surface, table=surface.model.condense(table))
 
     def condensable(self, material: str) -> bool:
         """Whether there is something to fit, and the material's lobe has one exponent, its own shape and a table."""
         return (
             bool(self.parameters.names)
-            and self.assembly.has_number(material, "n")
+            and self.assembly.has_number(material, self.assembly.models[material].condensed_over)
             and not any(effect.reshapes_lobe for effect in self.assembly.effects)
-            and hasattr(self.assembly.models[material], "condense")
         )
 
     def batch_size(self, tables: Tables) -> int:

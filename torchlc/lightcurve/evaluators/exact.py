@@ -10,8 +10,9 @@ from torch import Tensor
 from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE, Evaluator
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Key, Tables, members, moves, sorted_patches, surface_of
+from torchlc.pairs.discs import LEFT_OUT_MAG
 from torchlc.stages.effect import Brightness, Surface
-from torchlc.tensors.autodiff_state import apart, transformed
+from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48
 """Compact tables of past geometries that are kept."""
@@ -24,13 +25,16 @@ GRID_AT_ONCE = 2**20
 
 class ExactGeometry(Evaluator):
     """Tables for every theta. A batch of small objects is one grid of all pairs of facet and instant; of larger ones rows
-    of theta that share their geometry share a table; under a transform each stands alone."""
+    of theta that share their geometry share a table; under a transform each stands alone. On a grid the Sun's disc is spread
+    where a lobe is near its glint; elsewhere its middle stands for it, to ``own_error_mag``."""
 
     way = "anew"
 
     def __init__(self, pipeline: Pipeline) -> None:
         super().__init__(pipeline)
-        self._recent: dict[tuple[bool, bytes], Tables] = {}
+        if self.gridded and any(effect.widens for effect in self.assembly.effects):
+            self.own_error_mag = LEFT_OUT_MAG
+        self._recent: dict[tuple[bool, tuple[float, ...]], Tables] = {}
         self._still: dict[bool, dict[Key, Surface | None]] = {}
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
@@ -55,25 +59,28 @@ class ExactGeometry(Evaluator):
             return None
         if self.gridded:
             return self._together(flat, shares)
-        return None if torch.is_grad_enabled() else self._grouped(flat, shares)
+        if torch.is_grad_enabled() or not readable(flat):
+            return None
+        return self._grouped(flat, shares)
 
     @cached_property
     def gridded(self) -> bool:
-        """True if geometries of a batch are worked out together: few facets, of given sizes, and nothing
+        """True if geometries of a batch are worked out together: few facets, none of which a size turns, and nothing
         that needs the geometry apart from the facets' angles."""
         a = self.assembly
-        sized = "size" in a.moving.values()
-        return a.pairs <= MOST_GRIDDED * a.T and not sized and not a.stage("scatter")
+        sized = {a.origins[name].owner for name, stage in a.moving.items() if stage == "size"}
+        turned = [part.name for part in a.shape.parts if part.name in sized and not part.scalable]
+        return a.pairs_of_discs <= MOST_GRIDDED * a.T and not turned and not a.stage("scatter")
 
     def _together(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P), the geometry of each worked out once, or as often as gradients ask for it."""
         detail = shares or self.assembly.needs_shares
         pieces = []
-        for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs)):
+        for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs_of_discs)):
             distinct, member = rows, None
-            if not torch.is_grad_enabled():
+            if not torch.is_grad_enabled() and readable(rows):
                 distinct, member = self._geometries(rows)
-            view = self.pipeline.view(self.values(distinct), len(distinct))
+            view = self.pipeline.view(self.values(distinct), len(distinct), whole_discs=True)
             still = self.still_surfaces(detail)
             tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
             if member is not None and len(distinct) > 1:
@@ -106,7 +113,7 @@ class ExactGeometry(Evaluator):
         kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
         for index, one in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
-            key = (detail, one[self.assembly.geometry_columns].numpy().tobytes())
+            key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
             if key not in self._recent:
                 values = self.values(one)
                 self._recent[key] = self.pipeline.make_tables(
@@ -124,7 +131,8 @@ class ExactGeometry(Evaluator):
         values = self.values(theta)
         detail = shares or self.assembly.needs_shares
         still = self.still_surfaces(detail) if self.gridded else None
-        tables = self.pipeline.make_tables(self.pipeline.view(values), detail, compact=False, still=still)
+        view = self.pipeline.view(values, whole_discs=self.gridded)
+        tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
         return self.pipeline.shine(tables, values, shares)
 
     def still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:

@@ -64,7 +64,7 @@ class Expansion(Evaluator):
         self.theta = theta.detach().clone()
         self._check()
         self.columns = torch.as_tensor(self.assembly.geometry_columns, device=theta.device)
-        low = torch.tensor([self.parameters.free[k].prior.low for k in self.columns.tolist()]).to(theta)
+        low = theta.new_tensor([self.parameters.free[k].prior.low for k in self.assembly.geometry_columns])
         at = self.theta[self.columns]
         block = scale.detach()[self.columns[:, None], self.columns]
         spread = torch.sqrt(torch.diagonal(block))
@@ -130,7 +130,7 @@ class Expansion(Evaluator):
     def _stencil(self) -> Tensor:
         """Coordinates (S, d): the middle, a step either way, a step along two axes at once."""
         d = len(self.columns)
-        eye = STEP * torch.eye(d).to(self.theta)
+        eye = STEP * torch.eye(d, dtype=self.theta.dtype, device=self.theta.device)
         both = [eye[i] + eye[j] for i, j in self.pairs]
         return torch.stack([torch.zeros_like(self.centre), *eye, *-eye, *both])
 
@@ -168,7 +168,7 @@ class Expansion(Evaluator):
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
         surfaces = tuple(
-            replace(one, table=one.model.condense(one.table)) if "log_half" in one.table else one  # pyright: ignore[reportAttributeAccessIssue]
+            replace(one, table=one.model.condense(one.table)) if "log_half" in one.table else one
             for one in made.surfaces
         )
         return replace(made, surfaces=surfaces)
@@ -205,14 +205,14 @@ class Expansion(Evaluator):
         coefficients[1:] = torch.where(dark, 0.0, coefficients[1:])
         coefficients = coefficients.flatten(1, 2)
         largest = coefficients.abs().flatten(1).amax(1)
-        kept = largest * torch.where(self._degree() == 1, self.reach, self.reach**2) > NEGLIGIBLE
+        kept = largest * self.reach ** self._degree().clamp(min=1) > NEGLIGIBLE
         kept[0] = True
         order = torch.nonzero(kept)[:, 0]
         return {"lobes": coefficients[order].transpose(0, 1).flatten(0, 1).contiguous(), "order": order}
 
     def _degree(self) -> Tensor:
         d = len(self.columns)
-        return torch.tensor([0] + [1] * d + [2] * (d + len(self.pairs)))
+        return self.theta.new_tensor([0] + [1] * d + [2] * (d + len(self.pairs)))
 
     def _sums(self, name: str, values: Tensor) -> dict[str, Tensor]:
         """Coefficients (M, ...) of sums (S, ...), of their logarithms where these are smooth."""
@@ -299,7 +299,7 @@ class Expansion(Evaluator):
         points = self.theta_at(self.reach * share.to(towards) * towards / length)
         radius = self.reach * share[:, 0]
         low, high = (
-            torch.tensor([getattr(one.prior, end) for one in self.parameters.free]).to(points)
+            points.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
             for end in ("low", "high")
         )
         sound = ((points >= low) & (points <= high)).all(-1)

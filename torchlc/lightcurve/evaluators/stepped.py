@@ -75,6 +75,12 @@ class SteppedTables(Evaluator):
         kept = light / torch.where(flux > 0, flux, 1.0)[:, None] if shares else None
         return Brightness(flux, kept, self.assembly.components)
 
+    def settle(self) -> None:
+        super().settle()
+        for detail in {self.assembly.needs_shares, True}:
+            for step in range(self.effect.steps + 1):
+                self.node(step, detail)
+
     def node(self, step: int, detail: bool) -> Tables:
         """Tables at one of the values of the effect's parameter."""
         if (detail, step) not in self.kept:

@@ -16,7 +16,8 @@ class MiniMegaTortora(Format):
     """A track, or all tracks of a satellite, or the same as CSV.
 
     ``Mag`` is taken, which is apparent; ``StdMag`` is not. Each track and camera channel is a curve, for
-    steps of some hundredths of a magnitude may lie between channels.
+    steps of some hundredths of a magnitude may lie between channels. Of the slots, ten a second, a row is there only
+    where the camera found the object: the others become upper limits (:mod:`torchlc.readers.empty_slots`).
     """
 
     name = "Mini-MegaTORTORA"
@@ -48,7 +49,15 @@ class MiniMegaTortora(Format):
 
         about = dict(line.split(": ", 1) for line in head.comments if ": " in line)
         meta = {"object": about["satellite"]} if "satellite" in about else {}
-        return Header(path, ("time", "mag", "band", "curve"), ",", ecsv=False, meta=meta, rows=rows)
+        return Header(
+            path,
+            ("time", "mag", "band", "curve"),
+            ",",
+            ecsv=False,
+            meta=meta,
+            rows=rows,
+            skips_non_detections=True,
+        )
 
 
 def _names(head: Head) -> list[str]:

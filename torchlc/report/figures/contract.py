@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from matplotlib.figure import Figure
 
-from torchlc.figures import style
+from torchlc.figures import saving, style
 from torchlc.naming import Registry
 
 INKS = {
@@ -73,10 +73,15 @@ class ReportFigure(ABC):
         """What stands under it."""
 
     def drawn(self, result: Any) -> Figure:
-        """The finished figure."""
-        figure = Figure(figsize=self.size(result))
-        self.draw(result, figure)
-        return figure
+        """The finished figure, or one that says why it could not be drawn."""
+        size = self.size(result)
+
+        def draw() -> Figure:
+            figure = Figure(figsize=size)
+            self.draw(result, figure)
+            return figure
+
+        return saving.drawn(draw, size)
 
 
 def registry(page: str) -> list[ReportFigure]:
@@ -115,7 +120,7 @@ def by_section(
 def png(figure: Figure) -> bytes:
     """A figure on white ground."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=PNG_DPI, bbox_inches="tight", facecolor="white")
+    saving.save(figure, stream, format="png", dpi=PNG_DPI, bbox_inches="tight", facecolor="white")
     return stream.getvalue()
 
 
@@ -125,7 +130,7 @@ def svg(figure: Figure, alt: str, *, square: bool = False) -> Any:
     from markupsafe import Markup
 
     stream = io.StringIO()
-    figure.savefig(stream, format="svg", bbox_inches="tight", transparent=True, dpi=PNG_DPI)
+    saving.save(figure, stream, format="svg", bbox_inches="tight", transparent=True, dpi=PNG_DPI)
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)

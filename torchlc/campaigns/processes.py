@@ -1,0 +1,178 @@
+"""Worker processes of a campaign on this machine. The campaign talks to each over a pair of sockets without a name, which
+nobody else can open: no port listens, and no other user of the machine can reach the workers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from torchlc.errors import TorchlcError
+
+START_METHOD = "spawn"
+"""A fresh interpreter: a fork of a process whose libraries have begun threads may hang."""
+GRACE_S = 5.0
+"""What a worker may take to give its directory back before it is killed."""
+FIRST_TO_GO = "1000"
+"""The kernel's highest score: out of memory, it ends a worker and never the campaign (man 5 proc_pid_oom_score_adj)."""
+LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+TERMINATED = 128 + signal.SIGTERM
+
+
+class Workers:
+    """``count`` processes of ``threads`` threads each, from ``with`` to the end of the block. One task a process."""
+
+    def __init__(self, count: int, threads: int) -> None:
+        self.count, self._threads = count, threads
+        self._context = multiprocessing.get_context(START_METHOD)
+        self._idle: list[Worker] = []
+        self._busy: dict[Worker, Any] = {}
+
+    def __enter__(self) -> Workers:
+        try:
+            with _deaf_children(), _limited(self._threads):
+                for _ in range(self.count):
+                    self._idle.append(Worker(self._context))
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        workers = [*self._idle, *self._busy]
+        for worker in workers:
+            worker.process.terminate()
+        for worker in workers:
+            worker.end()
+
+    def __len__(self) -> int:
+        """How many tasks are being done."""
+        return len(self._busy)
+
+    def start(self, function: Callable[[Any], str], task: Any) -> None:
+        """Hand a task to an idle worker; one of them must be."""
+        if not self._idle:
+            with _deaf_children(), _limited(self._threads):
+                self._idle.append(Worker(self._context))
+        worker = self._idle.pop()
+        self._busy[worker] = task
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it died: next() will find out
+            worker.connection.send((function, task))
+
+    def next(self) -> tuple[Any, str | BaseException]:
+        """The next task to finish, with its answer, or what was raised; a TorchlcError where its worker died."""
+        while True:
+            ready = wait([worker.connection for worker in self._busy])
+            worker = next(worker for worker in self._busy if worker.connection in ready)
+            try:
+                answer = worker.connection.recv()
+            except (EOFError, ConnectionResetError):
+                return self._busy.pop(worker), worker.how_it_died()
+            worker.began = True
+            if answer is not None:
+                self._idle.append(worker)
+                return self._busy.pop(worker), answer
+
+
+class Worker:
+    """One process and the campaign's end of the pair of sockets to it."""
+
+    def __init__(self, context: Any) -> None:
+        self.connection, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.began = False
+        """Whether it has said its first word, None."""
+
+    def how_it_died(self) -> TorchlcError:
+        """Raises it where the process did not even start: the next would not either."""
+        self.end()
+        if self.began:
+            return TorchlcError("every worker that tried it died, of lack of memory most likely")
+        raise TorchlcError(
+            f"a worker process did not start (exit code {self.process.exitcode}); a script that runs a campaign needs "
+            'the guard if __name__ == "__main__"'
+        )
+
+    def end(self) -> None:
+        """Wait for the process to end; kill it where it does not."""
+        self.connection.close()
+        self.process.join(GRACE_S)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+def _serve(connection: Connection) -> None:
+    """The life of a worker: tasks in, answers out, until the campaign ends or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO)
+    threading.Thread(target=_end_with_campaign, daemon=True).start()
+    connection.send(None)
+    while True:
+        try:
+            function, task = connection.recv()
+        except (EOFError, ConnectionResetError):
+            return
+        try:
+            answer: Any = function(task)
+        except Exception as error:
+            answer = error
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            connection.send(answer)
+
+
+def _leave(*_: object) -> None:
+    """Unwind, so that locks and half-written files go."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(TERMINATED)
+
+
+def _end_with_campaign() -> None:
+    """A worker whose campaign was killed ends too."""
+    campaign = multiprocessing.parent_process()
+    assert campaign is not None  # a worker has one
+    campaign.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    threading.Event().wait(GRACE_S)
+    os._exit(TERMINATED)
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes begun here do not hear Ctrl-C, which a terminal sends to all: the campaign ends them itself."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _limited(threads: int) -> Iterator[None]:
+    """Processes begun here use that many threads in the libraries below torch."""
+    before = {name: os.environ.get(name) for name in LIMITS}
+    os.environ.update(dict.fromkeys(LIMITS, str(threads)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

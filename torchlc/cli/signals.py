@@ -1,0 +1,59 @@
+"""What ends a command from outside: Ctrl-C, SIGTERM, a terminal that closes. It unwinds once, so that locks and half-written
+files go, and says what it was; no traceback, at whatever moment.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from types import FrameType
+
+INTERRUPTED, TERMINATED = 130, 143
+ENDING = ("SIGTERM", "SIGHUP")
+UNWIND_S = 5.0
+"""Within this of a signal further ones change nothing: they would break off what takes locks and partial files away."""
+Handler = Callable[[int, FrameType | None], object]
+_last = -UNWIND_S
+
+
+def leave_at_once() -> None:
+    """While the program is still being loaded nothing is there to unwind: a signal ends the process."""
+    _handle(lambda number, frame: os._exit(INTERRUPTED), lambda number, frame: os._exit(TERMINATED))
+
+
+def unwind() -> None:
+    """From here on a signal is an exception, which a command ends with."""
+    from torchlc.terminal import Terminated
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if _is_first():
+            raise KeyboardInterrupt
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        if _is_first():
+            raise Terminated(signal.Signals(number).name)
+
+    _handle(interrupt, terminate)
+
+
+def ignore() -> None:
+    """The command has said its last word: what libraries do at the end of the process is not broken off."""
+    for name in ("SIGINT", *ENDING):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
+def _handle(interrupt: Handler, terminate: Handler) -> None:
+    """Signals that this process is to ignore, as a job in a shell's background or under nohup, stay ignored."""
+    for name, handler in [("SIGINT", interrupt), *((name, terminate) for name in ENDING)]:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+def _is_first() -> bool:
+    global _last
+    before, _last = _last, time.monotonic()
+    return _last - before > UNWIND_S

@@ -1,0 +1,34 @@
+"""The rotation begins elsewhere than the scene says."""
+
+from __future__ import annotations
+
+from torchlc.parameters import Quantity
+from torchlc.stages.effect import Effect
+from torchlc.stages.showing import LABORATORY, TIME, Shown
+
+
+class StartPhase(Effect):
+    """A constant turn about the axis of spin: of each curve or night for itself where a camera of a laboratory begins elsewhere, or where
+    turns between nights are not counted.
+
+    Sun and observer stay, which a wrong clock (``time_offset``) moves. Neglects a phase that drifts, which is ``spin_rate_offset``.
+    """
+
+    name = "start_phase"
+    title = "a rotation that begins elsewhere"
+    shown = Shown(LABORATORY, TIME, {"deg": 10.0})
+    stage = "spin"
+    divisible = True
+    quantities = (
+        Quantity(
+            "deg", "deg", -180.0, 180.0, "true less assumed phase of the spin",
+            off=0.0, typical=5.0, prior="normal", mean=0.0, sigma=15.0,
+        ),
+    )  # fmt: skip
+
+    def missing(self, context):
+        return None if context.attitude.spins else "the attitude has no spin"
+
+    def spin(self, values, p, context):
+        key = next(key for key in ("attitude.spin_phase", "attitude.phase") if key in values)
+        return {**values, key: values[key] + p["deg"]}

@@ -1,0 +1,296 @@
+"""The model, with everything in it, fitted to a rotation that the light of facets suggests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.files.numbers import value_of
+from torchlc.geometry.orbit.earth import icrs_from_ecliptic
+from torchlc.geometry.rotation.attitude import epoch_seconds
+from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
+from torchlc.inference.optimiser import laplace, polish
+from torchlc.inference.rotation.connect import Connection, differences
+from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.refine import MOST_TILT, Local, free_tilts
+from torchlc.inference.rotation.tumble_refine import Tumble, advanced
+from torchlc.lightcurve.model import LightCurve
+from torchlc.parameters import EXPONENT, FRESNEL, LOBE_REFLECTANCE, REFLECTANCE, WIDTH
+from torchlc.readers import Recording, iso_times
+from torchlc.scene import Free, Scene
+from torchlc.scene.parts import Attitude
+
+NAMES = (
+    "pole_lon", "pole_lat", "period", "phase", "period_rate", "tilt_x", "tilt_y", "tilt_z",
+    "nutation", "polhode_phase", "inertia_x", "inertia_y",
+)  # fmt: skip
+MOST_DIFFUSE, MOST_LOBE = 0.6, 0.35
+"""Starting reflectances are put well inside of the triangle that they share."""
+SECOND_MOMENT = 0.9
+"""Share of the way to the edge of the possible bodies that the bounds of the moments go."""
+NUTATION_DEG = 15.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A rotation to fit the model to: a scene whose attitude is free near it, its ``numbers``, materials; ``counts``, turns
+    between passes, and ``ways``, of the angular momentum round the body; ``possible``, how many counts the phases leave, which spread the
+    numbers by ``spread`` (standard deviations); ``changing``: the period does; ``periods`` of the passes, each by itself, s, with
+    standard deviations."""
+
+    scene: Scene
+    numbers: Mapping[str, float]
+    exponents: Tensor
+    weights: Tensor
+    counts: tuple[float, ...]
+    ways: tuple[float, ...] = ()
+    changing: bool = False
+    possible: int = 1
+    complete: bool = True
+    spread: Mapping[str, float] = field(default_factory=dict)
+    likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    periods: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trial fitted: natural values ``theta`` (P,), numbers of the attitude with standard deviations, the unit pole (GCRS);
+    ``deviance``, -2 ln of the likelihood, in which trials compare also where errors are fitted, and ``rms`` of measured rows, mag."""
+
+    trial: Trial
+    theta: Tensor
+    numbers: Mapping[str, float]
+    sd: Mapping[str, float]
+    chi2: float
+    deviance: float
+    rms: float
+    pole: Tensor
+
+
+def fitted(trial: Trial, recording: Recording) -> Candidate:
+    """The model's own least squares from a trial."""
+    model = LightCurve(trial.scene, recording)
+    likelihood = Likelihood(model)
+    parameters = model.parameter_set
+    theta = parameters.start().clone()
+    _materials(model, trial, theta)
+    noise = model.noise(theta) if model.assembly.stage("noise") else None
+    moving = model.assembly.geometry_columns
+    if len(moving) < len(theta):  # the materials first, so that the attitude does not stand in for them
+        settled = polish(likelihood, theta[None], noise, iterations=12, held=moving)
+        theta = parameters.from_flat(settled.y[0])
+    best = polish(likelihood, theta[None], noise, iterations=40)
+    place = int(best.cost.argmin())
+    natural = parameters.from_flat(best.y[place])
+    with torch.no_grad():
+        chi2 = float(likelihood.chi2(natural))
+        deviance = -2 * float(likelihood.log_likelihood(natural))
+        left = (model(natural) - likelihood.observed)[likelihood.measured]
+        if likelihood.kind == "flux":
+            left = MAG_PER_LN * left / likelihood.observed[likelihood.measured]
+        rms = float(left.square().mean().sqrt())
+    low, high = parameters.flat_bounds()
+    covariance, _ = laplace(best.jacobian[place], best.y[place], low, high)
+    spread = torch.sqrt(torch.diagonal(covariance).clamp(min=0))
+    shifted = parameters.from_flat(best.y[place] + 1e-4 * spread)
+    natural_sd = ((shifted - natural).abs() / 1e-4).tolist()
+    numbers = dict(trial.numbers)
+    sd: dict[str, float] = {}
+    for name, value, width in zip(parameters.names, natural.tolist(), natural_sd, strict=True):
+        short = name.removeprefix("attitude.")
+        if name.startswith("attitude.") and short in NAMES:
+            numbers[short] = value
+            sd[short] = width
+    for name, width in trial.spread.items():
+        sd[name] = math.hypot(sd.get(name, 0.0), width)
+    return Candidate(trial, natural, numbers, sd, chi2, deviance, rms, pole_of(trial.scene, numbers))
+
+
+def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
+    """Unit vector of the pole in GCRS."""
+    lon, lat = math.radians(numbers["pole_lon"]), math.radians(numbers["pole_lat"])
+    way = torch.tensor(
+        [math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)], dtype=torch.float64
+    )
+    return torch.from_numpy(icrs_from_ecliptic()) @ way if scene.orbit.vectors == "ecliptic" else way
+
+
+def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
+    """Epoch of the states and its seconds from row 0: the scene's, if it is within a day of the rows, else the first row."""
+    seconds = epoch_seconds(scene, recording, "epoch")
+    if -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
+        return scene.attitude.epoch, seconds
+    return iso_times(recording)[0], 0.0
+
+
+def steady_trial(
+    scene: Scene,
+    recording: Recording,
+    rows: Rows,
+    local: Local,
+    one: Connection,
+    symmetry: int,
+    *,
+    changing: bool,
+    tilted: bool,
+) -> Trial:
+    """A turn about one axis with one count of turns between passes, free near it."""
+    epoch, seconds = _epoch_s(scene, recording)
+    away = seconds - one.middle
+    frequency = one.frequency + one.change * away
+    phase = one.phase + one.frequency * away + one.change * away**2 / 2
+    period = 1 / frequency / 3600
+    rate = -one.change / frequency**2 * 86400e3
+    longitude, latitude = _angles(scene, local.pole)
+    phase_deg = 360 * (phase % 1.0)
+    total = max(float(np.ptp(rows.seconds.numpy())), 1.0)
+    reach = period * min(0.03, 4 / (frequency * total))
+    values = {"pole_lon": longitude, "pole_lat": latitude, "period": period, "phase": phase_deg}
+    table: dict[str, Any] = {
+        "mode": "spin-pole",
+        "pole": _free_pole(longitude, latitude),
+        "period": Free(value=period, low=period - reach, high=period + reach),
+        "phase": Free(value=phase_deg, low=phase_deg - 180, high=phase_deg + 180),
+        "epoch": epoch,
+    }
+    if changing:
+        most = max(20.0, 3 * abs(rate))
+        values["period_rate"] = rate
+        table["period_rate"] = Free(value=rate, low=-most, high=most)
+    elif value_of(scene.attitude.period_rate):
+        values["period_rate"] = table["period_rate"] = value_of(scene.attitude.period_rate)
+    if tilted:
+        free = free_tilts(FacetLight.of(LightCurve(scene, recording).assembly))
+        tilt = [math.degrees(x) for x in local.tilt.tolist()]
+        values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
+        most = math.degrees(MOST_TILT) + 1
+        table["tilt"] = tuple(
+            Free(value=x, low=-most, high=most) if one in free else x for one, x in enumerate(tilt)
+        )
+    return Trial(
+        scene.model_copy(update={"attitude": Attitude(**table)}),
+        values,
+        local.exponents,
+        local.weights,
+        differences(one.counts, symmetry),
+        changing=changing,
+        periods=_periods(local),
+    )
+
+
+def _periods(local: Local) -> tuple[tuple[float, float], ...]:
+    """Periods of the passes, s, with standard deviations."""
+    sd = torch.sqrt(torch.diagonal(local.covariance)[: len(local.frequencies)].clamp(min=0))
+    return tuple((1 / f, s / f**2) for f, s in zip(local.frequencies.tolist(), sd.tolist(), strict=True))
+
+
+def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble) -> Trial:
+    """A free rotation, free near a state with phases at one instant."""
+    epoch, seconds = _epoch_s(scene, recording)
+    moments, nutation, long = state.moments[None], torch.tensor([state.nutation]), torch.tensor([state.long])
+    nutation, long = nutation.to(moments), long.to(moments)
+    reference = int(state.at.shape[0] > 1) * rows.longest
+    elapsed = (seconds - state.at[reference])[None].to(moments)
+    turn, way = advanced(
+        moments, nutation, long, state.turn[reference, None], state.way[reference, None], elapsed
+    )
+    x, y = float(moments[0, 0]), float(moments[0, 1])
+    quarter = 0.25 if y < x < 1 else 0.0  # from where `rigid-body` counts the phase
+    longitude, latitude = _angles(scene, state.pole)
+    values = {
+        "pole_lon": longitude,
+        "pole_lat": latitude,
+        "period": 1 / state.long / 3600,
+        "phase": 360 * ((float(turn) - quarter) % 1.0),
+        "polhode_phase": 360 * (float(way) % 1.0),
+        "nutation": math.degrees(state.nutation),
+        "inertia_x": x,
+        "inertia_y": y,
+    }
+    total = max(float(np.ptp(rows.seconds.numpy())), 1.0)
+    reach = min(0.03, 4 / (state.long * total))
+    room = SECOND_MOMENT * min(x + y - 1, 1 + y - x, 1 + x - y) / 2
+    nutation_deg, period = values["nutation"], values["period"]
+    table: dict[str, Any] = {
+        "mode": "rigid-body",
+        "pole": _free_pole(longitude, latitude),
+        "period": Free(value=period, low=period * (1 - reach), high=period * (1 + reach)),
+        "phase": Free(value=values["phase"], low=values["phase"] - 180, high=values["phase"] + 180),
+        "polhode_phase": Free(
+            value=values["polhode_phase"],
+            low=values["polhode_phase"] - 180,
+            high=values["polhode_phase"] + 180,
+        ),
+        "nutation": Free(
+            value=nutation_deg,
+            low=max(0.0, nutation_deg - NUTATION_DEG),
+            high=min(90.0, nutation_deg + NUTATION_DEG),
+        ),
+        "inertia": tuple(Free(value=one, low=one - room, high=one + room) for one in (x, y)),
+        "epoch": epoch,
+    }
+    return Trial(
+        scene.model_copy(update={"attitude": Attitude(**table)}),
+        values,
+        state.exponents,
+        state.weights,
+        tuple(turns for turns, _ in state.counts),
+        ways=tuple(ways for _, ways in state.counts),
+        possible=state.possible,
+        complete=state.complete,
+    )
+
+
+def _free_pole(longitude: float, latitude: float) -> tuple[Free, Free]:
+    return (
+        Free(value=longitude, low=longitude - 180, high=longitude + 180),
+        Free(value=latitude, prior="isotropic"),
+    )
+
+
+def _angles(scene: Scene, pole: Tensor) -> tuple[float, float]:
+    """Longitude and latitude, deg, of a unit vector (3,), GCRS, in the scene's frame."""
+    if scene.orbit.vectors == "ecliptic":
+        pole = torch.from_numpy(icrs_from_ecliptic()).T @ pole
+    longitude = math.degrees(math.atan2(float(pole[1]), float(pole[0]))) % 360
+    return longitude, math.degrees(math.asin(max(-1.0, min(1.0, float(pole[2])))))
+
+
+def _materials(model: LightCurve, trial: Trial, theta: Tensor) -> None:
+    """Reflectances and exponents of a trial put among the starting values theta (P,), where the law has such."""
+    body = FacetLight.of(model.assembly)
+    lobes = dict(zip([name for name, lobed in zip(body.names, body.lobed, strict=True) if lobed],
+                     range(sum(body.lobed)), strict=True))  # fmt: skip
+    for k, free in enumerate(model.parameter_set.free):
+        owner = free.origin.owner
+        if free.origin.role != "materials" or owner not in body.names:
+            continue
+        low, high = max(free.prior.low, 0.0), free.prior.high
+        lobe = lobes.get(owner)
+        if free.role == REFLECTANCE:
+            value, low, high = (
+                float(trial.weights[body.names.index(owner)]),
+                max(low, 0.01),
+                min(high, MOST_DIFFUSE),
+            )
+        elif lobe is None:
+            continue
+        elif free.role in (LOBE_REFLECTANCE, FRESNEL):
+            value, low, high = (
+                float(trial.weights[len(body.names) + lobe]),
+                max(low, 0.01),
+                min(high, MOST_LOBE),
+            )
+        elif free.role in (EXPONENT, WIDTH):
+            exponent = float(trial.exponents[lobe])
+            value = exponent if free.role == EXPONENT else math.sqrt(2 / exponent)
+        else:
+            continue
+        theta[k] = min(max(value, low), high)

@@ -1,0 +1,207 @@
+"""Rotations that fit, best first, and what the data say of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchlc.geometry.rotation.rigid_body import FreeRotation, frequencies
+from torchlc.inference.rotation.model_fit import Candidate
+from torchlc.inference.rotation.passes import Rows
+from torchlc.readers import Recording
+from torchlc.scene import Scene
+
+KEPT_CHI2 = 25.0
+SAME_DEG = 1.5
+SAME_PERIOD = 1e-3
+CHANGED = 16.0
+"""Fall of chi-square that a change of the period has to bring."""
+ALIKE_DEG = 12.0
+NOISY = 1.3
+"""Rms over the noise of successive rows up to which a rotation fits rows without errors."""
+
+
+@dataclass(frozen=True)
+class RotationMode:
+    """One state that fits: ``numbers`` of the attitude and ``sd`` of the free ones by name (pole deg in the scene's frame,
+    period h, phase deg, period_rate ms a day, tilt, nutation and polhode_phase deg); ``counts``, turns less those of the
+    most probable mode between passes, and ``possible``, how many counts its phases leave; ``likely``, the likeliest of these as
+    differences from that of the mode, with probabilities; ``above``, how far its -2 ln likelihood is above the best; ``rms`` of
+    the rows, mag; ``periods`` of the passes, s, each by itself, with standard deviations; ``probability`` among the modes that were found; ``mirror``, what it is of the best."""
+
+    numbers: Mapping[str, float]
+    sd: Mapping[str, float]
+    chi2: float
+    counts: tuple[float, ...]
+    probability: float
+    mirror: str | None
+    theta: Tensor
+    scene: Scene
+    possible: int = 1
+    likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    above: float = 0.0
+    rms: float = math.nan
+    periods: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def period_s(self) -> float:
+        return 3600.0 * self.numbers["period"]
+
+    @property
+    def period_sd_s(self) -> float:
+        return 3600.0 * self.sd.get("period", 0.0)
+
+    @property
+    def tumbling(self) -> bool:
+        """Whether it is a free rotation about no axis fixed in the body."""
+        return "nutation" in self.numbers
+
+    @property
+    def moments(self) -> tuple[float, float, float] | None:
+        """Moments of inertia about body x, y and z over the last, of a free rotation."""
+        return (self.numbers["inertia_x"], self.numbers["inertia_y"], 1.0) if self.tumbling else None
+
+    @property
+    def rates(self) -> FreeRotation | None:
+        """Mean rates of a free rotation, turns a second."""
+        if not self.tumbling:
+            return None
+        nutation = torch.tensor(math.radians(self.numbers["nutation"]), dtype=torch.float64)
+        moments = torch.tensor(self.moments, dtype=torch.float64)
+        return frequencies(moments, nutation, torch.tensor(self.period_s, dtype=torch.float64))
+
+
+@dataclass(frozen=True)
+class RotationSearch:
+    """Modes best first, and what was looked at. ``pole_map``: unit vectors (D, 3), GCRS, and misfits (D,) of the grid."""
+
+    modes: Sequence[RotationMode]
+    rows: int
+    dof: int
+    passes: int
+    symmetry: int
+    searched_s: tuple[float, float]
+    frequency: np.ndarray
+    power: np.ndarray
+    pole_map: tuple[np.ndarray, np.ndarray]
+    connected: bool
+    decided: bool
+    verdict: str
+    recording: Recording
+    warnings: Sequence[str] = field(default_factory=tuple)
+
+
+def apart_deg(a: Tensor, b: Tensor) -> float:
+    return math.degrees(2 * math.asin(min(1.0, float(torch.linalg.vector_norm(a - b)) / 2)))
+
+
+def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
+    """Modes within KEPT_CHI2 of the best, those of one pole and kind once. A change of the period counts only where it takes
+    CHANGED off chi-square, and so does a free rotation against one about an axis of the body."""
+    kept_kinds = list(found)
+    for simpler, richer in (
+        (lambda one: not one.trial.changing, lambda one: one.trial.changing),
+        (lambda one: not _tumbling(one), _tumbling),
+    ):
+        plain = [one.deviance for one in kept_kinds if simpler(one)]
+        rich = [one.deviance for one in kept_kinds if richer(one)]
+        if plain and rich and min(rich) > min(plain) - CHANGED:
+            kept_kinds = [one for one in kept_kinds if simpler(one)]
+    ranked = sorted(kept_kinds, key=lambda one: one.deviance)
+    kept: list[Candidate] = []
+    for one in ranked:
+        if one.deviance > ranked[0].deviance + KEPT_CHI2:
+            break
+        if all(
+            apart_deg(one.pole, other.pole) > SAME_DEG
+            or abs(one.numbers["period"] / other.numbers["period"] - 1) > SAME_PERIOD
+            or _tumbling(one) != _tumbling(other)
+            for other in kept
+        ):
+            kept.append(one)
+    if not kept:
+        return []
+    weights = np.exp(-0.5 * np.array([one.deviance - kept[0].deviance for one in kept]))
+    weights /= weights.sum()
+    base = kept[0].trial.counts
+    return [
+        RotationMode(
+            one.numbers,
+            one.sd,
+            one.chi2,
+            tuple(a - b for a, b in zip(one.trial.counts, base, strict=False)),
+            float(weight),
+            None if one is kept[0] else _mirror(one.pole, kept[0].pole, rows),
+            one.theta,
+            one.trial.scene,
+            one.trial.possible,
+            one.trial.likely,
+            one.deviance - kept[0].deviance,
+            one.rms,
+            one.trial.periods,
+        )
+        for one, weight in zip(kept, weights, strict=True)
+    ]
+
+
+def _tumbling(one: Candidate) -> bool:
+    return "nutation" in one.numbers
+
+
+def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:
+    """What a pole is of the best one, if it is a mirror image."""
+    if apart_deg(pole, -best) < ALIKE_DEG:
+        return "the opposite pole"
+    normal = torch.linalg.cross(rows.to_sun.mean(0), rows.to_observer.mean(0))
+    if float(torch.linalg.vector_norm(normal)) < 1e-6:
+        return None
+    normal = normal / torch.linalg.vector_norm(normal)
+    image = best - 2 * (best @ normal) * normal
+    if apart_deg(pole, image) < ALIKE_DEG:
+        return "the mirror image in the plane of Sun and observer"
+    if apart_deg(pole, -image) < ALIKE_DEG:
+        return "the opposite of the mirror image in the plane of Sun and observer"
+    return None
+
+
+def verdict(
+    modes: Sequence[RotationMode], dof: int, passes: int, noise: float | None = None
+) -> tuple[bool, str]:
+    """Whether the data decide, and what they say. ``noise``: that of successive rows, mag, where errors are not given."""
+    best = modes[0]
+    fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1)) if noise is None else best.rms < NOISY * noise
+    poles = [mode for mode in modes if mode.probability > 0.01]
+    period = f"one turn in {best.period_s:.6g} s"
+    if best.tumbling:
+        rates = best.rates
+        assert rates is not None
+        period = (
+            f"not about one axis: the long axis turns about the angular momentum in {best.period_s:.6g} s, and the latter "
+            f"about the body in {1 / float(rates.polhode):.6g} s"
+        )
+    if not fits:
+        return False, (
+            f"cannot tell: the best rotation found, {period}, leaves "
+            + (
+                f"chi-square {best.chi2:.0f} for {dof} degrees of freedom"
+                if noise is None
+                else f"{best.rms:.2f} mag rms where successive rows differ by {noise:.2f} mag"
+            )
+            + "; shape, materials or the kind of rotation are not those of the scene"
+        )
+    if len(poles) > 1:
+        return False, (
+            f"cannot tell: {len(poles)} rotations fit about as well, the best {period}; the table lists them"
+        )
+    if passes > 1 and best.possible > 1:
+        return False, (
+            f"{period}, but cannot tell how often it turned between the passes: {best.possible} counts fit, and the errors of period and "
+            "rate are those of all"
+        )
+    joined = "" if passes < 2 else ", the turns between the passes counted"
+    return True, f"{period}{joined}"

@@ -1,0 +1,49 @@
+"""What a search has finished, kept in a file so that a run that was killed goes on from there."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+
+T = TypeVar("T")
+
+
+class Steps:
+    """Results of the stages of one search, by name. ``path``: the file of an earlier run, read if it is of the same ``key``;
+    ``write`` puts a new one in place, given what fills it; without them nothing is kept."""
+
+    def __init__(
+        self,
+        key: str = "",
+        path: Path | None = None,
+        write: Callable[[Callable[[Path], object]], object] | None = None,
+    ) -> None:
+        self._key, self._write = key, write
+        self._known: dict[str, list[dict[str, object]]] = {}
+        if path is None or not path.exists():
+            return
+        try:
+            stored = torch.load(path, weights_only=True)
+        except (OSError, RuntimeError, EOFError, pickle.UnpicklingError):
+            return  # cut short, or of another kind: the search begins anew
+        if isinstance(stored, dict) and stored.get("key") == key:
+            self._known = stored["steps"]
+
+    @property
+    def resumed(self) -> bool:
+        """Whether stages of an earlier run are known."""
+        return bool(self._known)
+
+    def of(self, name: str, kind: type[T], make: Callable[[], Sequence[T]]) -> list[T]:
+        """The results of a stage, dataclasses of tensors, numbers and tuples: those known, or made now and kept."""
+        if name not in self._known:
+            made = list(make())
+            self._known[name] = [dict(vars(one)) for one in made]
+            if self._write is not None:
+                self._write(lambda path: torch.save({"key": self._key, "steps": self._known}, path))
+            return made
+        return [kind(**one) for one in self._known[name]]

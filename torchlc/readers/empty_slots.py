@@ -1,0 +1,142 @@
+"""Upper limits of the slots of a steady cadence in which a camera did not see the object.
+
+A pipeline that writes a row only where it found the object leaves the faint part of a turn out: what is left is bright
+by selection. Within a curve the slots between two rows are as many as fit; those in which nothing was found become rows
+that say "fainter than the limit".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import mannwhitneyu
+
+LONGEST_GAP_S = 5.0
+"""A tracker that has not seen an object for longer may have lost it: among the tracks of tumbling bodies of
+Mini-MegaTORTORA gaps are up to 3.7 s, and then 7.5 s and more."""
+FAINTEST = 0.05
+"""The limit is the median of the faintest tenth of a curve's rows. One row, the very faintest, owes its
+place to its noise."""
+FEWEST_ROWS = 20
+"""Rows of a curve below which its faintest tenth is one or none."""
+LOST_FRAMES = 0.1
+"""Share of slots that may be empty for reasons of the camera: up to 5 % in 45 curves of Mini-MegaTORTORA
+of objects that are 3 mag brighter than what it reaches, and half as much again for safety."""
+FAINTER_P = 3e-4
+"""Probability of the rank test below which the rows beside gaps are fainter than the curve's rows are: small,
+for files hold hundreds of curves. (FLTSATCOM 2, whose faint half is hidden: 1e-4.)"""
+OFF_SLOT = 0.2
+"""Of the cadence: how far a row may be from its slot."""
+STEADY = 0.95
+"""Share of a curve's rows that have to be in slots for it to have a cadence."""
+MOST_LISTED = 5
+CLOSE = 1.5
+"""Times the shortest step between rows (its 5th percentile), below which a step is one slot."""
+
+
+@dataclass(frozen=True)
+class EmptySlots:
+    """Rows to be added: ``before`` (N,), the row that each follows, ``share`` (N,), how far it is on the way to the
+    curve's next row ``after`` (N,), and ``limit`` (N,) in the recording's brightness; ``notes`` for the reader.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    share: np.ndarray
+    limit: np.ndarray
+    notes: tuple[str, ...]
+
+
+def empty_slots(
+    seconds: np.ndarray,
+    brightness: np.ndarray,
+    curve: np.ndarray,
+    curve_ids: Sequence[str],
+    unit: str,
+    *,
+    fainter: int,
+    measured: np.ndarray,
+    view: np.ndarray,
+    unusable: np.ndarray,
+    longest_gap: float = LONGEST_GAP_S,
+) -> EmptySlots:
+    """The empty slots of each ``curve`` (T,) of rows in order of time at ``seconds`` (T,).
+
+    ``fainter`` is +1 where larger numbers are fainter (magnitudes), else -1; rows that are not ``measured`` (T,) are
+    limits already. A slot is not empty if it holds a row of another curve of the same ``view`` (T,), as of another
+    camera that saw the object there, or one at ``unusable`` (M,) s, which was there and has been dropped.
+    """
+    pieces: list[tuple[np.ndarray, ...]] = []
+    unsteady: list[str] = []
+    lost: list[str] = []
+    made: list[str] = []
+    for code in np.unique(curve):
+        rows = np.flatnonzero(curve == code)
+        times, values, seen = seconds[rows], fainter * brightness[rows], measured[rows]
+        step = np.diff(times)
+        name = curve_ids[int(code)]
+        if seen.sum() < FEWEST_ROWS or not (step > 0).any():
+            continue
+        step = np.where(step > 0, step, np.inf)
+        shortest = np.percentile(step[np.isfinite(step)], 5)
+        cadence = float(np.median(step[step < CLOSE * shortest]))
+        slots = np.where(np.isfinite(step), np.round(step / cadence), 1)
+        bridged = np.isfinite(step) & (step <= longest_gap)
+        off = np.abs(step / cadence - slots)[bridged]
+        if np.mean(off < OFF_SLOT) < STEADY:
+            unsteady.append(name)
+            continue
+        gap = np.flatnonzero(bridged & (slots > 1))
+        many = slots[gap].astype(np.int64) - 1
+        inside = np.concatenate([np.arange(1, n + 1) for n in many]) if len(gap) else np.zeros(0)
+        before = np.repeat(gap, many)
+        share = inside / np.repeat(slots[gap], many)
+        at = times[before] + share * step[before]
+        meanwhile = slice(rows[0], rows[-1] + 1)
+        held = np.concatenate([seconds[meanwhile][np.isin(view[meanwhile], view[rows])], unusable])
+        free = ~_near(at, np.sort(held), 0.5 * cadence)
+        before, share = before[free], share[free]
+        if not len(before):
+            continue
+        gaps = np.unique(before)
+        edge = 0.5 * (values[gaps] + values[gaps + 1])
+        part = len(before) / (len(before) + len(rows))
+        if part <= LOST_FRAMES and mannwhitneyu(edge, values[seen], alternative="greater").pvalue > FAINTER_P:
+            lost.append(f"{len(before)} of {len(before) + len(rows)} in {name}")
+            continue
+        limit = float(fainter * np.quantile(values[seen], 1 - FAINTEST))
+        pieces.append((rows[before], rows[before + 1], share, np.full(len(before), limit)))
+        longer = int(np.sum(np.isfinite(step) & (slots > 1) & ~bridged))
+        made.append(
+            f"{len(before)} of {cadence:.3g} s in {name} at {limit:.6g}{unit}"
+            + (f" ({longer} gap{'s' * (longer > 1)} longer than {longest_gap:g} s left)" if longer else "")
+        )
+    notes = []
+    if unsteady:
+        notes.append(f"no steady cadence, so that no slot is known to be empty: {_listed(unsteady)}")
+    if lost:
+        notes.append(f"empty slots beside rows as bright as others are taken as lost frames: {_listed(lost)}")
+    if made:
+        side = "faintest" if fainter > 0 else "lowest"
+        notes.append(
+            f"empty slots are upper limits, at the median of the {side} tenth of the curve's rows: {_listed(made)}"
+        )
+    columns = (
+        [np.concatenate(column) for column in zip(*pieces, strict=True)] if pieces else [np.zeros(0)] * 4
+    )
+    return EmptySlots(
+        columns[0].astype(np.int64), columns[1].astype(np.int64), columns[2], columns[3], tuple(notes)
+    )
+
+
+def _near(at: np.ndarray, times: np.ndarray, within: float) -> np.ndarray:
+    """Which of ``at`` have one of the sorted ``times`` nearer than ``within``."""
+    first = np.searchsorted(times, at - within, side="right")
+    return (first < len(times)) & (times[np.minimum(first, len(times) - 1)] < at + within)
+
+
+def _listed(items: Sequence[str]) -> str:
+    more = len(items) - MOST_LISTED
+    return "; ".join(items[:MOST_LISTED]) + (f"; and {more} more curves" if more > 0 else "")

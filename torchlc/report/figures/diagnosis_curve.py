@@ -8,6 +8,7 @@ from torchlc.report.figures.curve import Curve
 class DiagnosisCurve(Curve):
     """Recording, the scene's model refitted, and the model with what it lacked."""
 
+    name = "curve"
     page = "diagnosis"
     section = "missing"
 

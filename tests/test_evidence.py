@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, stats
+from scipy import integrate, optimize, stats
 
 from torchlc.diagnosis.discrepancy import gains
 from torchlc.diagnosis.proof import filtered_log_density
-from torchlc.inference.evidence import StudentMixture, importance, pareto, smoothed
+from torchlc.inference.evidence import StudentMixture, importance, pareto, smoothed, tempered
 from torchlc.inference.normal_scores import NormalScores
 from torchlc.noise.outliers import Mixture
 from torchlc.parameters import Free, ParameterSet, Prior
@@ -179,7 +179,9 @@ def test_a_proposal_that_is_too_narrow_says_so_and_is_adapted():
         return -0.5 * x.square().sum(-1) - math.log(2 * math.pi)
 
     narrow = normal(2, 0.04, dof=40)
-    blind = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=0)
+    blind = importance(
+        log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=0, moving=False
+    )
     assert not blind.trusted
     seeing = importance(log_density, narrow, 2000, torch.Generator().manual_seed(1), adaptations=12)
     assert seeing.pareto_k < blind.pareto_k
@@ -277,3 +279,28 @@ def test_a_pair_with_peaked_priors_has_the_density_of_the_parameter_set():
     log_det = torch.linalg.slogdet(torch.stack(columns, -1))[1]
     density = numbers.log_prior(scores.theta(g)) + log_det + 0.5 * g.square().sum(-1) - scores.correction(g)
     assert float(density.max() - density.min()) < 1e-6
+
+
+def test_a_plateau_that_no_curvature_tells_of():
+    """A standard normal prior in four dimensions, cut off by likelihoods Phi(k (c - g)), whose integrals are closed:
+    Phi(k c / sqrt(1 + k^2)). The normal distribution about the maximum is half as wide as the plateau."""
+    k = torch.tensor([8.0, 3.0, 20.0, 8.0], dtype=torch.float64)
+    cut = torch.tensor([-1.0, -0.5, 0.5, 0.0], dtype=torch.float64)
+
+    def log_density(g):
+        prior = -0.5 * g.square().sum(-1) - 2 * math.log(2 * math.pi)
+        return prior + torch.special.log_ndtr(k * (cut - g)).sum(-1)
+
+    start = torch.zeros(4, dtype=torch.float64)
+    reached = optimize.minimize(lambda g: -float(log_density(torch.as_tensor(g)[None])[0]), start.numpy())
+    mean, covariance = torch.as_tensor(reached.x), torch.as_tensor(reached.hess_inv)
+    proposal = StudentMixture(
+        torch.stack([mean, start]),
+        torch.stack([covariance, torch.eye(4, dtype=torch.float64)]),
+        torch.log(torch.tensor([0.9, 0.1], dtype=torch.float64)),
+    )
+    exact = float(torch.special.log_ndtr(k * cut / torch.sqrt(1 + k**2)).sum())
+    for seed in range(5):
+        generator = torch.Generator().manual_seed(seed)
+        assert tempered(log_density, proposal, 2000, generator).log_z == pytest.approx(exact, abs=0.3)
+        assert importance(log_density, proposal, 2000, generator).log_z == pytest.approx(exact, abs=0.2)

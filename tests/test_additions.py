@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
-from torchlc.diagnosis.brdf_alternatives import under_other_laws
 
 import torchlc
 from tests.effects.passes import rows
@@ -24,6 +23,7 @@ from tests.paper_orbits import ORBIT_1
 from torchlc.brdf import MODELS, Brdf
 from torchlc.brdf.base import lambert, per_epoch
 from torchlc.cli import completion
+from torchlc.diagnosis.alternatives import under_other_laws
 from torchlc.effects import Effect, registry
 from torchlc.files.numbers import Size
 from torchlc.inference.likelihood import Likelihood

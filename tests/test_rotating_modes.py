@@ -16,7 +16,6 @@ from torchlc.api import usable
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import make_track
 from torchlc.geometry.rotation.attitude import Attitude, turns
-from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Scene
 
@@ -157,12 +156,18 @@ def test_the_light_is_that_of_another_program(kind):
     """Recordings of a program that integrates Euler's equations over 720 strips: at its own numbers chi-square is its
     chi-square. A phase, where it has another zero, is looked for; strips and rounded inputs are worth 0.5."""
     scene, answer = _as_answered(PRACTICE / f"rotation_{kind}")
-    likelihood = Likelihood(
-        LightCurve(scene, usable(scene, PRACTICE / f"rotation_{kind}" / "recording.ecsv"))
-    )
-    theta = likelihood.model.parameter_set.start()[None]
-    if len(likelihood.model.names):
+    recording = usable(scene, PRACTICE / f"rotation_{kind}" / "recording.ecsv")
+    model = LightCurve(scene, recording)
+
+    def chi2(theta):
+        """In magnitudes, as the program's own; the likelihood compares powers of flux, which adds up to 1 here."""
+        with torch.no_grad():
+            off = (torch.as_tensor(recording.observed) - model(theta)) / torch.as_tensor(recording.error)
+        return off.square().sum(-1)
+
+    theta = model.parameter_set.start()[None]
+    if len(model.names):
         coarse = torch.arange(0.5, 360, 1.0, dtype=torch.float64)[:, None]
-        best = coarse[likelihood.chi2(coarse).argmin()]
+        best = coarse[chi2(coarse).argmin()]
         theta = best + torch.linspace(-1, 1, 401, dtype=torch.float64)[:, None]
-    assert float(likelihood.chi2(theta).min()) == pytest.approx(answer["floor_chi2"], abs=0.5)
+    assert float(chi2(theta).min()) == pytest.approx(answer["floor_chi2"], abs=0.5)

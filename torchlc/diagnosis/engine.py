@@ -102,6 +102,8 @@ class Search:
     """Log odds of what was judged by its linear form alone."""
     invisible: set[str] = field(default_factory=set)
     """Candidates that would leave no trace in these data, whatever their numbers."""
+    begun_afresh: set[Hypothesis] = field(default_factory=set)
+    """Sets of effects that were fitted from materials of their own."""
     _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
 
     def log_odds(self, hypothesis: Hypothesis) -> float:
@@ -317,6 +319,19 @@ class Search:
                 starts.append(theta)
             if starts:
                 self.refit(one, torch.cat(starts), at, turns=1, most=1)
+
+    def afresh(self) -> None:
+        """The leading sets of effects once more from materials drawn from their priors: where the scene's own model came to a
+        wrong minimum of the materials, for want of the effect, all that grew from it may stand there."""
+        leaders = [one for one in self.ranked() if one.added and one.noise == self.robust][:2]
+        for one in leaders:
+            at = self.visited[one]
+            if one in self.begun_afresh or at.posterior.dear or not self.clock.left(0.8):
+                continue
+            self.begun_afresh.add(one)
+            generator = torch.Generator().manual_seed(one.seed + self.seed)
+            starts = material_starts(at.posterior, at.theta, STARTS, generator)
+            self.refit(one, torch.cat([at.theta[None], starts]), at)
 
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,

@@ -130,12 +130,12 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         ("odd", odd.beside, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds) for odd in search.odd
     ]
     leader = max(rows, key=lambda row: row[2])
-    stands_in = False
-    if leader[0] == "":
+    leaves = leader[0] == "odd"
+    if not leaves:
         worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
         rows.append(("odd", leader[1], leader[2] + worth))
-        several = len(leader[1].added) > 1
-        stands_in = worth > 0 and (several or share_taken(search, leader[1]) < LEAST_TAKEN)
+        leaves = worth > 0
+    stands_in = leaves and (len(leader[1].added) > 1 or share_taken(search, leader[1]) < LEAST_TAKEN)
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     nothing = noise = unknown = leftover = 0.0
     sets: dict[tuple[str, ...], float] = {}

@@ -97,7 +97,9 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     """Everything that is searched, the most telling first."""
     entries = search.bench.entries
     search.singles(entries)
+    search.afresh()
     search.sets(entries, lambda at: _gate(at, found, {}, search.seed).global_p)
+    search.afresh()
     if search.bench.laws and search.bench.recording.error is not None:
         leader = search.visited[search.leader]
         if _gate(leader, found, {}, search.seed).global_p < GROSS_P:
@@ -173,7 +175,9 @@ def _where(
             if bare.own
             else final.theta[:0]
         )
-        return locate(null, final, fitted_bare(search, final, bare.coordinates(theta)), found)
+        # rows that err as in the answer: a law with bad rows would call what is missing bad, and leave the materials alone
+        alike = search.visited.get(replace(final.hypothesis, added=()), null)
+        return locate(alike, final, fitted_bare(search, final, bare.coordinates(theta)), found)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     odd = search.strongest()
     if odd is not None and odds.verdict == "unexplained":

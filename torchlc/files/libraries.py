@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,8 @@ def arviz_library() -> ModuleType:
     """The module ``arviz``. At import it writes a file into the user's cache once a day, which a home that cannot be written
     refuses. Neither that nor what it warns of may cost a result.
     """
+    if "arviz" in sys.modules:
+        return sys.modules["arviz"]
     matplotlib_library()
     with _unheard(), tempfile.TemporaryDirectory(prefix="torchlc-") as folder:
         return _imported("arviz", {"XDG_CACHE_HOME": folder})

@@ -13,7 +13,7 @@ from torchlc.stages.showing import STAGE_TURNS, TIME, Shown
 class AxisTilt(Effect):
     """R = R0 Rot(deg e) with a constant e at right angles to the axis of spin: 1.0 mag at the glints of a cylinder for 5 deg.
 
-    The axis of spin stays where it is in space, and goes through another direction of the body, as of a rocket body whose engine moves its
+    The axis of spin stays where it is in space, and goes through another direction of the body. An example is a rocket body whose engine moves its
     principal axis off the middle of the tank. The turn about the axis itself is the phase of the spin. Neglects a motion of the
     axis in the body, which is ``nutation``.
     """

@@ -226,8 +226,8 @@ class EarthShadow(Effect):
 
     The edge of the air is hard unless the scene sets scale_height, in low orbits about 8 km: optical depth then falls as
     exp(-(z - h0) / scale_height) with the height z at which a ray passes, h0 being where it is 1. A hard edge is within
-    0.007 mag of that at GEO where a twentieth of the light is left, and up to 0.7 mag off in low orbits. refraction = 1 adds the
-    bending and spreading of light, up to 1.1 deg into the umbra. In light of another wavelength h0 lies higher or
+    0.007 mag of that at GEO where a twentieth of the light is left, and up to 0.7 mag off in low orbits. Setting refraction = 1
+    adds the bending and spreading of light, up to 1.1 deg into the umbra. In light of another wavelength h0 lies higher or
     lower by 4 scale heights times ln(550 nm / wavelength), as Rayleigh's law has it. Within an exposure the share of sunlight
     is averaged under a polynomial of the rest of the light. Neglects the change of scale_height with
     height, clouds and ozone, and twilight.

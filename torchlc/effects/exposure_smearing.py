@@ -44,10 +44,10 @@ class ExposureSmearing(Effect):
     """Mean light over the exposure, which takes s seconds about the stamp where no exptime is recorded.
 
     Each row has the Gauss-Legendre instants that it needs, in as many panels as save some: 1 while the half vector
-    moves by less than a twentieth of a lobe's width 1/sqrt(n), 2 or 3 up to one width, then one for each and 2 more.
+    moves by less than a twentieth of a lobe's width 1/sqrt(n), 2 or 3 up to one width. Beyond that, one for each width and 2 more.
     Where no free number turns the body, a lobe counts only near its glint, up to the largest n that the scene
-    allows; else everywhere, up to 1e4. Across the Earth's shadow light is a polynomial through 3 instants or more,
-    and the share of sunlight is averaged under it at as many times as the shadow's edge needs. Within 0.002 mag; where
+    allows; else everywhere, up to 1e4. Across the Earth's shadow light is a polynomial through 3 instants or more.
+    The share of sunlight is averaged under it at as many times as the shadow's edge needs. Within 0.002 mag; where
     the memory for MOST_PAIRS does not allow it, or a fit ends elsewhere than at the scene's values, a warning says how much
     is left. Where s alone is free, batches interpolate light over it (5e-4 mag at most). Neglects, in the choice of
     instants, turns that only other effects bring (wobble).

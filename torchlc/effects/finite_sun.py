@@ -56,7 +56,7 @@ class FiniteSun(Effect):
     Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. The rule is within 0.2 % up to n = 1e6 at phase angles below
     100 deg, and up to n = 1e5 at any, to 1e-3 of the peak; at n = 1e6 it is 1.5 % of the peak off at 130 deg and 15 % at
     150 deg, where the lobe is narrower than the gaps between the directions. A side of a cylinder or cone, which
-    spreads the disc along its arc, gets 23 of its own (0.2 % at n = 1e6), a sphere or dish 5, and so do meshes of more than
+    spreads the disc along its arc, gets 23 of its own (0.2 % at n = 1e6). A sphere or dish gets 5, and so do meshes of more than
     100 facets (0.6 % at n = 1e5). Where the geometry is free, pairs of facet and row far from a glint get as few as one, to
     1e-4 mag. Neglects the softening of shadow edges, 9 mm at 2 m.
     """

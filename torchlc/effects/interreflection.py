@@ -21,7 +21,7 @@ ROWS_AT_ONCE = 200
 
 
 class Interreflection(Effect):
-    """Sunlight that is reflected twice by sides of two parts, each with its lobe and its diffuse light, and diffuse
+    """Sunlight that is reflected twice by sides of two parts, each with its lobe and its diffuse light. Also diffuse
     light that is reflected any number of times within a part whose facets face each other.
 
     Up to 2 % of a box-wing's light; more than the direct light where a dihedral returns the Sun; 0.1 mag in a shallow

@@ -72,8 +72,9 @@ class NearField(Effect):
     for a camera at ten radii of the object.
 
     Distances are from the body's origin, as the object's radius over them; light is counted relative to that at the origin. Facets wider
-    than a quarter of the radius, or than a sharp lobe, are summed over points. Neglects perspective in shadows (each edge is off by up to the radius over the distance), the
-    camera's own fall-off from its axis (cos^4), and the size of lamp and lens.
+    than a quarter of the radius, or than a sharp lobe, are summed over points. Neglects perspective
+    in shadows: each edge is off by up to the radius over the distance. Neglects also the camera's own fall-off from its axis (cos^4), and the
+    size of lamp and lens.
     """
 
     name = "near_field"

@@ -26,7 +26,7 @@ class Nutation(Effect):
     tumbling cylinder that no uniform spin takes away.
 
     The free rotation of a body with an axis of symmetry (Landau and Lifshitz, Mechanics, section 33): the scene's axis of spin is the
-    direction of the angular momentum, the body's axis stays ``deg`` away from it, goes round it once a turn plus the turns of e, which
+    direction of the angular momentum. The body's axis stays ``deg`` away from it, and goes round it once a turn plus the turns of e, which
     are steady. Neglects what three different moments add, cone^2 of the cone (the attitude mode rigid-body has it), and damping.
     """
 

@@ -47,10 +47,10 @@ def central(function, theta: torch.Tensor) -> torch.Tensor:
     return torch.stack(columns, -1)
 
 
-def agree(found: torch.Tensor, expected: torch.Tensor, names) -> None:
-    """Jacobians (..., T, P) column by column, relative to the largest slope of each; a column of nothing is one of
-    less than rounding."""
-    largest = expected.abs().amax(-2, keepdim=True).clamp(min=1e-9)
+def agree(found: torch.Tensor, expected: torch.Tensor, names, terms: torch.Tensor | None = None) -> None:
+    """Jacobians (..., T, P) column by column, relative to the largest slope of each, or to the ``terms`` of which the slopes
+    are sums and which may cancel; a column of nothing is one of less than rounding."""
+    largest = (expected if terms is None else terms).abs().amax(-2, keepdim=True).clamp(min=1e-9)
     worst = ((found - expected).abs() / largest).amax(tuple(range(found.ndim - 1)))
     assert torch.isfinite(found).all()
     assert float(worst.max()) < NEAR, dict(zip(names, worst.tolist(), strict=True))
@@ -83,7 +83,8 @@ def check(model: LightCurve, theta: torch.Tensor, function=None) -> None:
     weight = torch.linspace(1.0, 2.0, batch.shape[1], dtype=theta.dtype)  # no row counts for nothing
     weight[1::2] *= -1
     pulled = torch.vmap(torch.func.grad(lambda x: (curve(x) * weight).sum()))(theta)
-    agree(pulled[:, None], torch.einsum("t,btp->bp", weight, expected)[:, None], names)
+    terms = weight[:, None] * expected
+    agree(pulled[:, None], terms.sum(1, keepdim=True), names, terms)
 
     if function is None:
         model.set_theta(theta[0])

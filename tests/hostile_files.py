@@ -103,6 +103,7 @@ def outcome(command: list[str]) -> str:
     shutil.rmtree("out", ignore_errors=True)
     Path("out").unlink(missing_ok=True)
     output, error, began = io.StringIO(), io.StringIO(), time.process_time()
+    before = _most_memory()  # a test before this one may have had more
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(error):
         code = run(command)
     said, seconds = error.getvalue(), time.process_time() - began
@@ -112,9 +113,14 @@ def outcome(command: list[str]) -> str:
         return f"exit 2, but not in one line with nothing written: {said[:200]}"
     if seconds > LONGEST_S:
         return f"{seconds:.0f} s"
-    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 > MOST_BYTES:
+    if _most_memory() - before > MOST_BYTES:
         return "more than 2 GiB"
     return "refused" if code else "done"
+
+
+def _most_memory() -> int:
+    """The most that this process has held so far, bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def attack(folder: Path, each: int) -> dict[str, Counter[str]]:

@@ -198,7 +198,7 @@ class Search:
         begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
         if starts is not None:
             begin.append(carried(parameters, starts, at.names))
-        return self.refit(hypothesis, torch.cat(begin), at, turns=1, most=2)
+        return self.refit(hypothesis, torch.cat(begin), at, turns=1)
 
     def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
         """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""

@@ -48,6 +48,8 @@ WIDE_MAG = 0.1
 magnitude: at the quoted errors every row would be an outlier there, and pull at nothing."""
 APART = 2.0
 """Standard deviations between minima that count as two."""
+UNLIKE = 0.5
+"""Standard deviations of the prior between points on their way that count as two."""
 DEPTH = 8.0
 """Log density below the best within which a minimum is kept: 1/3000 of the mass, if it is as wide."""
 TOLERANCE = 1e-5
@@ -400,7 +402,8 @@ def fit(
     g = starts
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
-        g = descend(posterior, starts, FIRST_STEPS, wide)[0][: 1 if posterior.dear else most]
+        reached = descend(posterior, starts, FIRST_STEPS, wide)[0]
+        g = reached[:1] if posterior.dear else _unlike(reached, 2 * most)
     g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps)
     leading = g[cost < cost[0] + 2 * DEPTH]
     chosen: list[Tensor] = []
@@ -416,6 +419,16 @@ def fit(
     return merged(minima)
 
 
+def _unlike(points: Tensor, count: int) -> Tensor:
+    """The first ``count`` of points (N, P), best first, that are not within UNLIKE of a better one: many starts may be on
+    their way to one minimum."""
+    chosen: list[int] = []
+    for number, point in enumerate(points):
+        if all(float((point - points[one]).abs().max()) > UNLIKE for one in chosen):
+            chosen.append(number)
+    return points[chosen[:count]]
+
+
 def merged(minima: Sequence[Fitted]) -> Fitted:
     """Minima of one hypothesis as one, led by that of most mass; those within APART of a better one are left out."""
     order = sorted(minima, key=lambda one: -one.laplace)
@@ -429,10 +442,11 @@ def merged(minima: Sequence[Fitted]) -> Fitted:
 
 
 def _distance(first: Fitted, second: Fitted) -> float:
-    """Standard deviations between two minima, along the axis where they are farthest apart."""
+    """Standard deviations of the narrower of two minima between them, along the axis where they are farthest apart: a narrow
+    one within a wide one's reach is another."""
     if not first.posterior.size:
         return 0.0
-    spread = torch.sqrt(torch.diagonal(first.covariance) + torch.diagonal(second.covariance))
+    spread = torch.minimum(torch.diagonal(first.covariance), torch.diagonal(second.covariance)).sqrt()
     return float(((first.g - second.g).abs() / spread).max())
 
 

@@ -12,7 +12,7 @@ from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
-from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
+from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import next_nights, sentence
 from torchlc.diagnosis.probabilities import Probabilities, probabilities
 from torchlc.diagnosis.probes import Probe
@@ -121,10 +121,7 @@ def _as_quoted(search: Search) -> Fitted:
 def _final(search: Search, odds: Probabilities) -> Fitted:
     """The model of the answer: the named set, the noise, or the scene's own, each at its best."""
     entries = odds.best if odds.verdict == "missing_physics" else ()
-    chosen = [one for one in search.visited if set(one.plain) == set(entries)]
-    if odds.verdict == "unexplained":
-        return search.visited[search.ranked(chosen)[0]]
-    return search.visited[search.ranked(chosen)[0]]
+    return search.best(*entries)
 
 
 def _gate(at: Fitted, found: Mapping[str, Tensor], probes: Mapping[str, Probe], seed: int) -> Gate:
@@ -160,7 +157,7 @@ def _runner_up(search: Search, odds: Probabilities) -> Fitted | None:
     rivals = [entries for entries, _ in odds.sets if entries and not named <= set(entries)]
     if not rivals:
         return None
-    return search.visited[search.ranked(one for one in search.visited if set(one.plain) == set(rivals[0]))[0]]
+    return search.best(*rivals[0])
 
 
 def _where(
@@ -169,15 +166,9 @@ def _where(
     if odds.verdict == "adequate":
         return None
     if odds.verdict == "missing_physics":
-        bare = search.posterior(replace(final.hypothesis, added=()))
-        theta = (
-            torch.stack([final.theta[final.names.index(name)] for name in bare.model.names])
-            if bare.own
-            else final.theta[:0]
-        )
         # rows that err as in the answer: a law with bad rows would call what is missing bad, and leave the materials alone
         alike = search.visited.get(replace(final.hypothesis, added=()), null)
-        return locate(alike, final, fitted_bare(search, final, bare.coordinates(theta)), found)
+        return locate(alike, final, fitted_bare(search, final), found)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     odd = search.strongest()
     if odd is not None and odds.verdict == "unexplained":
@@ -191,10 +182,12 @@ def _where(
     return Where(rows, intervals(rows, strength, null), [], *best_coordinate(strength, found, rows))
 
 
-def fitted_bare(search: Search, final: Fitted, g: Tensor) -> Fitted:
+def fitted_bare(search: Search, final: Fitted) -> Fitted:
     """The final model with its effects switched off, and everything else as it is."""
     hypothesis = replace(final.hypothesis, added=())
-    return fitted_at(hypothesis, search.posterior(hypothesis), g)
+    bare = search.posterior(hypothesis)
+    theta = carried(bare.model.parameter_set, final.theta[None], final.names)[0]
+    return fitted_at(hypothesis, bare, bare.coordinates(theta))
 
 
 def _next(search: Search, odds: Probabilities, final: Fitted, clock: Clock):

@@ -148,8 +148,9 @@ def tempered(
     """
     x = proposal.draw(draws, generator)
     log_q, log_p = proposal.log_density(x), torch.nan_to_num(log_density(x), nan=-math.inf)
+    even = torch.full_like(log_p, -math.log(draws))
     if not bool(torch.isfinite(log_p).any()):
-        return Evidence(-math.inf, math.inf, math.inf, x, torch.full_like(log_p, -math.log(draws)))
+        return Evidence(-math.inf, math.inf, math.inf, x, even)
     reached, log_z, variance, worst = 0.0, 0.0, 0.0, -math.inf
     for _ in range(MOST_STEPS):
         ratio = log_p - log_q
@@ -171,9 +172,8 @@ def tempered(
             x[half[taken]] = moved[taken]
             log_q[half[taken]], log_p[half[taken]] = moved_q[taken], moved_p[taken]
         if reached >= 1.0:
-            even = torch.full_like(log_p, -math.log(draws))
             return Evidence(log_z, math.sqrt(max(variance, 0.0)), worst, x, even)
-    return Evidence(-math.inf, math.inf, math.inf, x, torch.full_like(log_p, -math.log(draws)))
+    return Evidence(-math.inf, math.inf, math.inf, x, even)
 
 
 def _effective(log_weight: Tensor) -> float:

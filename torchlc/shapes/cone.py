@@ -43,6 +43,32 @@ class ConeKeys(RoundKeys):
     length: Size
 
 
+def ring_about(frame: np.ndarray, count: int) -> np.ndarray:
+    """Corners (count, 3) of a regular polygon in the first two directions of a frame (3, 3) with the girth of the unit circle."""
+    angle = 2 * math.pi * np.arange(count) / count
+    half = math.pi / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame[:2] * (half / math.sin(half))
+
+
+def frustum_wall(ring: Tensor, axis: Tensor, bottom: Tensor, top: Tensor, length: Tensor) -> Facets:
+    """The side from radius ``bottom`` to ``top`` over a ring (N, 3) of unit girth about ``axis`` (3,), seen from outside: N
+    facets, u up the slope."""
+    after = ring.roll(-1, dims=0)
+    low, high = -0.5 * length * axis, 0.5 * length * axis
+    side = torch.stack(
+        [bottom * ring + low, bottom * after + low, top * after + high, top * ring + high], dim=1
+    )
+    outward = torch.nn.functional.normalize(ring + after, dim=-1)
+    slant = torch.sqrt(length**2 + (bottom - top) ** 2)
+    return Facets(
+        vertices=side,
+        normal=(length * outward + (bottom - top) * axis) / slant,
+        u=(length * axis - (bottom - top) * outward) / slant,
+        area=(math.pi * (bottom + top) * slant / len(ring)).expand(len(ring)),
+        centroid=side.mean(dim=1),
+    )
+
+
 class Cone(Smooth):
     """A frustum closed by caps: "side" (u up the slope to the top), "cap+" of radius_top, "cap-" of radius.
 
@@ -88,36 +114,18 @@ class Cone(Smooth):
             flared=self.top_key != "radius",
         )
 
-    def _ring(self, count: int) -> np.ndarray:
-        """Corners (count, 3) of a regular polygon about the axis with the girth of the unit circle."""
-        angle = 2 * math.pi * np.arange(count) / count
-        half = math.pi / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ self._frame[:2] * (half / math.sin(half))
-
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
         bottom, top, length = self.sizes(values, "radius", self.top_key, "length")
-        axis, ring = like(self.axis, length), like(self._ring(self._around), length)
-        after = ring.roll(-1, dims=0)
+        axis, ring = like(self.axis, length), like(ring_about(self._frame, self._around), length)
+        wall = frustum_wall(ring, axis, bottom, top, length)
         low, high = -0.5 * length * axis, 0.5 * length * axis
-        side = torch.stack(
-            [bottom * ring + low, bottom * after + low, top * after + high, top * ring + high], dim=1
-        )
-        outward = torch.nn.functional.normalize(ring + after, dim=-1)
-        slant = torch.sqrt(length**2 + (bottom - top) ** 2)
-        wall = Facets(
-            vertices=side,
-            normal=(length * outward + (bottom - top) * axis) / slant,
-            u=(length * axis - (bottom - top) * outward) / slant,
-            area=(math.pi * (bottom + top) * slant / self._around).expand(self._around),
-            centroid=side.mean(dim=1),
-        )
         caps = [self._cap(top, high, 1.0)] * self._has_top + [self._cap(bottom, low, -1.0)]
         return joined(wall, *caps)
 
     def _cap(self, radius: Tensor, middle: Tensor, sign: float) -> Facets:
         """The disc as 12 four-cornered sectors that have the area of the disc in all."""
         sectors = HULL_SIDES // 2
-        ring = radius * like(self._ring(HULL_SIDES), radius) + middle
+        ring = radius * like(ring_about(self._frame, HULL_SIDES), radius) + middle
         first, second, third = ring[0::2], ring[1::2], ring.roll(-2, dims=0)[0::2]
         centre = middle.expand(sectors, 3)
         corners = [centre, first, second, third] if sign > 0 else [centre, third, second, first]

@@ -12,7 +12,7 @@ from pydantic import AfterValidator
 from torch import Tensor
 
 from torchlc.files.numbers import Name, Real, Size, Table, between, problem
-from torchlc.shapes.cone import HULL_SIDES, Cone, RoundKeys
+from torchlc.shapes.cone import HULL_SIDES, Cone, RoundKeys, ring_about
 from torchlc.shapes.curved import Band, Surface
 from torchlc.shapes.part import Facets, like
 from torchlc.shapes.smooth import joined
@@ -131,7 +131,7 @@ class Cylinder(Cone):
         pivot = like(self.pivot, low)
         along_low, along_high = (((end - pivot) @ axis) * axis for end in (low, high))
         radius = torch.linalg.vector_norm(low - pivot - along_low) * (math.sin(half) / half)
-        ring = radius * like(self._ring(HULL_SIDES) @ self.turn.T, low)
+        ring = radius * like(ring_about(self._frame, HULL_SIDES) @ self.turn.T, low)
         return torch.cat([ring + pivot + along_low, ring + pivot + along_high])
 
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:

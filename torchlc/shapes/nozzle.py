@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchlc.files.numbers import Constant, Direction, Name, Size, between
 from torchlc.shapes.component import Component
+from torchlc.shapes.cone import frustum_wall, ring_about
 from torchlc.shapes.curved import Band, Surface
 from torchlc.shapes.part import Facets, frame_about, like, unit
 from torchlc.shapes.smooth import Around, Smooth, joined
@@ -73,23 +74,8 @@ class Nozzle(Smooth):
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
         bottom, top, length = self.sizes(values, "radius", "radius_top", "length")
         axis = like(self.axis, length)
-        angle = 2 * math.pi * np.arange(self._around) / self._around
-        half = math.pi / self._around
-        corners = -np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ self._frame[:2]
-        ring = like((half / math.sin(half)) * corners, length)
-        after = ring.roll(-1, dims=0)
-        low, high = -0.5 * length * axis, 0.5 * length * axis
-        wall = torch.stack(
-            [bottom * ring + low, bottom * after + low, top * after + high, top * ring + high], dim=1
-        )
-        away = torch.nn.functional.normalize(ring + after, dim=-1)
-        slant = torch.sqrt(length**2 + (bottom - top) ** 2)
-        outside = Facets(
-            vertices=wall,
-            normal=(length * away + (bottom - top) * axis) / slant,
-            u=(length * axis - (bottom - top) * away) / slant,
-            area=(math.pi * (bottom + top) * slant / self._around).expand(self._around),
-            centroid=wall.mean(dim=1),
-        )
-        inside = Facets(wall.flip(1), -outside.normal, outside.u, outside.area, outside.centroid)
+        # the other way round the axis: facets inside are counted by the azimuth of their normals
+        ring = like(-ring_about(self._frame, self._around), length)
+        outside = frustum_wall(ring, axis, bottom, top, length)
+        inside = Facets(outside.vertices.flip(1), -outside.normal, outside.u, outside.area, outside.centroid)
         return joined(inside, outside)

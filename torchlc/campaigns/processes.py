@@ -11,12 +11,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from torchlc.errors import TorchlcError
+from torchlc.files.libraries import environment
 
 START_METHOD = "spawn"
 """A fresh interpreter: a fork of a process whose libraries have begun threads may hang."""
@@ -163,16 +165,6 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-@contextlib.contextmanager
-def _limited(threads: int) -> Iterator[None]:
+def _limited(threads: int) -> AbstractContextManager[None]:
     """Processes begun here use that many threads in the libraries below torch."""
-    before = {name: os.environ.get(name) for name in LIMITS}
-    os.environ.update(dict.fromkeys(LIMITS, str(threads)))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    return environment(dict.fromkeys(LIMITS, str(threads)))

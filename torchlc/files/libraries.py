@@ -36,16 +36,23 @@ def _imported(name: str, instead: Mapping[str, str]) -> ModuleType:
     try:
         return import_module(name)
     except (OSError, ValueError):
-        before = {key: os.environ.get(key) for key in instead}
-        os.environ.update(instead)
-        try:
+        with environment(instead):
             return import_module(name)
-        finally:
-            for key, value in before.items():
-                if value is None:
-                    del os.environ[key]
-                else:
-                    os.environ[key] = value
+
+
+@contextlib.contextmanager
+def environment(instead: Mapping[str, str]) -> Iterator[None]:
+    """Variables of the environment, for a while, with these values."""
+    before = {key: os.environ.get(key) for key in instead}
+    os.environ.update(instead)
+    try:
+        yield
+    finally:
+        for key, value in before.items():
+            if value is None:
+                del os.environ[key]
+            else:
+                os.environ[key] = value
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,15 +17,20 @@ def number(text: str, low: float = -math.inf, *, metavar: str = "FLOAT", show_de
     """An option that takes a finite number from ``low`` on, written as in a file: no underscores, no digits
     of other scripts.
     """
-    return typer.Option(
-        help=text, metavar=metavar, show_default=show_default, parser=partial(typed, low, math.inf)
-    )
+
+    def parser(value: Any) -> Any:  # a function of its own: typer asks a parser for its name
+        return typed(low, math.inf, value)
+
+    return typer.Option(help=text, metavar=metavar, show_default=show_default, parser=parser)
 
 
 def whole_number(text: str, low: int, high: int | None = None, *, show_default: bool = True) -> Any:
     """An option that takes a whole number from ``low`` to ``high``."""
     metavar = f"INTEGER [{low} or more]" if high is None else f"INTEGER [{low} to {high}]"
-    parser = partial(typed, low, math.inf if high is None else high, whole=True)
+
+    def parser(value: Any) -> Any:
+        return typed(low, math.inf if high is None else high, value, whole=True)
+
     return typer.Option(help=text, metavar=metavar, show_default=show_default, parser=parser)
 
 

@@ -18,8 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 
 from body import DEFAULT_EFFECTS
 from circumstances import Setup, draw
-from concealed import RECIPES, Concealed, Kind, Rng, instant, kinds, smaller_wings
+from concealed import RECIPES, Concealed, Kind, Rng, appendage, instant, kinds, smaller_wings
 from gain import gain, sized, with_effects
+from nominal import as_brought
 
 NOISE = ("jitter", "red_noise", "outliers")
 OUTSIDE = "outside the library"
@@ -47,6 +48,20 @@ PAIRS = (
     ("box", "spin_rate_offset", "appendage"), ("leo", "time_offset", "background"),
     ("fast", "exposure_smearing", "saturation"),
 )  # fmt: skip
+THREES = (
+    ("wing", "self_shadowing", "zero_point_step", "background"), ("box", "appendage", "zero_point_drift", "saturation"),
+    ("geo", "panel_offset", "background", "zero_point_step"), ("leo", "time_offset", "extinction_residual", "background"),
+)  # fmt: skip
+UNLISTED = ("flash", "cloud", "star", "cirrus", "detachment", "flexing")
+"""Truths that no effect of the library describes."""
+BROUGHT = (
+    ("panel_offset", "geo"), ("attitude_offset", "wing"), ("self_shadowing", "wing"), ("appendage", "box"),
+    ("lobe_tail", "sharp_box"), ("time_offset", "rocket"), ("time_offset", "leo"), ("zero_point_drift", "meo"),
+    ("zero_point_step", "box"), ("extinction_residual", "leo"), ("background", "wing"), ("saturation", "box"),
+    ("wobble", "box"), ("exposure_smearing", "fast"), ("panel_offset", "meo"), ("attitude_jump", "geo"),
+)  # fmt: skip
+"""Effects concealed in scenes that are only nominal, and on what object."""
+BROUGHT_CLEAN = ("geo_free", "meo", "box", "wing", "rocket", "leo")
 CONDUCTORS = (
     ("ggx", "wing", "self_shadowing"), ("ggx", "geo_free", "panel_offset"), ("ggx", "box", "time_offset"),
     ("ggx", "leo", "appendage"), ("beckmann", "wing", "self_shadowing"), ("beckmann", "geo_free", "panel_offset"),
@@ -75,6 +90,16 @@ def names() -> Iterator[str]:
                 "outside-flash", "outside-cloud")  # fmt: skip
     for law, kind, effect in CONDUCTORS:
         yield f"{law}-{kind}-{effect}-bare"
+    for _, *three in THREES:
+        yield "three-" + "-".join(three)
+    for kind in UNLISTED[2:]:
+        yield f"outside-{kind}"
+    for kind in BROUGHT_CLEAN:
+        yield f"nominal-control_{kind}"
+    for effect, kind in BROUGHT:
+        yield f"nominal-{effect}-{'as_is' if effect in ONE_SIZE else 'large'}-{kind}"
+    for kind in UNLISTED:
+        yield f"nominal-outside-{kind}"
 
 
 SUBSET = (
@@ -94,13 +119,17 @@ Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says o
 def compose(name: str, number: int, rng: Rng) -> Composed:
     """A case by its name."""
     at = kinds(number)
+    if name.startswith("nominal-"):
+        setup, concealed, said = compose(name.removeprefix("nominal-"), number, rng)
+        accepted = [said["verdict"], *(["noise_model"] if said["verdict"] == "adequate" else [])]
+        return as_brought(setup, rng), concealed, {"accepted": accepted, **said, "nominal": True}
     if name.startswith("control_"):
         kind = name.removeprefix("control_")
         return at["geo_free" if kind == "eclipse_none" else kind](rng), {}, {"verdict": "adequate"}
     first, *rest = name.split("-")
     if first in NOISE:
         return noisy(first, rest[0] == "large", at, rng)
-    special = {"two": two_effects, "wrong": wrong_scene, "outside": outside}
+    special = {"two": several_effects, "three": several_effects, "wrong": wrong_scene, "outside": outside}
     if first in LAWS:
         return other_law(first, rest, at, rng)
     if first in special:
@@ -141,8 +170,8 @@ def noisy(effect: str, large: bool, at: Mapping[str, Kind], rng: Rng) -> Compose
     return setup, {effect: parameters}, answer
 
 
-def two_effects(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
-    kind = next(k for k, *both in PAIRS if both == words)
+def several_effects(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
+    kind = next(k for k, *members in (*PAIRS, *THREES) if members == words)
     setup, concealed = at[kind](rng), {}
     for effect in words:
         _, maker, first, limits = RECIPES[effect]
@@ -197,9 +226,25 @@ def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     if words[0] == "flash":
         flash = {"period_min": draw(rng, 17.0, 40.0), "fraction": 0.8, "width": 0.04}
         return at["wing"](rng), {"flash": flash}, answer
-    setup = at["meo"](rng)
-    cloud = {"mag": 0.25, "minutes": 12.0, "time": round(instant(setup, 0.4), 3)}
-    return setup, {"cloud": cloud}, {**answer, "accepted": ["unexplained", "noise_model"]}
+    if words[0] == "cloud":
+        setup = at["meo"](rng)
+        cloud = {"mag": 0.25, "minutes": 12.0, "time": round(instant(setup, 0.4), 3)}
+        return setup, {"cloud": cloud}, {**answer, "accepted": ["unexplained", "noise_model"]}
+    if words[0] == "star":
+        setup = at["box"](rng)
+        star = {"fraction": draw(rng, 0.2, 0.5), "minutes": draw(rng, 8.0, 15.0)}
+        return setup, {"star": {**star, "time": round(instant(setup, draw(rng, 0.3, 0.7)), 3)}}, answer
+    if words[0] == "cirrus":
+        setup = at["geo"](rng)
+        cirrus = {"mag": draw(rng, 0.06, 0.12), "tau_min": draw(rng, 15.0, 30.0), "seed": int(rng.integers(1000))}
+        return setup, {"cirrus": cirrus}, {**answer, "accepted": ["unexplained", "noise_model"]}
+    if words[0] == "detachment":
+        setup = at["box"](rng)
+        plate = appendage(rng)(draw(rng, 0.8, 1.5), setup)[1]["appendage"]
+        return setup, {"detachment": {**plate, "time": round(instant(setup, draw(rng, 0.35, 0.65)), 3)}}, answer
+    setup = at["geo"](rng)
+    flexing = {"deg": draw(rng, 1.0, 2.0), "period_min": draw(rng, 30.0, 90.0)}
+    return setup, {"flexing": flexing}, answer
 
 
 def listed(setup: Setup, concealed: Concealed, rng: Rng) -> Setup:

@@ -37,6 +37,7 @@ from cases import NOISE, OUTSIDE, SUBSET, compose, listed, names
 from circumstances import Setup
 from concealed import Concealed, instant
 from gain import Baseline, truth_of
+from nominal import error_factor, loose_tangents, mishaps
 from scene_files import toml
 
 # ------------------------------------------------------------------------------------------ rivals
@@ -99,10 +100,14 @@ def probes(setup: Setup, taken: set[str]) -> Iterator[tuple[str, list[Concealed]
 
 
 def rivals(
-    baseline: Baseline, theta: sky.Array, model: sky.Array, target: sky.Array, truth: set[str]
+    baseline: Baseline,
+    theta: sky.Array,
+    model: sky.Array,
+    target: sky.Array,
+    truth: set[str],
+    tangents: sky.Array,
 ) -> dict[str, float]:
-    """Least chi2 that each effect leaves of target - model after its own and the materials' linear refit."""
-    tangents = baseline.tangents(theta)
+    """Least chi2 that each effect leaves of target - model after its own and the linear refit of what is free."""
     still = baseline.curve(theta, {})
     change = baseline.projected((target - model) / baseline.sigma, tangents)
     left: dict[str, float] = {}
@@ -157,20 +162,31 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     curve, mag = truth_of(setup, physics, seed=seed)
     error = observe.errors(mag, setup.floor)
     recorded = mag + observe.noise(setup.t, error, concealed, rng)
+    brought = bool(said.get("nominal"))
+    bad = mishaps(len(mag), rng) if brought else np.zeros(len(mag))
+    quoted = np.round(error * error_factor(rng), 4) if brought else error
 
     plain, plain_mag = truth_of(setup, {}, seed=seed)
     as_in_scene = setup.true_tree is None and setup.true_materials is None
-    as_listed = replace(setup, true_tree=None, true_materials=None)
-    baseline = Baseline(setup, error, truth_of(as_listed, {}, seed=seed)[1])
+    tree = setup.tree
+    if brought:  # the refit begins at the true geometry, and sizes and zero point join it in linear form
+        tree = {**(setup.true_tree or tree), "materials": tree["materials"]}
+    as_listed = replace(setup, tree=tree, true_tree=None, true_materials=None)
+    baseline = Baseline(as_listed, error, truth_of(as_listed, {}, seed=seed)[1])
     start = baseline.best_refit(recorded)
     left, theta, model = min(
         (baseline.refit(mag, at) for at in (start[1], baseline.truth)), key=lambda result: result[0]
     )
+    if brought:
+        tangents = loose_tangents(setup, baseline, theta)
+        change = baseline.projected((mag - model) / error, tangents)
+        left, model = float(change @ change), mag - change[: len(mag)] * error
     family, competing = [], {}
     if physics and said.get("note") != OUTSIDE:
         family = [sorted(physics), *said.get("family", [])]
-        if len(physics) == 1 and as_in_scene:
-            competing = rivals(baseline, theta, model, mag, set(physics))
+        if len(physics) == 1 and (as_in_scene or brought):
+            tangents = loose_tangents(setup, baseline, theta) if brought else baseline.tangents(theta)
+            competing = rivals(baseline, theta, model, mag, set(physics), tangents)
             family += [[effect] for effect, chi2 in competing.items() if chi2 < 4.0]
     elif set(concealed) - set(physics):
         family = [sorted(concealed)]
@@ -194,6 +210,8 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
         "note": said.get("note", ""),
         "family": family,
         "gain": round(float(np.sqrt(left)), 2),
+        "bad_rows": np.flatnonzero(bad),
+        "quoted_over_true_error": round(float(np.median(quoted / error)), 3),
         "where": {
             "intervals": observe.intervals(setup.t, changed),
             "effect_intervals": observe.intervals(setup.t, effect_rows),
@@ -228,8 +246,8 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     observe.write_recording(
         folder / "recording.ecsv",
         setup.t,
-        recorded,
-        error,
+        recorded + bad,
+        quoted,
         np.full(rows, setup.exptime),
         np.full(rows, setup.station),
     )

@@ -414,6 +414,10 @@ def photometry(curve: Curve, scene: Scene, effects: Effects) -> Array:
         flash = effects["flash"]
         cycle = np.mod((curve.t - curve.t[0]) / 60.0 / flash["period_min"] + 0.5, 1.0) - 0.5
         flux += flash["fraction"] * np.median(curve.flux) * np.exp(-0.5 * (cycle / flash["width"]) ** 2)
+    if "star" in effects:  # outside torchlc's library: in the aperture for a while
+        star = effects["star"]
+        inside = np.abs(curve.t - star["time"]) < 30.0 * star["minutes"]
+        flux += star["fraction"] * np.median(curve.flux) * inside
     if "background" in effects:
         flux += effects["background"]["fraction"] * np.median(curve.flux)
     if "saturation" in effects:
@@ -436,4 +440,12 @@ def photometry(curve: Curve, scene: Scene, effects: Effects) -> Array:
         cloud = effects["cloud"]
         since = (curve.t - cloud["time"]) / 60.0 / cloud["minutes"]
         mag = mag + cloud["mag"] * np.exp(-0.5 * (since / np.where(since < 0, 0.3, 1.0)) ** 2)
+    if "cirrus" in effects:  # outside torchlc's library: thin cloud that dims in waves, and never brightens
+        cirrus = effects["cirrus"]
+        waves = np.random.default_rng(cirrus["seed"])
+        depth = np.zeros_like(mag)
+        for _ in range(12):
+            turns = (curve.t - curve.t[0]) / 60.0 / (2 * np.pi * cirrus["tau_min"] * waves.uniform(0.3, 1.5))
+            depth += waves.standard_normal() * np.sin(2 * np.pi * (turns + waves.random()))
+        mag = mag + cirrus["mag"] * np.abs(depth) / np.sqrt(6.0)
     return mag

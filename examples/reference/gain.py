@@ -134,7 +134,26 @@ def truth_of(setup: Setup, concealed: Mapping[str, Any], **sampling: int) -> tup
     """The true curve and its noiseless magnitudes (T,)."""
     scene = setup.true_scene()
     effects = {**scene_effects(scene), **concealed}
-    curve = simulate(scene, setup.t, setup.exptime, setup.station, effects, **sampling)
+
+    def seen(more: Mapping[str, Any]) -> Curve:
+        return simulate(scene, setup.t, setup.exptime, setup.station, {**effects, **more}, **sampling)
+
+    if "detachment" in concealed:  # outside torchlc's library: a part that flies off
+        part = {key: value for key, value in concealed["detachment"].items() if key != "time"}
+        gone = setup.t > concealed["detachment"]["time"]
+        with_it, curve = seen({"appendage": part}), seen({})
+        curve.flux[~gone] = with_it.flux[~gone]
+        return curve, photometry(curve, scene, effects)
+    if "flexing" in concealed:  # outside torchlc's library: wings that swing on their hinges
+        swing = concealed["flexing"]
+        turn = 2 * np.pi * (setup.t - setup.t[0]) / 60.0 / swing["period_min"]
+        angles = swing["deg"] * np.linspace(-1, 1, 9)
+        fluxes = np.array([seen({"panel_offset": {"deg": float(angle)}}).flux for angle in angles])
+        curve = seen({})
+        for row, angle in enumerate(swing["deg"] * np.sin(turn)):
+            curve.flux[row] = np.exp(np.interp(angle, angles, np.log(np.maximum(fluxes[:, row], 1e-300))))
+        return curve, photometry(curve, scene, effects)
+    curve = seen({})
     return curve, photometry(curve, scene, effects)
 
 

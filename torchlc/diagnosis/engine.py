@@ -123,6 +123,14 @@ class Search:
         chosen = [one for one in self.visited if set(one.plain) == set(added)]
         return self.visited[self.ranked(chosen)[0]]
 
+    def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
+        """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
+        for one in (hypothesis, hypothesis.under(*self.robust)):
+            found = _sorted_as(self.visited, one)
+            if found in self.visited:
+                return found
+        return None
+
     # ------------------------------------------------------------------ noise
 
     @property

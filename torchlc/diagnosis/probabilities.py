@@ -10,6 +10,7 @@ import torch
 
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
+from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
 from torchlc.stages.effect import Entry
 
@@ -20,6 +21,8 @@ FAMILY_SHARE = 0.1
 LEAST_TAKEN, FAR = 0.5, 6.0
 """A single effect that leaves structure, more likely than not, stands in for something else unless it takes this share of
 the misfit, of which a row counts for FAR errors at most; several together bend a model to much that is none of them."""
+WEIGHED = 1e-3
+"""Probability below which it makes no difference what of a hypothesis could be seen."""
 TOLD = 0.5
 """Probability above which something is named."""
 
@@ -137,6 +140,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         leaves = worth > 0
     stands_in = leaves and (len(leader[1].added) > 1 or share_taken(search, leader[1]) < LEAST_TAKEN)
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
+    rows, weight = less_unseen(search, rows, weight)
     nothing = noise = unknown = leftover = 0.0
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
@@ -167,6 +171,26 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         kinds,
         leftover,
     )
+
+
+def less_unseen(
+    search: Search, rows: list[tuple[str, Hypothesis, float]], weight: list[float]
+) -> tuple[list[tuple[str, Hypothesis, float]], list[float]]:
+    """The same mass, where that of values of an effect which nobody could see counts for the set without it."""
+    pending = [(kind, one, log_odds, p) for (kind, one, log_odds), p in zip(rows, weight, strict=True)]
+    done: list[tuple[str, Hypothesis, float, float]] = []
+    while pending:
+        kind, one, log_odds, p = pending.pop()
+        if not kind and p > WEIGHED and one in search.visited:
+            for entry in one.added:
+                without = search.counterpart(one.without(entry))
+                if without is None:
+                    continue
+                unseen = p * unseen_share(search.visited[one], search.visited[without], entry, one.seed)
+                pending.append((kind, without, log_odds, unseen))
+                p -= unseen
+        done.append((kind, one, log_odds, p))
+    return [row[:3] for row in done], [row[3] for row in done]
 
 
 def share_taken(search: Search, hypothesis: Hypothesis) -> float:

@@ -60,6 +60,8 @@ MOST_MINIMA = 4
 PRIOR_SHARE = 0.1
 MOST_TOGETHER = 400
 """Rows that err together, up to which 1,000 covariances are factorised in some 5 s."""
+GEOMETRY_SHARE = 2
+"""What draws are divided by where each is a geometry of its own, which takes a hundred times as long."""
 LEAST_EFFECTIVE = 5.0
 """Draws on which an evidence rests at least; with fewer Laplace's method is the better guess."""
 
@@ -535,16 +537,19 @@ def _defensive(minima: Sequence[Fitted]) -> StudentMixture:
 @torch.no_grad()
 def integrated(at: Fitted, draws: int, seed: int) -> Fitted:
     """The hypothesis with its evidence by importance sampling and, where weights are not to be trusted, a tempered sequence;
-    from the linear form where a geometry is dear. Where rows err together, each draw has a covariance of its own to
-    factorise: then without the sequence, and by Laplace's method alone for curves of over MOST_TOGETHER rows."""
+    from the linear form where a geometry is dear. The sequence takes some 10,000 densities and more: it is left out where each
+    draw has a geometry of its own, or where rows err together and each has a covariance of its own to factorise; the latter by
+    Laplace's method alone for curves of over MOST_TOGETHER rows."""
     posterior, likelihood = at.posterior, at.likelihood
     together = bool(at.noise.processes)
     if not posterior.size or (together and int(torch.bincount(likelihood.curve).max()) > MOST_TOGETHER):
         return at
+    free = posterior.model.geometry_free and not posterior.dear
     density = Linear(at).log_density if posterior.dear else posterior.log_density
     minima = (at,) if posterior.dear else at.minima
     generator = torch.Generator().manual_seed(seed)
-    evidence = importance(density, _defensive(minima), draws, generator, moving=not together)
+    count = draws // GEOMETRY_SHARE if free else draws
+    evidence = importance(density, _defensive(minima), count, generator, moving=not together and not free)
     return replace(at, evidence=evidence) if evidence.effective > LEAST_EFFECTIVE else at
 
 

@@ -236,12 +236,20 @@ def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
         return setup, {"star": {**star, "time": round(instant(setup, draw(rng, 0.3, 0.7)), 3)}}, answer
     if words[0] == "cirrus":
         setup = at["geo"](rng)
-        cirrus = {"mag": draw(rng, 0.06, 0.12), "tau_min": draw(rng, 15.0, 30.0), "seed": int(rng.integers(1000))}
+        cirrus = {
+            "mag": draw(rng, 0.06, 0.12),
+            "tau_min": draw(rng, 15.0, 30.0),
+            "seed": int(rng.integers(1000)),
+        }
         return setup, {"cirrus": cirrus}, {**answer, "accepted": ["unexplained", "noise_model"]}
     if words[0] == "detachment":
         setup = at["box"](rng)
         plate = appendage(rng)(draw(rng, 0.8, 1.5), setup)[1]["appendage"]
-        return setup, {"detachment": {**plate, "time": round(instant(setup, draw(rng, 0.35, 0.65)), 3)}}, answer
+        return (
+            setup,
+            {"detachment": {**plate, "time": round(instant(setup, draw(rng, 0.35, 0.65)), 3)}},
+            answer,
+        )
     setup = at["geo"](rng)
     flexing = {"deg": draw(rng, 1.0, 2.0), "period_min": draw(rng, 30.0, 90.0)}
     return setup, {"flexing": flexing}, answer

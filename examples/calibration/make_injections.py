@@ -195,7 +195,7 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     flux_error = error * curve.flux
     accepted = said.get("accepted", [said["verdict"]])
     if said["verdict"] in ("missing_physics", "unexplained") and left < 25.0:
-        accepted = [*accepted, "adequate"]  # too weak for any diagnosis to be sure of
+        accepted = [*accepted, "adequate", *(["noise_model"] if brought else [])]  # too weak to be sure of
     answer = {
         "key": name,
         "kind": setup.kind,

@@ -74,7 +74,11 @@ def error_factor(rng: np.random.Generator) -> float:
 
 def loose_numbers(tree: dict[str, Any]) -> Iterator[tuple[list[Any], dict[str, Any]]]:
     """Where each free number of components, attitude and calibration stands in a scene's tree, and its prior."""
-    for owner in (*(("components", i) for i in range(len(tree["components"]))), ("attitude",), ("model", "parameters")):
+    for owner in (
+        *(("components", i) for i in range(len(tree["components"]))),
+        ("attitude",),
+        ("model", "parameters"),
+    ):
         table = tree
         for key in owner:
             table = table[key]

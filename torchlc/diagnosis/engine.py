@@ -50,8 +50,9 @@ PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 CLEAN_P = 0.05
 """p-value of what a set leaves above which its rivals are not grown."""
-LEAST_SCORE = 4.0
-"""Twice what a signature has to promise in log density, that an effect is added to a set for it."""
+LEAST_SCORE = 6.0
+"""Twice what a signature has to promise in log density, that an effect is added to a set for it: probed values lie apart, and
+the best may reach half as much again, the 9 below which an effect counts as not seen."""
 GROWN = 8
 BEAM = 3
 MOST_LOOKED = 6

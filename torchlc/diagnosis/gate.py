@@ -142,7 +142,9 @@ def normal_scores(at: Fitted) -> Tensor:
 def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gate:
     """The battery on a fit's residuals against draws of its null, under its noise.
 
-    Strained peaked priors count as rows of their own; how a flat one is strained says nothing.
+    Strained peaked priors count as rows of their own; how a flat one is strained says nothing. Rows that are more likely bad
+    than not count nothing: clouds make them in runs, and a run that is more than that is an event of its own
+    (:mod:`torchlc.diagnosis.discrepancy`).
     """
     basis = torch.linalg.qr(at.tangent)[0]
     rows = len(at.delta)
@@ -151,7 +153,8 @@ def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gat
     generator = torch.Generator().manual_seed(seed)
     z = torch.randn(draws, len(basis), generator=generator, dtype=at.delta.dtype)
     z = z - (z @ basis) @ basis.T
-    u, null_u = normal_scores(at)[None], z[:, :rows]
+    good = (at.outlying() < 0.5).to(z)
+    u, null_u = normal_scores(at)[None] * good, z[:, :rows] * good
     prior, null_prior = at.g[None, [index - rows for index in peaked]], z[:, peaked]
     if at.likelihood.fitted_errors:
         u, null_u = (_studentised(one, at.likelihood.curve, at.likelihood.curves) for one in (u, null_u))

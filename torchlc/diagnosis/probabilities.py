@@ -23,6 +23,8 @@ LEAST_TAKEN, FAR = 0.5, 6.0
 the misfit, of which a row counts for FAR errors at most; several together bend a model to much that is none of them."""
 WEIGHED = 1e-3
 """Probability below which it makes no difference what of a hypothesis could be seen."""
+BAD = 0.5
+"""Probability above which a row is taken as bad."""
 TOLD = 0.5
 """Probability above which something is named."""
 
@@ -194,11 +196,14 @@ def less_unseen(
 
 
 def share_taken(search: Search, hypothesis: Hypothesis) -> float:
-    """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, bad rows counted no more
-    than FAR allows."""
+    """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, of rows that are good under
+    it; of all that is squared where no errors say what excess is."""
     before, after = search.best(), search.visited[hypothesis]
-    squares = [float((one.delta / one.quoted).square().clamp(max=FAR**2).sum()) for one in (before, after)]
-    excess = squares[0] - len(before.delta)
+    good = after.outlying() < BAD
+    squares = [
+        float((one.delta / after.quoted)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
+    ]
+    excess = squares[0] - (0 if after.likelihood.fitted_errors else int(good.sum()))
     return (squares[0] - squares[1]) / excess if excess > 0 else 0.0
 
 

@@ -68,11 +68,11 @@ def diagnose(
     search.tell_unexamined()
     first_gate = _gate(_as_quoted(search), found, search.probes, seed)
     leader = search.visited[search.leader]
-    final_gate = _gate(leader, found, {}, seed)
+    final_gate = _gate(leader, found, {}, seed, level=False)
     odds = probabilities(search, final_gate.global_p)
     null, final = search.best(), _final(search, odds)
     if final is not leader:
-        final_gate = _gate(final, found, {}, seed)
+        final_gate = _gate(final, found, {}, seed, level=False)
     proof = _proof(search, odds, null, final)
     nights, advice = _next(search, odds, final, clock)
     return Diagnosis(
@@ -98,7 +98,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     entries = search.bench.entries
     search.singles(entries)
     search.afresh()
-    search.sets(entries, lambda at: _gate(at, found, {}, search.seed).global_p)
+    search.sets(entries, lambda at: _gate(at, found, {}, search.seed, level=False).global_p)
     search.afresh()
     if search.bench.laws and search.bench.recording.error is not None:
         leader = search.visited[search.leader]
@@ -124,11 +124,13 @@ def _final(search: Search, odds: Probabilities) -> Fitted:
     return search.best(*entries)
 
 
-def _gate(at: Fitted, found: Mapping[str, Tensor], probes: Mapping[str, Probe], seed: int) -> Gate:
-    """The battery on a fit's residuals under its noise."""
+def _gate(
+    at: Fitted, found: Mapping[str, Tensor], probes: Mapping[str, Probe], seed: int, level: bool = True
+) -> Gate:
+    """The battery on a fit's residuals under its noise; with their ``level``, or, where it was fitted, their structure alone."""
     signatures = {entry: one.signatures[~one.aimed] for entry, one in probes.items() if not one.aimed.all()}
     context = at.model.assembly.context
-    with_chi2 = not at.likelihood.fitted_errors
+    with_chi2 = level and not at.likelihood.fitted_errors
     return gate(at, Battery(context.seconds, at.likelihood.curve, found, signatures, with_chi2), seed)
 
 

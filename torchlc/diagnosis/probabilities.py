@@ -140,7 +140,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
         rows.append(("odd", leader[1], leader[2] + worth))
         leaves = worth > 0
-    stands_in = leaves and (len(leader[1].added) > 1 or share_taken(search, leader[1]) < LEAST_TAKEN)
+    stands_in = leaves and share_taken(search, leader[1]) < LEAST_TAKEN
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     rows, weight = less_unseen(search, rows, weight)
     nothing = noise = unknown = leftover = 0.0

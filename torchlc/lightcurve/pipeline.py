@@ -29,6 +29,7 @@ from torchlc.lightcurve.tables import (
     surfaces_on_grid,
 )
 from torchlc.pairs.discs import DiscPairs, DiscSurface
+from torchlc.pairs.still import CoveredSurface, StillPairs
 from torchlc.shapes import Facets, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.stages.effect import (
@@ -187,10 +188,10 @@ class Pipeline:
         detail: bool,
         *,
         compact: bool,
-        still: Mapping[Key, Surface | None] | None = None,
+        still: Mapping[Key, Surface | StillPairs | None] | None = None,
     ) -> Tables:
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
-        allow. ``still`` holds surfaces that are known."""
+        allow. ``still`` holds surfaces that are known, and pairs of which all but what is lit and seen is."""
         a = self.assembly
         columns = a.columns if compact else a.apart
         middle = view if a.instants is None else view.at(a.instants.middle)
@@ -202,7 +203,8 @@ class Pipeline:
         found: list[Surface | None] = []
         for key, one, patches in sorted_patches(view, detail):
             if key in still:
-                found.append(still[key])
+                known = still[key]
+                found.append(known.at(one, patches) if isinstance(known, StillPairs) else known)
             elif compact:
                 found.append(surface_of(key, one, patches, True, columns))
             else:
@@ -278,7 +280,13 @@ class Pipeline:
         """Light (..., C) of surfaces in their own light, those that discs shine on as finely as each pair asks for."""
         found: list[Tensor] = []
         middles: list[tuple[int, DiscSurface, Tensor, Tensor]] = []
+        batched = any(value.ndim for value in values.values())
         for surface in surfaces:
+            if isinstance(surface, CoveredSurface):
+                slots = len(surface.phase_angle) // surface.cover.shape[-1]
+                specular, diffuse = self.reflect(surface, values, None if row is None else row.repeat(slots))
+                found.append(surface.summed(specular + diffuse, batched))
+                continue
             specular, diffuse = self.reflect(surface, values, row)
             if not isinstance(surface, DiscSurface):
                 found.append(specular + diffuse)

@@ -321,7 +321,8 @@ class View:
 @dataclass(frozen=True)
 class Surface:
     """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if
-    its light is the Sun's; ``scale`` as of :class:`Light`."""
+    its light is the Sun's; ``scale`` as of :class:`Light`; ``tabulated_mag``, mag, what its table is out by at most where it
+    is interpolated over the exponent of a lobe."""
 
     component: str
     material: str
@@ -330,6 +331,7 @@ class Surface:
     phase_angle: Tensor
     sunlit: bool = True
     scale: str | None = None
+    tabulated_mag: float = 0.0
 
 
 @dataclass(frozen=True)

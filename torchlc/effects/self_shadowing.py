@@ -44,6 +44,12 @@ class SelfShadowing(Effect):
 
         def fractions(source):
             found = _visible(context, view, rows, source)
+            if found is None:
+                clear = source.new_ones(()).expand(rows[0], 1, 1)
+                return [
+                    None if patch.part is None else clear.expand(-1, -1, len(patch.normal))
+                    for patch in patches
+                ]
             return [None if patch.part is None else found[patch.part][..., patch.select] for patch in patches]
 
         visible = fractions(view.to_sun)
@@ -56,14 +62,12 @@ class SelfShadowing(Effect):
 
 def _visible(context, view, rows, to_sun):
     """Fractions (Q, T, F) of each part, for ``rows`` (Q, T). Only rows in which parts may meet are worked out; what was
-    worked out for an instant before is remembered."""
+    worked out for an instant before is remembered. None if there are no such rows."""
     count, each = rows
     meeting = _meeting(context, view, rows, to_sun)
-    ones = to_sun.new_ones(())
-    clear = [ones.expand(*rows, len(part.faces)) for part in context.parts]
     instants = torch.nonzero(meeting.any(-1))[:, 0].tolist() if meeting is not None else list(range(count))
     if not instants:
-        return clear
+        return None
     sun, observer = to_sun.expand(*rows, 3), view.to_observer.expand(*rows, 3)
     poses = [None if pose is None else pose.expand(*rows, 3, 3) for pose in view.poses]
 
@@ -112,10 +116,8 @@ def _visible(context, view, rows, to_sun):
         found = context.memory.recall(alone, lambda new: of([instants[k] for k in new]))
     if len(instants) == count:
         return found
-    return [
-        whole.index_put((torch.tensor(instants, device=sun.device),), one)
-        for whole, one in zip(clear, found, strict=True)
-    ]
+    place = (torch.tensor(instants, device=sun.device),)
+    return [one.new_ones(*rows, one.shape[-1]).index_put(place, one) for one in found]
 
 
 def _meeting(context, view, rows, to_sun):

@@ -502,7 +502,9 @@ def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Te
     weight = gain * points.area * (torch.minimum(points.cos_i, points.cos_r) > 0)
     found = []
     if visible is not None:
-        share = visible[:, rows].mT.expand(*points.facet.shape[:2], -1, -1)
+        share = visible.expand(-1, view.range_m.shape[-1], -1)[:, rows].mT.expand(
+            *points.facet.shape[:2], -1, -1
+        )
         weight = weight * share_near(points.apart2, surface.bump) * share.gather(2, points.facet)
         cos_i, cos_r, *bisector = _projections(patch, source, observer)
         nearest = surface.nearest(source + observer)
@@ -557,7 +559,7 @@ def _weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor
     weight = gain[:, :, None] * patch.area[:, None]
     visible = patch.visible if light.primary else patch.seen
     if visible is not None:
-        weight = weight * visible[:, rows].mT
+        weight = weight * (visible if visible.shape[1] == 1 else visible[:, rows]).mT
     return weight * (torch.minimum(cos_i, cos_r) > 0)
 
 

@@ -228,8 +228,8 @@ class Patch:
 
     ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest, with an axis B before if they differ
     within a batch; ``pose`` (Q, T, 3, 3) turns them into
-    the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
-    seen, ``seen`` (Q, T, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
+    the body frame (None: they stay). ``visible`` (Q, T or 1, F) is the fraction of the area that is sunlit and
+    seen, ``seen`` (Q, T or 1, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
     of, if they are; ``vertices`` (F, V, 3) m are their corners at rest where they are not facets ``select`` of ``part``. ``near`` and ``response`` say what differs from parallel light and from a linear detector.
     """
 

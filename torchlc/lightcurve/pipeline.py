@@ -7,7 +7,7 @@ facets, C components.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from typing import Any, TypeVar
@@ -43,7 +43,7 @@ from torchlc.stages.effect import (
     View,
 )
 from torchlc.tensors.autodiff_state import readable, transformed
-from torchlc.tensors.vectors import unit
+from torchlc.tensors.vectors import turned_back, unit
 
 WHERE = frozenset(("clock", "orbit"))
 TURNED = frozenset(("spin", "attitude"))
@@ -166,8 +166,8 @@ class Pipeline:
         for effect in a.stage("attitude"):
             rotation = effect.attitude(rotation, state, a.own(effect, values, row), context)
         range_km = torch.linalg.vector_norm(state.observer, dim=-1)
-        to_sun = torch.einsum("...ij,...i->...j", rotation, unit(state.sun))
-        to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
+        to_sun = turned_back(rotation, unit(state.sun))
+        to_observer = turned_back(rotation, state.observer / range_km[..., None])
         poses: dict[tuple[bytes, bytes] | None, Tensor] = {}  # parts that stand alike have one
         keys = []
         for part in a.shape.parts:
@@ -328,7 +328,7 @@ class Pipeline:
             if not len(which[0]):
                 continue
             member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
-            own = {name: value[member] if value.ndim else value for name, value in values.items()}
+            own = _OfMembers(values, member)
             light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))[..., 0]
             share = weight.expand(each.shape)[which]
             each = each.index_put(which, torch.lerp(each[which], light, share))
@@ -368,6 +368,23 @@ class Pipeline:
             if effect.target in (None, surface.material):
                 reflect = effect.material(reflect, surface, own, a.own(effect, values, row))
         return reflect(own)
+
+
+class _OfMembers(Mapping[str, Tensor]):
+    """Numbers () or (B,) for some members (M,) of a batch, picked where they are asked for."""
+
+    def __init__(self, values: Mapping[str, Tensor], member: Tensor) -> None:
+        self.values_of_all, self.member = values, member
+
+    def __getitem__(self, name: str) -> Tensor:
+        value = self.values_of_all[name]
+        return value[self.member] if value.ndim else value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.values_of_all)
+
+    def __len__(self) -> int:
+        return len(self.values_of_all)
 
 
 def _per_instant(values: Mapping[str, Tensor], nodes: Nodes, batch: int) -> Mapping[str, Tensor]:

@@ -122,20 +122,27 @@ class DiscPairs:
         """Table (M, D, 1) of the pairs ``which`` (indices into (B, K, T)) over the disc by one of its rules, or of all of a
         single geometry, (K T, D, 1)."""
 
+        places: dict[tuple[bool, bool], Tensor] = {}
+
         def chosen(tensor: Tensor) -> Tensor:
-            whole = tensor.expand(*tensor.shape[:-2], *self.shape)
+            whole = tensor.expand(*tensor.shape[:-1], self.shape[1])
             if which is None:
-                return whole.reshape(-1)
-            batch, *others = which
-            return whole[(batch if len(whole) > 1 else torch.zeros_like(batch), *others)]
+                return whole.expand(*whole.shape[:-2], *self.shape).reshape(-1)
+            batch, pair, row = which
+            apart = len(whole) > 1, whole.shape[-2] > 1
+            if apart not in places:
+                place = (
+                    batch * whole.shape[-2] + (pair if apart[1] else 0) if apart[0] else pair * int(apart[1])
+                )
+                places[apart] = place * self.shape[1] + row
+            return whole.reshape(-1).index_select(0, places[apart])
 
         middle, observer = (
-            torch.stack([chosen(one) for one in local], -1)
+            tuple(chosen(one) for one in local)
             for local in ((self.su, self.sv, self.ci), (self.ou, self.ov, self.cr))
         )
-        around = self.disc.around(middle, chosen(self.radius), rule, observer)
-        su, sv, ci = around.movedim(0, 1).unbind(-1)
-        ou, ov, cr = observer[:, None].unbind(-1)
+        su, sv, ci = self.disc.beside(middle, chosen(self.radius), rule, observer)
+        ou, ov, cr = (one[:, None] for one in observer)
         angles = _angles(su, sv, ci, ou, ov, cr)
         weight = chosen(self.area)[:, None] * self.disc.rules[rule][1] * (torch.minimum(ci, cr) > 0)
         return self.model.tabulate(

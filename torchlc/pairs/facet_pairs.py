@@ -19,7 +19,7 @@ from torchlc.pairs.discs import DiscPairs
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
 from torchlc.stages.effect import Columns, Light, Patch, Response, View
 from torchlc.tensors.autodiff_state import followed, readable, transformed
-from torchlc.tensors.vectors import dot
+from torchlc.tensors.vectors import dot, turned_back
 
 PAIRS_PER_CHUNK = 200_000
 """Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the
@@ -243,7 +243,7 @@ def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
     ]
     if not found:
         return None
-    joint = [column.movedim(0, 1) for column in _side_by_side(found)]
+    joint = [column.movedim(0, 1).contiguous() for column in _side_by_side(found)]
     su, sv, ci, ou, ov, cr, radius, gain, cover = joint
     area = reduce(torch.add, (patch.area.sum(-1) for patch in view.patches))
     area = area[:, None, None] if area.ndim else area
@@ -568,7 +568,7 @@ def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
     by the caller."""
     if pose is None:
         return direction
-    return torch.einsum("...ij,...i->...j", pose, direction)
+    return turned_back(pose, direction)
 
 
 def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:

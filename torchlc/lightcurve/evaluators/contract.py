@@ -120,10 +120,7 @@ class Evaluator(ABC):
         reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
-        if pairs <= MOST_SLOTS or not self.condensable(surface.material):
-            return surface
-        error = SPREAD_TABULATED_MAG if "spread" in table else TABULATED_MAG
-        return replace(surface, table=surface.model.condense(table), tabulated_mag=error)
+        return condensed(surface) if pairs > MOST_SLOTS and self.condensable(surface.material) else surface
 
     def condensable(self, material: str) -> bool:
         """Whether there is something to fit, and the material's lobe has one exponent, its own shape and a table."""
@@ -172,6 +169,14 @@ class Evaluator(ABC):
         return Brightness(
             flux, shares.reshape(*theta.shape[:-1], *shares.shape[1:]), self.assembly.components
         )
+
+
+def condensed(surface: Surface) -> Surface:
+    """A surface with a lobe with its sums tabulated over the exponent."""
+    if "log_half" not in surface.table:
+        return surface
+    error = SPREAD_TABULATED_MAG if "spread" in surface.table else TABULATED_MAG
+    return replace(surface, table=surface.model.condense(surface.table), tabulated_mag=error)
 
 
 def put(piece: Brightness, rows: Tensor, batch: int) -> Brightness:

@@ -14,7 +14,7 @@ from tests.effects.cases import PLATE, flux, material, seen_from, still, tilted
 from tests.effects.passes import BODY, CELLS, TUMBLING, WINGS, orbiting
 from tests.effects.test_finite_sun import POINTS, disc
 from tests.test_gradients import FREE_FOIL, free, tumbling
-from torchlc.effects.finite_sun import CURVED_ONCE_SPOKES, FEW_SPOKES, disc_nodes
+from torchlc.effects.finite_sun import FEW_SPOKES, disc_nodes
 from torchlc.lightcurve.evaluators.contract import TABULATED_MAG
 from torchlc.lightcurve.model import LightCurve
 from torchlc.pairs.discs import LEFT_OUT_MAG, RULE_ERRORS
@@ -62,10 +62,7 @@ def test_rules_for_the_disc_err_no_more_than_stated():
     worst of them, so that it is no idle one."""
     generator = np.random.default_rng(0)
     rules = [(np.zeros((1, 2)), np.ones(1))]
-    rules += [
-        tuple(one.numpy() for one in disc_nodes(torch.zeros((), dtype=torch.float64), spokes))
-        for spokes in (FEW_SPOKES, CURVED_ONCE_SPOKES)
-    ]
+    rules.append(tuple(one.numpy() for one in disc_nodes(torch.zeros((), dtype=torch.float64), FEW_SPOKES)))
     slopes, curvatures = 10 ** generator.uniform(-2, 1.5, 300), 10 ** generator.uniform(-4, 1.3, 300)
     azimuths = generator.uniform(0, 2 * math.pi, 300)
     for (points, weights), (factor, power) in zip(rules, RULE_ERRORS, strict=True):

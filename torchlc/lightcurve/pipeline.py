@@ -311,25 +311,29 @@ class Pipeline:
         return total if any(value.ndim for value in values.values()) else total[0]
 
     def _spread(
-        self, surface: DiscSurface, weights: Sequence[Tensor], each: Tensor, values: Mapping[str, Tensor]
+        self,
+        surface: DiscSurface,
+        weights: Sequence[tuple[int, Tensor]],
+        each: Tensor,
+        values: Mapping[str, Tensor],
     ) -> Tensor:
         """Light (B or 1, K, C) of pairs over a disc by the rules that they need (:meth:`DiscPairs.weights`), ``each`` in its
         middle. Where a transform hides which pairs need a rule, all are worked out by it."""
         pairs = surface.discs
-        for number, weight in enumerate(weights):
+        for number, (rule, weight) in enumerate(weights):
             if not readable(weight):
-                light = reduce(torch.add, self.reflect(surface.over(number, None), values, None))
+                light = reduce(torch.add, self.reflect(surface.over(rule, None), values, None))
                 each = torch.lerp(each, light.reshape(1, *pairs.shape), weight)
                 continue
             wanted = weight > 0
             if number + 1 < len(weights):
-                wanted = wanted & (weights[number + 1] < 1)
+                wanted = wanted & (weights[number + 1][1] < 1)
             which = torch.nonzero(wanted.expand(each.shape), as_tuple=True)
             if not len(which[0]):
                 continue
             member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
             own = _OfMembers(values, member)
-            light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))[..., 0]
+            light = reduce(torch.add, self.reflect(surface.over(rule, which), own, None))[..., 0]
             share = weight.expand(each.shape)[which]
             each = each.index_put(which, torch.lerp(each[which], light, share))
         return each

@@ -98,12 +98,13 @@ def test_a_glint_of_a_free_attitude_is_that_of_ten_thousand_suns(tmp_path, n):
 @pytest.mark.parametrize(
     "effects",
     [
+        ALL,
         ("panel_offset", *ALL),
         ("attitude_offset", *ALL),
         ("attitude_offset", "finite_sun", "second_material[cells]", "opposition_surge[foil]"),
         ("attitude_offset", "finite_sun", "normal_dispersion[foil]"),
     ],
-    ids=["panel", "attitude", "materials", "wrinkles"],
+    ids=["sizes", "panel", "attitude", "materials", "wrinkles"],
 )
 def test_what_is_left_out_of_the_disc_is_within_what_is_stated(effects):
     """Against tables of every point of the disc for every pair, made for each theta by itself, from n = 1 to 1e6."""

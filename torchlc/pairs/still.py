@@ -50,8 +50,11 @@ class StillPairs:
     def at(self, view: View, patches: Sequence[Patch]) -> CoveredSurface:
         """The surface with what of its planes is lit and seen in a view."""
         covers = [cover_of(view, patch, self.surface.sunlit) for patch in patches]
-        rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
-        by_plane = torch.cat([one.expand(*rows, one.shape[-1]) for one in covers], -1) @ self.facets
+        rows = covers[0].shape[:-1]
+        if any(cover.shape[:-1] != rows for cover in covers):
+            rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
+            covers = [cover.expand(*rows, cover.shape[-1]) for cover in covers]
+        by_plane = torch.cat(covers, -1) @ self.facets
         if not rows:
             cover = by_plane[self.plane][None]
         elif rows[1] == 1:

@@ -113,9 +113,7 @@ def _expanded(what: str, likelihood: torchlc.Likelihood, fixed: float, bar: floa
     points = cycle(theta + noise * sd)
     seconds = least({"call": torch.no_grad()(lambda: quick.log_prob(next(points)))}, RUNS)["call"]
     yield Result(f"{what}, expanded / fixed", seconds / fixed, f"at most {bar:g}")
-    yield Result(
-        f"{what}, expanded: largest error", quick.model.evaluator.own_error_mag, "at most 0.002", " mag"
-    )
+    yield Result(f"{what}, expanded: largest error", quick.model.evaluator.error_mag, "at most 0.002", " mag")
     yield Result(f"{what}, expanded: making it / a call of fixed geometry", made / fixed)
 
 

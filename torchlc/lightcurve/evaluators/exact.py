@@ -168,6 +168,23 @@ class ExactGeometry(Evaluator):
                         )
         return self._still[detail]
 
+    @property
+    def areas_alone(self) -> bool:
+        """True if free numbers change no more than how much area of each plane is lit and seen, and no part stands in the way
+        of another at the start: a call then costs hardly more than one of an expansion."""
+        if not self.gridded:
+            return False
+        detail = self.assembly.needs_shares
+        still = self.still_surfaces(detail)
+        with apart():
+            view = self.pipeline.view(self.values(self.parameters.start()))
+        shadowed = any(
+            one is not None and one.shape[1] > 1
+            for patch in view.patches
+            for one in (patch.visible, patch.seen)
+        )
+        return not shadowed and all(key in still for key, _, _ in sorted_patches(view, detail))
+
     def _few_pairs(self, view: View, patch: Patch) -> bool:
         """Whether a plane in all lights makes few numbers: its lobe is tabulated over its exponent, or there is one light."""
         lights = sum(len(light.direction) for light in view.lights)

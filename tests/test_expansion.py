@@ -59,19 +59,15 @@ def expanded(curve: LightCurve) -> tuple[LightCurve, torch.Tensor, torch.Tensor]
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_stated_error_holds_at_other_geometries(name):
-    """40 draws of the posterior, none of which the expansion has seen; those within its reach are off by at most 1.5 of what
-    it measured at 24 of its own, and all others by nothing."""
+    """40 draws of the posterior, none of which the expansion has seen; those within its reach are off by no more than
+    it states, and all others by nothing."""
     curve = model(name)
     other, theta, sd = expanded(curve)
     evaluator = other.evaluator
-    assert 0 < evaluator.error_mag <= MOST_MAG + 1.5e-3 * bool(evaluator.tabulated)
-    assert evaluator.own_error_mag <= MOST_MAG
+    assert 0 < evaluator.own_error_mag <= evaluator.error_mag <= MOST_MAG
     draws = theta + sd * torch.randn(
         40, len(theta), generator=torch.Generator().manual_seed(5), dtype=theta.dtype
     )
-    draws[:, [one.origin.role == "materials" for one in curve.parameter_set.free]] = theta[
-        [one.origin.role == "materials" for one in curve.parameter_set.free]
-    ]
     draws[-1] = theta + 30 * sd * torch.tensor(["r_" not in n and not n.endswith(".n") for n in curve.names])
     with torch.no_grad():
         found, expected = other.brightness(draws).flux, curve.brightness(draws).flux
@@ -81,7 +77,7 @@ def test_the_stated_error_holds_at_other_geometries(name):
     torch.testing.assert_close(found[~served], expected[~served], rtol=1e-13, atol=0)
     lit = (expected > 1e-6 * expected.max()) & served[:, None]
     error = (2.5 * torch.log10(found[lit] / expected[lit])).abs().max()
-    assert 0 < float(error) < 1.5 * max(evaluator.own_error_mag, 1e-4)
+    assert 0 < float(error) <= evaluator.error_mag
 
 
 @pytest.mark.parametrize("name", ["a panel", "a size and a panel"])

@@ -12,7 +12,7 @@ import trimesh
 
 from tests.rays import blocked, fraction_lit_and_seen, triangles_of
 from tests.test_shape import EROS, component, shape_of, sizes
-from torchlc.occlusion import visible_fractions
+from torchlc.occlusion import may_meet, visible_fractions
 from torchlc.shapes import tracking_pose
 
 F64 = torch.float64
@@ -389,3 +389,30 @@ def test_panels_side_by_side_in_one_plane_leave_each_other_alone():
         panel.centre = [0.3, 0.1, -0.2] + 1.1 * k * across
     sun, observer = directions(200, seed=27)
     assert min(seen.min() for seen in fractions(panels, sun, observer)) > 1 - 1e-6
+
+
+def test_rows_in_which_parts_cannot_meet_have_nothing_hidden():
+    """Of a box and two plates that turn, against the clipping of their polygons, along random directions; sizes are a batch
+    of two. Each of the two answers is given often enough to be wrong."""
+    parts = [
+        component("body", "box", size=[1.0, 2.0, 1.5]),
+        component("left", "plate", size=[1.0, 2.0], u=[1, 0, 0], v=[0, 1, 0], centre=[0, 7.0, 0]),
+        component("right", "plate", size=[1.5, 1.0], u=[0, 0, 1], v=[0, 1, 0], centre=[0.5, -6.0, 1.0]),
+    ]
+    shape, count = shape_of(*parts), 1500
+    values = {name: torch.stack([value, 1.6 * value]) for name, value in sizes(*parts).items()}
+    facets = [part.facets(values) for part in shape.parts]
+    sun, observer = directions(count, 3)
+    turn = tracking_pose(
+        torch.tensor([0.0, 1.0, 0.0], dtype=F64), torch.tensor([0.0, 0.0, 1.0], dtype=F64), sun
+    )
+    rows = torch.Size((2, count))
+    meeting = may_meet(shape.parts, facets, rows, (sun[None], observer[None]))
+    for size in range(2):
+        alone = [part.facets({name: value[size] for name, value in values.items()}) for part in shape.parts]
+        found = visible_fractions(shape, alone, [None, turn, turn], sun, observer)
+        hidden = (torch.cat(found, -1) < 1).any(-1)
+        assert not (hidden & ~meeting[size]).any()
+        assert hidden.sum() > 20
+        assert (~meeting[size]).sum() > 20
+    assert (meeting[1] & ~meeting[0]).any()

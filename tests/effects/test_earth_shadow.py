@@ -346,3 +346,34 @@ def test_a_free_clock_takes_the_shadow_with_it(exposure_s):
         assert state.position is not None
         place, sun = (one.reshape(-1, 3)[row].numpy() for one in (state.position, state.sun))
         assert sampled(place, sun, float(h0[which])) == pytest.approx(float(share[which, row]), abs=limit)
+
+
+@pytest.mark.parametrize(
+    ("tle", "start", "hours"), [(ORBIT_1, "2020-10-10T10:00:00", 10.0), (LOW, LOW_PASS, 0.1)]
+)
+def test_rows_that_no_offset_of_the_clock_darkens_are_known(tle, start, hours):
+    """Against the cone of half-shade behind a sphere of the polar radius, at every third second of the hour either way that an
+    offset may be: no such row is ever in it. Of a night at GEO in the season of eclipses some rows are such, and their exposures
+    need no more instants than without a shadow; a low object is in the shadow at some time of two hours."""
+    scene = orbiting(TUMBLING, tle=tle)
+    seen = rows(scene, start, hours, 300.0 if hours > 1 else 10.0, exptime=5.0)
+    model = LightCurve(scene, seen, effects=["time_offset", "earth_shadow", "exposure_smearing"])
+    (shadow,) = (effect for effect in model.effects if effect.name == "earth_shadow")
+    track, lit = make_track(scene, seen), shadow.lit.numpy()
+    darkened = np.zeros(len(seen), dtype=bool)
+    for shift in np.arange(-3602.0, 3602.1, 3.0):
+        state = track.at(shift, shift, 0.0)
+        assert state.position is not None
+        place, sun = (np.broadcast_to(one.numpy(), (len(seen), 3)) for one in (state.position, state.sun))
+        towards = unit(sun)
+        along = -(place * towards).sum(-1)
+        across = np.linalg.norm(place + along[:, None] * towards, axis=-1)
+        darkened |= (along > 0) & (across < EQUATORIAL_KM * (1 - FLATTENING) + along * SUN_RADIUS_KM / AU_KM)
+    assert not (lit & darkened).any()
+    assert darkened.any()
+    if hours > 1:
+        assert 10 < lit.sum() < len(lit) - 10
+        bare = LightCurve(scene, seen, effects=["time_offset", "exposure_smearing"])
+        instants, without = (torch.bincount(one.assembly.instants.row).numpy() for one in (model, bare))
+        assert (instants[lit] == without[lit]).all()
+        assert (instants[~lit] > without[~lit]).any()

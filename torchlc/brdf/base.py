@@ -122,7 +122,7 @@ def _less_fifth(cosine: Tensor) -> Tensor:
     """1 - (1 - c/2)^5 for c in [0, 1], with all its digits."""
     total = 0.3125 - cosine / 32
     for coefficient in (1.25, 2.5, 2.5):
-        total = torch.addcmul(cosine.new_tensor(coefficient), cosine, total, value=-1)
+        total = coefficient - cosine * total
     return cosine * total
 
 

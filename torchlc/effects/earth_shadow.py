@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -42,6 +42,9 @@ CELLS = 4
 """Cells for averaging over an exposure while the limb crosses the Sun's disc, with CELL_NODES Gauss-Legendre times each."""
 CELL_NODES = 4
 MOST_CELLS = 200
+SHIFT_STEP_S, SHIFT_BEND_KM = 60.0, 5.0
+"""Steps by which a clock is moved to see where it may bring an object into the shadow; and what the height of a ray bends by
+within one: in the lowest orbit, of 1.2e-3 rad/s and 6,500 km, by 9e-3 km/s^2 x 60^2 / 8 = 4.2 km."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,14 @@ class Limb:
             torch.atan2(cross, -(towards * r).sum(-1)),
             SUN_RADIUS_KM / distance_sun * _stretch_across(position, sun, stretch),
             (towards * r).sum(-1) > 0,
+        )
+
+    def altitude(self) -> Tensor:
+        """Height, km, (...), at which the straight ray from the lowest point of the Sun's disc passes the limb; on the day side,
+        where none does, that of the object. It is continuous."""
+        return (
+            self.distance * torch.sin((self.separation - self.radius).clamp(0.0, 0.5 * math.pi))
+            - EARTH_RADIUS_KM
         )
 
     def heights(self) -> tuple[Tensor, Tensor]:
@@ -296,8 +307,38 @@ class EarthShadow(Effect):
                 torch.full_like(exposure, context.cadence) if context.exptime is None else context.exptime
             )
         self.lit, self.dark, self.crossed = self._stands(context, exposure)
-        self.always_lit = not self.moved and bool(self.lit.all())
+        if self.moved:
+            self.lit = self._lit_whenever(context, exposure)
+        self.always_lit = bool(self.lit.all())
         return self
+
+    def _lit_whenever(self, context, exposure: Tensor) -> Tensor:
+        """Rows (T,) that are in full sunlight throughout exposures (T,) s wherever within its bounds a clock's offset puts them;
+        none if anything but clocks moves the object. Between two steps the height is allowed to fall as far below the lower end
+        as the other stands above it, and SHIFT_BEND_KM."""
+        movers = [
+            effect
+            for effect in context.effects
+            if replace(context, effects=[effect]).turned("clock", "orbit")
+        ]
+        lit = torch.ones_like(exposure, dtype=torch.bool)
+        if not all(effect.shifts_clock for effect in movers):
+            return ~lit
+        ends = [context.bounds[effect.full_name(effect.quantities[0].name)] for effect in movers]
+        low, high = (sum(end[side] for end in ends) for side in (0, 1))
+        reach = 0.5 * float(exposure.max())
+        steps = max(1, math.ceil((high - low + 2 * reach) / SHIFT_STEP_S))
+        last = None
+        for shift in np.linspace(low - reach, high + reach, steps + 1).tolist():
+            state = context.track.at(shift, shift, 0.0)
+            assert state.position is not None
+            height = Limb.seen(state.position, state.sun).altitude()
+            if last is not None:
+                lit = lit & (
+                    torch.minimum(last, height) - (height - last).abs() > self.highest + SHIFT_BEND_KM
+                )
+            last = height
+        return lit
 
     def _stands(self, context, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows (T,) that are in full sunlight and in the umbra throughout ``reach`` (T,) s, whatever the parameters are; and
@@ -356,6 +397,8 @@ class EarthShadow(Effect):
 
     def change(self, context, reach):
         lit, dark, crossed = self._stands(context, reach)
+        if self.moved:
+            lit = self.lit
         return torch.where(lit | dark, 0.0, crossed)
 
     def shade(self, sky, p, context):

@@ -49,7 +49,7 @@ class ExposureSmearing(Effect):
     allows; else everywhere, up to 1e4. Across the Earth's shadow light is a polynomial through 3 instants or more.
     The share of sunlight is averaged under it at as many times as the shadow's edge needs. Within 0.002 mag; where
     the memory for MOST_PAIRS does not allow it, or a fit ends elsewhere than at the scene's values, a warning says how much
-    is left. Where s alone is free, batches interpolate light over it (5e-4 mag at most). Neglects, in the choice of
+    is left. Where s alone is free, batches interpolate light over it (1e-3 mag at most). Neglects, in the choice of
     instants, turns that only other effects bring (wobble).
     """
 

@@ -41,12 +41,18 @@ def rings(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def disc_nodes(like: Tensor, each: Sequence[int] = SPOKES) -> tuple[Tensor, Tensor]:
     """Points (D, 2) on the disc, in radii of it, ``each`` of them on a ring, and their weights (D,), which sum to 1."""
+    points, weights = _nodes(tuple(each))
+    return torch.as_tensor(points).to(like), torch.as_tensor(weights).to(like)
+
+
+@functools.cache
+def _nodes(each: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     points, weights = [], []
     for number, (radius, weight, spokes) in enumerate(zip(*rings(len(each)), each, strict=True)):
         angle = 2 * math.pi * (np.arange(spokes) + 0.5 * (number % 2)) / spokes
         points.append(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
         weights.append(np.full(spokes, weight / spokes))
-    return torch.as_tensor(np.concatenate(points)).to(like), torch.as_tensor(np.concatenate(weights)).to(like)
+    return np.concatenate(points), np.concatenate(weights)
 
 
 class FiniteSun(Effect):

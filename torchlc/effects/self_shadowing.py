@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import torch
 
-from torchlc.occlusion import visible_fractions
+from torchlc.occlusion import may_meet, visible_fractions
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import SLOW, Shown
-from torchlc.tensors.autodiff_state import traced
+from torchlc.tensors.autodiff_state import readable, traced, transformed
 
 
 class SelfShadowing(Effect):
@@ -41,55 +41,88 @@ class SelfShadowing(Effect):
             *(pose.shape[:-2] for pose in poses),
             (count if sized else 1, 1),
         )
-        to_sun, to_observer = view.to_sun.expand(*rows, 3), view.to_observer.expand(*rows, 3)
-        turns = [None if pose is None else pose.expand(*rows, 3, 3) for pose in view.poses]
 
         def fractions(source):
-            found = _visible(context, view.facets, turns, source, to_observer)
+            found = _visible(context, view, rows, source)
+            if found is None:
+                clear = source.new_ones(()).expand(rows[0], 1, 1)
+                return [
+                    None if patch.part is None else clear.expand(-1, -1, len(patch.normal))
+                    for patch in patches
+                ]
             return [None if patch.part is None else found[patch.part][..., patch.select] for patch in patches]
 
-        visible = fractions(to_sun)
-        seen = visible if all(light.primary for light in view.lights) else fractions(to_observer)
+        visible = fractions(view.to_sun)
+        seen = visible if all(light.primary for light in view.lights) else fractions(view.to_observer)
         return tuple(
             replace(patch, visible=one, seen=other)
             for patch, one, other in zip(patches, visible, seen, strict=True)
         )
 
 
-def _visible(context, facets, poses, to_sun, to_observer):
-    """Fractions (Q, T, F) of each part; what was worked out for an instant before is remembered."""
-    count, rows = to_sun.shape[:2]
+def _visible(context, view, rows, to_sun):
+    """Fractions (Q, T, F) of each part, for ``rows`` (Q, T). Only rows in which parts may meet are worked out; what was
+    worked out for an instant before is remembered. None if there are no such rows."""
+    count, each = rows
+    meeting = _meeting(context, view, rows, to_sun)
+    instants = torch.nonzero(meeting.any(-1))[:, 0].tolist() if meeting is not None else list(range(count))
+    if not instants:
+        return None
+    sun, observer = to_sun.expand(*rows, 3), view.to_observer.expand(*rows, 3)
+    poses = [None if pose is None else pose.expand(*rows, 3, 3) for pose in view.poses]
 
-    def sized(tensor, ends, instants):
+    def sized(tensor, ends, instant):
         """What belongs to an instant, of facets that are the same in all or differ within a batch B, the last axis of Q."""
-        return tensor if tensor.ndim == ends else tensor[instants % len(tensor)]
+        return tensor if tensor.ndim == ends else tensor[instant % len(tensor)]
 
-    def of(instants):
-        turns = [None if pose is None else pose[instants].flatten(0, 1) for pose in poses]
-        shapes = [
-            replace(own, vertices=sized(own.vertices, 3, instants).repeat_interleave(rows, 0))
-            if own.vertices.ndim > 3
-            else own
-            for own in facets
-        ]
+    def of(which):
+        """Fractions (instants, T, F) at the instants ``which``."""
+        which = torch.as_tensor(which, device=sun.device)
+        if meeting is None:
+            place, row = (
+                which.repeat_interleave(each),
+                torch.arange(each, device=which.device).repeat(len(which)),
+            )
+        else:
+            place, row = torch.nonzero(meeting[which], as_tuple=True)
+        instant = which[place] if meeting is not None else place
         found = visible_fractions(
             context.shape,
-            shapes,
-            turns,
-            to_sun[instants].flatten(0, 1),
-            to_observer[instants].flatten(0, 1),
+            [
+                replace(own, vertices=sized(own.vertices, 3, instant)) if own.vertices.ndim > 3 else own
+                for own in view.facets
+            ],
+            [None if pose is None else pose[instant, row] for pose in poses],
+            sun[instant, row],
+            observer[instant, row],
         )
-        return [one.unflatten(0, (-1, rows)) for one in found]
+        if meeting is None:
+            return [one.unflatten(0, (-1, each)) for one in found]
+        blank = [one.new_ones(len(which), each, one.shape[-1]) for one in found]
+        return [whole.index_put((place, row), one) for whole, one in zip(blank, found, strict=True)]
 
     if traced():
-        return of(torch.arange(count))
-    alone = [
-        [
-            to_sun[k],
-            to_observer[k],
-            *(pose[k] for pose in poses if pose is not None),
-            *(sized(own.vertices, 3, k) for own in facets),
+        found = of(instants)
+    else:
+        alone = [
+            [
+                sun[k],
+                observer[k],
+                *(pose[k] for pose in poses if pose is not None),
+                *(sized(own.vertices, 3, k) for own in view.facets),
+            ]
+            for k in instants
         ]
-        for k in range(count)
-    ]
-    return context.memory.recall(alone, lambda new: of(torch.tensor(new)))
+        found = context.memory.recall(alone, lambda new: of([instants[k] for k in new]))
+    if len(instants) == count:
+        return found
+    place = (torch.tensor(instants, device=sun.device),)
+    return [one.new_ones(*rows, one.shape[-1]).index_put(place, one) for one in found]
+
+
+def _meeting(context, view, rows, to_sun):
+    """Rows (Q, T) in which parts may meet; None where a transform hides which they are."""
+    known = (to_sun, view.to_observer, *(own.vertices for own in view.facets))
+    if transformed() or not all(map(readable, known)):
+        return None
+    return may_meet(context.parts, view.facets, rows, (to_sun, view.to_observer))

@@ -7,7 +7,7 @@ facets, C components.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from typing import Any, TypeVar
@@ -29,6 +29,7 @@ from torchlc.lightcurve.tables import (
     surfaces_on_grid,
 )
 from torchlc.pairs.discs import DiscPairs, DiscSurface
+from torchlc.pairs.still import CoveredSurface, StillPairs
 from torchlc.shapes import Facets, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.stages.effect import (
@@ -42,7 +43,7 @@ from torchlc.stages.effect import (
     View,
 )
 from torchlc.tensors.autodiff_state import readable, transformed
-from torchlc.tensors.vectors import unit
+from torchlc.tensors.vectors import turned_back, unit
 
 WHERE = frozenset(("clock", "orbit"))
 TURNED = frozenset(("spin", "attitude"))
@@ -165,8 +166,8 @@ class Pipeline:
         for effect in a.stage("attitude"):
             rotation = effect.attitude(rotation, state, a.own(effect, values, row), context)
         range_km = torch.linalg.vector_norm(state.observer, dim=-1)
-        to_sun = torch.einsum("...ij,...i->...j", rotation, unit(state.sun))
-        to_observer = torch.einsum("...ij,...i->...j", rotation, state.observer / range_km[..., None])
+        to_sun = turned_back(rotation, unit(state.sun))
+        to_observer = turned_back(rotation, state.observer / range_km[..., None])
         poses: dict[tuple[bytes, bytes] | None, Tensor] = {}  # parts that stand alike have one
         keys = []
         for part in a.shape.parts:
@@ -187,10 +188,10 @@ class Pipeline:
         detail: bool,
         *,
         compact: bool,
-        still: Mapping[Key, Surface | None] | None = None,
+        still: Mapping[Key, Surface | StillPairs | None] | None = None,
     ) -> Tables:
         """Angles and weights of every pair of facet and instant, reduced as far as the materials' models
-        allow. ``still`` holds surfaces that are known."""
+        allow. ``still`` holds surfaces that are known, and pairs of which all but what is lit and seen is."""
         a = self.assembly
         columns = a.columns if compact else a.apart
         middle = view if a.instants is None else view.at(a.instants.middle)
@@ -202,7 +203,8 @@ class Pipeline:
         found: list[Surface | None] = []
         for key, one, patches in sorted_patches(view, detail):
             if key in still:
-                found.append(still[key])
+                known = still[key]
+                found.append(known.at(one, patches) if isinstance(known, StillPairs) else known)
             elif compact:
                 found.append(surface_of(key, one, patches, True, columns))
             else:
@@ -278,7 +280,13 @@ class Pipeline:
         """Light (..., C) of surfaces in their own light, those that discs shine on as finely as each pair asks for."""
         found: list[Tensor] = []
         middles: list[tuple[int, DiscSurface, Tensor, Tensor]] = []
+        batched = any(value.ndim for value in values.values())
         for surface in surfaces:
+            if isinstance(surface, CoveredSurface):
+                slots = len(surface.phase_angle) // surface.cover.shape[-1]
+                specular, diffuse = self.reflect(surface, values, None if row is None else row.repeat(slots))
+                found.append(surface.summed(specular + diffuse, batched))
+                continue
             specular, diffuse = self.reflect(surface, values, row)
             if not isinstance(surface, DiscSurface):
                 found.append(specular + diffuse)
@@ -303,25 +311,29 @@ class Pipeline:
         return total if any(value.ndim for value in values.values()) else total[0]
 
     def _spread(
-        self, surface: DiscSurface, weights: Sequence[Tensor], each: Tensor, values: Mapping[str, Tensor]
+        self,
+        surface: DiscSurface,
+        weights: Sequence[tuple[int, Tensor]],
+        each: Tensor,
+        values: Mapping[str, Tensor],
     ) -> Tensor:
         """Light (B or 1, K, C) of pairs over a disc by the rules that they need (:meth:`DiscPairs.weights`), ``each`` in its
         middle. Where a transform hides which pairs need a rule, all are worked out by it."""
         pairs = surface.discs
-        for number, weight in enumerate(weights):
+        for number, (rule, weight) in enumerate(weights):
             if not readable(weight):
-                light = reduce(torch.add, self.reflect(surface.over(number, None), values, None))
+                light = reduce(torch.add, self.reflect(surface.over(rule, None), values, None))
                 each = torch.lerp(each, light.reshape(1, *pairs.shape), weight)
                 continue
             wanted = weight > 0
             if number + 1 < len(weights):
-                wanted = wanted & (weights[number + 1] < 1)
+                wanted = wanted & (weights[number + 1][1] < 1)
             which = torch.nonzero(wanted.expand(each.shape), as_tuple=True)
             if not len(which[0]):
                 continue
             member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
-            own = {name: value[member] if value.ndim else value for name, value in values.items()}
-            light = reduce(torch.add, self.reflect(surface.over(number, which), own, None))[..., 0]
+            own = _OfMembers(values, member)
+            light = reduce(torch.add, self.reflect(surface.over(rule, which), own, None))[..., 0]
             share = weight.expand(each.shape)[which]
             each = each.index_put(which, torch.lerp(each[which], light, share))
         return each
@@ -360,6 +372,23 @@ class Pipeline:
             if effect.target in (None, surface.material):
                 reflect = effect.material(reflect, surface, own, a.own(effect, values, row))
         return reflect(own)
+
+
+class _OfMembers(Mapping[str, Tensor]):
+    """Numbers () or (B,) for some members (M,) of a batch, picked where they are asked for."""
+
+    def __init__(self, values: Mapping[str, Tensor], member: Tensor) -> None:
+        self.values_of_all, self.member = values, member
+
+    def __getitem__(self, name: str) -> Tensor:
+        value = self.values_of_all[name]
+        return value[self.member] if value.ndim else value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.values_of_all)
+
+    def __len__(self) -> int:
+        return len(self.values_of_all)
 
 
 def _per_instant(values: Mapping[str, Tensor], nodes: Nodes, batch: int) -> Mapping[str, Tensor]:

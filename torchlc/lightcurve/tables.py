@@ -12,6 +12,7 @@ from torch import Tensor
 from torchlc.geometry.orbit import State
 from torchlc.pairs.discs import DiscSurface
 from torchlc.pairs.facet_pairs import disc_pairs, pair_table
+from torchlc.pairs.still import CoveredSurface
 from torchlc.stages.effect import (
     Columns,
     Effect,
@@ -129,7 +130,7 @@ def by_value(view: View, record: Record) -> Record:
     return replace(record, **apart)
 
 
-def members(tables: Tables, member: Tensor, still: Iterable[Surface | None]) -> Tables:
+def members(tables: Tables, member: Tensor, still: Iterable[object]) -> Tables:
     """Tables of some geometries for rows of theta (B,), each of which has the one that ``member`` (B,) says."""
     kept = {id(surface) for surface in still}
     surfaces = [
@@ -150,6 +151,8 @@ def members(tables: Tables, member: Tensor, still: Iterable[Surface | None]) -> 
 
 
 def _of_members(surface: Surface, member: Tensor) -> Surface:
+    if isinstance(surface, CoveredSurface):
+        return surface.of(member)
     table = {name: value[member] if len(value) > 1 else value for name, value in surface.table.items()}
     phase = surface.phase_angle
     chosen = replace(surface, table=table, phase_angle=phase[member] if phase.ndim > 1 else phase)

@@ -14,9 +14,10 @@ from torch import Tensor
 from torchlc.occlusion.batched_rows import rowwise
 from torchlc.occlusion.polygons import polygon_fractions
 from torchlc.occlusion.rays import ray_fractions
+from torchlc.occlusion.reach import may_meet
 from torchlc.shapes import Facets, Shape
 
-__all__ = ["visible_fractions"]
+__all__ = ["may_meet", "visible_fractions"]
 
 
 def visible_fractions(

@@ -23,8 +23,9 @@ from torchlc.stages.effect import Disc, Surface
 LEFT_OUT, LEFT_OUT_MAG = 5e-6, 1e-4
 """Share of a row's light that the lobes of its pairs may leave out together, and what is stated, mag: cosines and Fresnel's
 factor curve over the disc too, by some times r^2 = 2e-5. A tenth of the share costs a tenth more."""
-RULE_ERRORS = ((0.12, 2.0), (0.0026, 4.0), (5.5e-5, 4.0))
-"""A and p of a rule's error for the middle of the disc, for one ring of 5 points, and for two rings of 5 and 8."""
+RULE_ERRORS = ((0.12, 2.0), (0.0026, 4.0))
+"""A and p of a rule's error for the middle of the disc and for one ring of 5 points, its first rule. What needs more gets the
+finest: pairs that another rule between them would serve are too few to be worth its passes."""
 KINK = 0.25
 """Mean of the smaller of 0 and a disc's coordinate, in radii of it: what the middle leaves out at the kink of min(mu0, mu)."""
 FADING = 4.0
@@ -79,18 +80,20 @@ class DiscPairs:
         columns = (one.flatten(-2)[..., None, :] for one in vars(angles).values())
         return self.model.tabulate(Incidence(*columns), weight.flatten(-2)[..., None, :])
 
-    def weights(self, specular: Tensor, brightest: Tensor, variance: Tensor | None) -> list[Tensor]:
-        """For each of the disc's rules, how far a pair goes over to it from the one before, the first of which is the middle:
-        (B or 1, K, T) each, 0 to 1. They are continuous, so that light is, and a difference finds its slope.
+    def weights(
+        self, specular: Tensor, brightest: Tensor, variance: Tensor | None
+    ) -> list[tuple[int, Tensor]]:
+        """The disc's first and finest rule, and how far a pair goes over to it from the one before, which for the first is the
+        middle: (B or 1, K, T) each, 0 to 1. They are continuous, so that light is, and a difference finds its slope.
 
         specular (B or 1, K, T): lobe light of the middle as of :meth:`middle`; brightest (B or 1, T): light of the row;
         variance (B or 1, 1, 1): of the narrowest lobe that the material has, rad^2, None if it is not known.
         """
         ci, cr, radius = self.ci, self.cr, self.radius
-        count = len(self.disc.rules)
+        rules = dict.fromkeys((0, len(self.disc.rules) - 1))
         there = (ci > -radius) & (cr > 0) & (self.share.detach() > 0)
         if variance is None:
-            return [there.to(ci)] * count
+            return [(rule, there.to(ci)) for rule in rules]
         across_u, across_v = self.su + self.ou, self.sv + self.ov
         across, ahead = across_u.square() + across_v.square(), (ci + cr).clamp(min=1e-15)
         tan2 = across / ahead.square()
@@ -105,9 +108,9 @@ class DiscPairs:
         kink = kink * _faded(KINK * specular * radius / torch.maximum(ci, radius) / allowed)
         finest = torch.maximum(horizon, kink)
         found = []
-        for factor, power in RULE_ERRORS[:count]:
+        for rule, (factor, power) in zip(rules, RULE_ERRORS, strict=False):
             error = light * (factor * square ** (power / 2)).clamp(max=1.0)
-            found.append(torch.where(there, torch.maximum(finest, _faded(error / allowed)), 0.0))
+            found.append((rule, torch.where(there, torch.maximum(finest, _faded(error / allowed)), 0.0)))
         return found
 
     def of_columns(self, columns: Tensor, which: tuple[Tensor, ...] | None) -> Tensor:
@@ -122,20 +125,27 @@ class DiscPairs:
         """Table (M, D, 1) of the pairs ``which`` (indices into (B, K, T)) over the disc by one of its rules, or of all of a
         single geometry, (K T, D, 1)."""
 
+        places: dict[tuple[bool, bool], Tensor] = {}
+
         def chosen(tensor: Tensor) -> Tensor:
-            whole = tensor.expand(*tensor.shape[:-2], *self.shape)
+            whole = tensor.expand(*tensor.shape[:-1], self.shape[1])
             if which is None:
-                return whole.reshape(-1)
-            batch, *others = which
-            return whole[(batch if len(whole) > 1 else torch.zeros_like(batch), *others)]
+                return whole.expand(*whole.shape[:-2], *self.shape).reshape(-1)
+            batch, pair, row = which
+            apart = len(whole) > 1, whole.shape[-2] > 1
+            if apart not in places:
+                place = (
+                    batch * whole.shape[-2] + (pair if apart[1] else 0) if apart[0] else pair * int(apart[1])
+                )
+                places[apart] = place * self.shape[1] + row
+            return whole.reshape(-1).index_select(0, places[apart])
 
         middle, observer = (
-            torch.stack([chosen(one) for one in local], -1)
+            tuple(chosen(one) for one in local)
             for local in ((self.su, self.sv, self.ci), (self.ou, self.ov, self.cr))
         )
-        around = self.disc.around(middle, chosen(self.radius), rule, observer)
-        su, sv, ci = around.movedim(0, 1).unbind(-1)
-        ou, ov, cr = observer[:, None].unbind(-1)
+        su, sv, ci = self.disc.beside(middle, chosen(self.radius), rule, observer)
+        ou, ov, cr = (one[:, None] for one in observer)
         angles = _angles(su, sv, ci, ou, ov, cr)
         weight = chosen(self.area)[:, None] * self.disc.rules[rule][1] * (torch.minimum(ci, cr) > 0)
         return self.model.tabulate(

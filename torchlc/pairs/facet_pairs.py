@@ -19,7 +19,7 @@ from torchlc.pairs.discs import DiscPairs
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
 from torchlc.stages.effect import Columns, Light, Patch, Response, View
 from torchlc.tensors.autodiff_state import followed, readable, transformed
-from torchlc.tensors.vectors import dot
+from torchlc.tensors.vectors import dot, turned_back
 
 PAIRS_PER_CHUNK = 200_000
 """Pairs of facet and instant held at once while a table is made: a few megabytes, which stay in the
@@ -51,7 +51,7 @@ def pair_table(
         patches = [_as_one(patch) for patch in patches]
     if not compact:
         gridded = _gridded(view, patches)
-        return None if gridded is None else _tabulated(model, gridded)
+        return None if gridded is None else tabulated(model, gridded)
     if columns is None:
         own = torch.arange(view.to_observer.shape[1])
         columns = Columns(own, own, own, own)
@@ -63,9 +63,9 @@ def pair_table(
     if model.additive:
         sums = [_summed(view, patches, rows, columns.of[rows]) for rows in cuts]
         return {name: torch.cat([table[name] for table in sums], -1) for name in sums[0]}
-    pieces = [_packed(view, patches, rows, columns.of[rows]) for rows in cuts]
+    pieces = [packed(view, patches, rows, columns.of[rows]) for rows in cuts]
     pairs = joined(pieces, EMPTY)
-    return _tabulated(model, _deduplicated(pairs)) if len(pairs[-1]) else None
+    return tabulated(model, _deduplicated(pairs)) if len(pairs[-1]) else None
 
 
 def _as_one(patch: Patch) -> Patch:
@@ -150,7 +150,7 @@ def _summed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -
     }
 
 
-def _tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tensor]:
+def tabulated(model: type[Brdf], columns: tuple[Tensor, ...]) -> dict[str, Tensor]:
     table = model.tabulate(Incidence(*columns[:ANGLES]), columns[-1])
     return table if model.additive or len(columns) == ANGLES + 1 else {**table, "spread": columns[ANGLES]}
 
@@ -243,7 +243,7 @@ def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
     ]
     if not found:
         return None
-    joint = [column.movedim(0, 1) for column in _side_by_side(found)]
+    joint = [column.movedim(0, 1).contiguous() for column in _side_by_side(found)]
     su, sv, ci, ou, ov, cr, radius, gain, cover = joint
     area = reduce(torch.add, (patch.area.sum(-1) for patch in view.patches))
     area = area[:, None, None] if area.ndim else area
@@ -295,14 +295,14 @@ def _sides(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]:
     for patch in patches:
         turned = followed(patch.normal) or followed(patch.u)
         if turned or transformed() or patch.normal.ndim > 2 or not readable(patch.normal):
-            found.append(Sides(patch.pose, patch.normal, patch.u, _cover(view, patch, primary), None))
+            found.append(Sides(patch.pose, patch.normal, patch.u, cover_of(view, patch, primary), None))
         else:
             groups.setdefault(id(patch.pose), []).append(patch)
     for alike in groups.values():
         normal, ahead = _signed(torch.cat([patch.normal for patch in alike]))
         u, _ = _signed(torch.cat([patch.u for patch in alike]))
         planes, member = torch.unique(torch.cat([normal, u], 1), dim=0, return_inverse=True)
-        covers = [_cover(view, patch, primary) for patch in alike]
+        covers = [cover_of(view, patch, primary) for patch in alike]
         rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
         cover = torch.cat([one.expand(*rows, one.shape[-1]) for one in covers], -1)
         front, back = (
@@ -320,7 +320,7 @@ def _signed(vectors: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(lead > 0, vectors, -vectors) + 0.0, lead[:, 0] > 0
 
 
-def _cover(view: View, patch: Patch, primary: bool) -> Tensor:
+def cover_of(view: View, patch: Patch, primary: bool) -> Tensor:
     """What facets count, (F,), or (Q, T or 1, F) where it is not the same at all instants."""
     visible = patch.visible if primary else patch.seen
     area = patch.area
@@ -378,7 +378,7 @@ def _by_plane(view: View, cover: Tensor) -> Tensor:
     return view.apart(cover, 1)[:, None] if cover.ndim == 3 else cover[:, None, None, None, None]
 
 
-def _packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> tuple[Tensor, ...]:
+def packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) -> tuple[Tensor, ...]:
     """The columns of :func:`_gridded` for a few rows, without the pairs of no weight: (slots of the busiest
     column, columns), each row being of a ``column`` (rows,)."""
     column = column - column[0]
@@ -502,7 +502,9 @@ def _about(view: View, patch: Patch, light: Light, rows: slice) -> list[tuple[Te
     weight = gain * points.area * (torch.minimum(points.cos_i, points.cos_r) > 0)
     found = []
     if visible is not None:
-        share = visible[:, rows].mT.expand(*points.facet.shape[:2], -1, -1)
+        share = visible.expand(-1, view.range_m.shape[-1], -1)[:, rows].mT.expand(
+            *points.facet.shape[:2], -1, -1
+        )
         weight = weight * share_near(points.apart2, surface.bump) * share.gather(2, points.facet)
         cos_i, cos_r, *bisector = _projections(patch, source, observer)
         nearest = surface.nearest(source + observer)
@@ -557,7 +559,7 @@ def _weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor
     weight = gain[:, :, None] * patch.area[:, None]
     visible = patch.visible if light.primary else patch.seen
     if visible is not None:
-        weight = weight * visible[:, rows].mT
+        weight = weight * (visible if visible.shape[1] == 1 else visible[:, rows]).mT
     return weight * (torch.minimum(cos_i, cos_r) > 0)
 
 
@@ -566,7 +568,7 @@ def _into(pose: Tensor | None, direction: Tensor) -> Tensor:
     by the caller."""
     if pose is None:
         return direction
-    return torch.einsum("...ij,...i->...j", pose, direction)
+    return turned_back(pose, direction)
 
 
 def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:

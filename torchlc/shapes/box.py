@@ -111,7 +111,7 @@ class Box(Part):
             normal=like(self._normal, size),
             u=like(self._u, size),
             area=(size.roll(-1, -1) * size.roll(-2, -1))[..., self._along] * like(self._share, size),
-            centroid=vertices.mean(dim=-2),
+            centroid=like(self._vertices.mean(axis=1), size) * size[..., None, :],
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:

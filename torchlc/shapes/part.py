@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -107,6 +107,7 @@ class Part(ABC):
         self.name: str = component.name
         self.pivot = np.array([number(x) for x in component.centre])
         self.turn = turn_matrix([number(x) for x in component.rotation])
+        self.upright = bool((self.turn == np.eye(3)).all())
         self.faces: tuple[str, ...] = ()
         self.materials: tuple[str, ...] = ()
         self.whole: Mapping[str, int] = {}
@@ -125,7 +126,10 @@ class Part(ABC):
     def facets(self, values: Mapping[str, Tensor]) -> Facets:
         """Facets in the body frame before any turn to the Sun, from values "<component>.size_x" and so on."""
         rest = self.at_rest(values)
-        turn, pivot = like(self.turn, rest.area), like(self.pivot, rest.area)
+        pivot = like(self.pivot, rest.area)
+        if self.upright:
+            return replace(rest, vertices=rest.vertices + pivot, centroid=rest.centroid + pivot)
+        turn = like(self.turn, rest.area)
         return Facets(
             vertices=rest.vertices @ turn.mT + pivot,
             normal=rest.normal @ turn.mT,

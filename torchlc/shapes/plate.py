@@ -81,7 +81,7 @@ class Plate(Part):
             normal=like(self._normal, size),
             u=axes[:1].expand(2, 3),
             area=size.prod(-1, keepdim=True).expand(*size.shape[:-1], 2),
-            centroid=vertices.mean(dim=-2),
+            centroid=torch.zeros_like(vertices[..., 0, :]),
         )
 
     def hull_corners(self, facets: Facets) -> Tensor:

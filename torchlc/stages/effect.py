@@ -57,6 +57,8 @@ STAGES = (
 )  # fmt: skip
 PARALLEL = 1e-12
 """Square of the sine of an angle below which two directions have no direction across them."""
+Directions = tuple[Tensor, ...]
+"""Three components of unit vectors."""
 LARGEST_MEMORY = 400 * 2**20
 MANY_FACETS = 100
 UNRESOLVED = 1e7
@@ -172,6 +174,31 @@ class Disc:
         spread = middle + (x * first + y * second) * radius[..., None]
         return spread / torch.linalg.vector_norm(spread, dim=-1, keepdim=True)
 
+    def beside(
+        self, middle: Directions, radius: Tensor, rule: int, towards: Directions
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What :meth:`around` gives, component by component, (M, D) each, for directions whose components (M,) lie apart."""
+        along = middle[0] * towards[0] + middle[1] * towards[1] + middle[2] * towards[2]
+        first = tuple(t - along * m for t, m in zip(towards, middle, strict=True))
+        square = first[0].square() + first[1].square() + first[2].square()
+        parallel = square <= PARALLEL
+        if not readable(parallel) or bool(parallel.any()):
+            whole = torch.stack(middle, -1)
+            other = torch.linalg.cross(whole, least_axis(whole)).unbind(-1)
+            first = tuple(torch.where(parallel, o, f) for o, f in zip(other, first, strict=True))
+            square = first[0].square() + first[1].square() + first[2].square()
+        scale = radius / torch.sqrt(square)
+        a, b, c = (scale * f for f in first)
+        x, y, z = middle
+        second = y * c - z * b, z * a - x * c, x * b - y * a
+        points, _ = self.rules[rule]
+        place = torch.cat([torch.ones_like(points[:, :1]), points], -1).mT
+        shorter = torch.rsqrt(1 + radius.square()[:, None] * points.square().sum(-1))
+        su, sv, sn = (
+            (torch.stack(each, -1) @ place) * shorter for each in zip(middle, (a, b, c), second, strict=True)
+        )
+        return su, sv, sn
+
     def spread(self, light: Light, rule: int) -> Light:
         """Each source (L, Q, T) of a light as the points of a disc, (D L, Q, T)."""
         direction = self.around(light.direction, self.radius, rule)
@@ -228,8 +255,8 @@ class Patch:
 
     ``normal``, ``u`` (F, 3) and ``area`` (F,), m2, are given at rest, with an axis B before if they differ
     within a batch; ``pose`` (Q, T, 3, 3) turns them into
-    the body frame (None: they stay). ``visible`` (Q, T, F) is the fraction of the area that is sunlit and
-    seen, ``seen`` (Q, T, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
+    the body frame (None: they stay). ``visible`` (Q, T or 1, F) is the fraction of the area that is sunlit and
+    seen, ``seen`` (Q, T or 1, F) that is seen (None: 1). ``surface`` is the plane or curved surface that the facets are pieces
     of, if they are; ``vertices`` (F, V, 3) m are their corners at rest where they are not facets ``select`` of ``part``. ``near`` and ``response`` say what differs from parallel light and from a linear detector.
     """
 
@@ -321,7 +348,8 @@ class View:
 @dataclass(frozen=True)
 class Surface:
     """A patch with its table for the material stage: ``phase_angle`` (T,) rad, at mid-exposure; ``sunlit`` if
-    its light is the Sun's; ``scale`` as of :class:`Light`."""
+    its light is the Sun's; ``scale`` as of :class:`Light`; ``tabulated_mag``, mag, what its table is out by at most where it
+    is interpolated over the exponent of a lobe."""
 
     component: str
     material: str
@@ -330,6 +358,7 @@ class Surface:
     phase_angle: Tensor
     sunlit: bool = True
     scale: str | None = None
+    tabulated_mag: float = 0.0
 
 
 @dataclass(frozen=True)

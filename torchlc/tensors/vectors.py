@@ -15,6 +15,14 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
+def turned_back(rotation: Tensor, vector: Tensor) -> Tensor:
+    """R^T v (..., 3) of rotations (..., 3, 3) and vectors (..., 3) that broadcast, row by row: a product of many small matrices
+    takes several times as long."""
+    x, y, z = (vector[..., i : i + 1] for i in range(3))
+    first = rotation[..., 0, :] * x
+    return torch.addcmul(torch.addcmul(first, rotation[..., 1, :], y), rotation[..., 2, :], z)
+
+
 def unit(vector: Tensor) -> Tensor:
     """Directions (..., 3) of vectors (..., 3)."""
     return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)

@@ -20,8 +20,9 @@ MOST_SLOTS = 12
 """Pairs a row beyond which a lobe is tabulated over its exponent instead of summed at every call. For a cylinder of
 384 facets under a Sun with a disc, the tabulation costs as much as the table of pairs that it replaces, or as 130
 calls that sum them."""
-TABULATED_MAG = 1.5e-3
-"""What a lobe that is tabulated over its exponent is out by at most."""
+TABULATED_MAG, SPREAD_TABULATED_MAG = 7e-5, 1.5e-3
+"""What a lobe that is tabulated over its exponent is out by at most: 1e-7 for each unit of the logarithm of a lobe, which is
+-600 where there is no light; and where a source has an extent that a narrow lobe takes over, 1.5e-3."""
 VALUES_AT_ONCE = 2**17
 """Numbers that a batched call holds in one buffer, 1 MiB: a larger batch is cut, so that what one step writes
 is in the cache when the next reads it, and memory does not grow with the batch."""
@@ -68,7 +69,13 @@ class Evaluator(ABC):
 
     @property
     def error_mag(self) -> float:
-        return self.own_error_mag + (TABULATED_MAG if self.tabulated else 0.0)
+        return self.own_error_mag + self.tabulated_mag
+
+    @property
+    def tabulated_mag(self) -> float:
+        """The largest error of lobes that are interpolated over their exponent, mag."""
+        kept = self.kept_surfaces(self.assembly.needs_shares) if self.tabulated else []
+        return max((one.tabulated_mag for one in kept if one is not None), default=0.0)
 
     def materials_tabulated(self, detail: bool) -> tuple[str, ...]:
         """Materials whose lobes are interpolated over their exponent."""
@@ -113,9 +120,7 @@ class Evaluator(ABC):
         reshapes the lobe and there is something to fit."""
         table = surface.table
         pairs = table["log_half"].shape[0] if "log_half" in table else 0
-        if pairs <= MOST_SLOTS or not self.condensable(surface.material):
-            return surface
-        return replace(surface, table=surface.model.condense(table))
+        return condensed(surface) if pairs > MOST_SLOTS and self.condensable(surface.material) else surface
 
     def condensable(self, material: str) -> bool:
         """Whether there is something to fit, and the material's lobe has one exponent, its own shape and a table."""
@@ -164,6 +169,14 @@ class Evaluator(ABC):
         return Brightness(
             flux, shares.reshape(*theta.shape[:-1], *shares.shape[1:]), self.assembly.components
         )
+
+
+def condensed(surface: Surface) -> Surface:
+    """A surface with a lobe with its sums tabulated over the exponent."""
+    if "log_half" not in surface.table:
+        return surface
+    error = SPREAD_TABULATED_MAG if "spread" in surface.table else TABULATED_MAG
+    return replace(surface, table=surface.model.condense(surface.table), tabulated_mag=error)
 
 
 def put(piece: Brightness, rows: Tensor, batch: int) -> Brightness:

@@ -7,11 +7,20 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.evaluators.contract import VALUES_AT_ONCE, Evaluator
+from torchlc.lightcurve.evaluators.contract import MOST_SLOTS, VALUES_AT_ONCE, Evaluator
 from torchlc.lightcurve.pipeline import Pipeline
-from torchlc.lightcurve.tables import Key, Tables, members, moves, sorted_patches, surface_of
+from torchlc.lightcurve.tables import (
+    Key,
+    Tables,
+    members,
+    moves,
+    phase_angle_of,
+    sorted_patches,
+    surface_of,
+)
 from torchlc.pairs.discs import LEFT_OUT_MAG
-from torchlc.stages.effect import Brightness, Surface
+from torchlc.pairs.still import StillPairs, still_pairs, turns
+from torchlc.stages.effect import Brightness, Patch, Surface, View
 from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48
@@ -35,7 +44,7 @@ class ExactGeometry(Evaluator):
         if self.gridded and any(effect.widens for effect in self.assembly.effects):
             self.own_error_mag = LEFT_OUT_MAG
         self._recent: dict[tuple[bool, tuple[float, ...]], Tables] = {}
-        self._still: dict[bool, dict[Key, Surface | None]] = {}
+        self._still: dict[bool, dict[Key, Surface | StillPairs | None]] = {}
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
@@ -92,6 +101,8 @@ class ExactGeometry(Evaluator):
         """Rows of theta (D, P) with different geometries, and which of them each of ``rows`` (B, P) shares, (B,);
         None if D is B."""
         moving = rows[:, self.assembly.geometry_columns]
+        if len(torch.unique(moving[:, 0])) == len(rows):  # a sort of rows takes several times as long
+            return rows, None
         distinct, member = torch.unique(moving, dim=0, return_inverse=True)
         if len(distinct) == len(rows):
             return rows, None
@@ -135,25 +146,55 @@ class ExactGeometry(Evaluator):
         tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
         return self.pipeline.shine(tables, values, shares)
 
-    def still_surfaces(self, detail: bool) -> dict[Key, Surface | None]:
+    def still_surfaces(self, detail: bool) -> dict[Key, Surface | StillPairs | None]:
         """Surfaces of a free geometry that no free parameter moves, made on first use: those that two values
-        of theta have in common."""
+        of theta have in common, or have in common but for what is lit and seen of them."""
         if detail not in self._still:
             with apart():
                 theta = self.parameters.start()
                 alone = self.pipeline.view(self.values(theta))
                 both = self.pipeline.view(self.values(theta.expand(2, -1)), 2)
+                turning = {key: turns(one, patches) for key, one, patches in sorted_patches(both, detail)}
                 moving = {key for key, one, patches in sorted_patches(both, detail) if moves(one, patches)}
-                made = {
-                    key: surface_of(key, one, patches, True, self.assembly.apart)
-                    for key, one, patches in sorted_patches(alone, detail)
-                    if key not in moving
-                }
-            self._still[detail] = {key: one and self.condensed(one) for key, one in made.items()}
+                self._still[detail] = {}
+                for key, one, patches in sorted_patches(alone, detail):
+                    if key not in moving:
+                        made = surface_of(key, one, patches, True, self.assembly.apart)
+                        self._still[detail][key] = made and self.condensed(made)
+                    elif not turning[key] and len(one.nodes.offset) == 1 and self._few_pairs(one, patches[0]):
+                        phase = phase_angle_of(one, self.assembly.apart)
+                        self._still[detail][key] = still_pairs(
+                            key, one, patches, self.assembly.apart, phase, self.condensed
+                        )
         return self._still[detail]
 
+    @property
+    def areas_alone(self) -> bool:
+        """True if free numbers change no more than how much area of each plane is lit and seen, and no part stands in the way
+        of another at the start: a call then costs hardly more than one of an expansion."""
+        if not self.gridded:
+            return False
+        detail = self.assembly.needs_shares
+        still = self.still_surfaces(detail)
+        with apart():
+            view = self.pipeline.view(self.values(self.parameters.start()))
+        shadowed = any(
+            one is not None and one.shape[1] > 1
+            for patch in view.patches
+            for one in (patch.visible, patch.seen)
+        )
+        return not shadowed and all(key in still for key, _, _ in sorted_patches(view, detail))
+
+    def _few_pairs(self, view: View, patch: Patch) -> bool:
+        """Whether a plane in all lights makes few numbers: its lobe is tabulated over its exponent, or there is one light."""
+        lights = sum(len(light.direction) for light in view.lights)
+        return (
+            lights == 1 or patch.model.additive or (lights > MOST_SLOTS and self.condensable(patch.material))
+        )
+
     def kept_surfaces(self, detail: bool) -> list[Surface | None]:
-        return list(self.still_surfaces(detail).values()) if self.gridded else []
+        kept = self.still_surfaces(detail).values() if self.gridded else []
+        return [one.surface if isinstance(one, StillPairs) else one for one in kept]
 
     def forget(self) -> None:
         """Drops the tables of recent geometries, which an optimiser at work comes back to."""

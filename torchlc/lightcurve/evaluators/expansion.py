@@ -20,7 +20,8 @@ from itertools import combinations
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.evaluators.contract import Evaluator, put
+from torchlc.lightcurve.evaluators.contract import Evaluator, condensed, put
+from torchlc.lightcurve.evaluators.exact import ExactGeometry
 from torchlc.lightcurve.tables import Key, Record, Tables
 from torchlc.stages.effect import Brightness, Sky, Surface
 from torchlc.tensors.autodiff_state import apart, transformed
@@ -29,11 +30,12 @@ STEP = 2.0
 """Standard deviations between the geometries of the stencil: the cubic term that is left out is then at most as large
 within 2.3 of them as it is 2 from the middle."""
 MOST_MAG = 2e-3
-"""Largest error that an expansion may have."""
+"""Largest error that an expansion may have, with that of the exact light."""
 LEAST_REACH = 1.5
 """Standard deviations within which it has to keep that, to be of use."""
 HELD_OUT = 24
-"""Geometries at which the error is measured."""
+"""Geometries at which the error is measured, spread evenly over the reach. At 300 draws of each posterior of the tests, which
+lie nearer, light was at most 0.45 times as far off, or by no more than the exact light itself."""
 MOST_NUMBERS = 12
 """Numbers of the geometry, for which 91 exact tables are made."""
 NEGLIGIBLE = 2e-5
@@ -50,8 +52,9 @@ class UnsuitableError(ValueError):
 
 class Expansion(Evaluator):
     """Second order about theta (P,), for values within ``reach`` standard deviations, of covariance ``scale`` (P, P); beyond
-    them light is exact. ``error_mag`` is the largest error at HELD_OUT geometries within the reach, between those of the
-    stencil, in rows of at least FAINT of the brightest.
+    them light is exact. ``own_error_mag`` is the largest difference from the exact light at HELD_OUT geometries within the
+    reach, between those of the stencil, with materials about those of theta as ``scale`` has them, in rows of at least FAINT of the brightest;
+    ``error_mag`` has that of the exact light too.
 
     Raises UnsuitableError where it would be of no use.
     """
@@ -76,6 +79,9 @@ class Expansion(Evaluator):
         factor, failed = torch.linalg.cholesky_ex(block * slope[:, None] * slope)
         if int(failed):
             raise UnsuitableError("the scale of the geometry is no covariance")
+        self.spread = (
+            torch.nan_to_num(torch.diagonal(scale.detach()), nan=0.0, posinf=0.0).clamp(min=0).sqrt()
+        )
         self.factor = factor
         self.centre = self._unscaled(at)
         count = len(at)
@@ -91,6 +97,8 @@ class Expansion(Evaluator):
             raise UnsuitableError("no free number moves the geometry")
         if a.learns_geometry:
             raise UnsuitableError("an effect learns the geometry")
+        if isinstance(self.exact, ExactGeometry) and self.exact.areas_alone:
+            raise UnsuitableError("free numbers scale areas alone, which costs no more without it")
         if len(a.geometry_columns) > MOST_NUMBERS:
             raise UnsuitableError(f"more than {MOST_NUMBERS} numbers move the geometry")
         if a.stage("scatter"):
@@ -167,11 +175,7 @@ class Expansion(Evaluator):
 
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
-        surfaces = tuple(
-            replace(one, table=one.model.condense(one.table)) if "log_half" in one.table else one
-            for one in made.surfaces
-        )
-        return replace(made, surfaces=surfaces)
+        return replace(made, surfaces=tuple(condensed(one) for one in made.surfaces))
 
     def _expanded(self, made: list[Tables]) -> Tables:
         several: dict[Key, list[Surface | None]] = {}
@@ -289,19 +293,32 @@ class Expansion(Evaluator):
     def _near(self, flat: Tensor, shares: bool) -> Brightness:
         return self.shone(self.tables_at(flat, shares or self.assembly.needs_shares), flat, shares)
 
+    @property
+    def error_mag(self) -> float:
+        """Tables over the exponents of lobes are in what was measured."""
+        return self.own_error_mag + self.exact.error_mag
+
     def _measure(self) -> None:
-        """Sets ``own_error_mag``, and ``reach`` to where it is at most MOST_MAG."""
+        """Sets ``own_error_mag``, and ``reach`` to where ``error_mag`` is at most MOST_MAG."""
         generator = torch.Generator().manual_seed(0)
         d = len(self.columns)
-        towards = torch.randn(HELD_OUT, d, generator=generator, dtype=torch.float64).to(self.theta)
+        towards, materials = (
+            torch.randn(HELD_OUT, size, generator=generator, dtype=torch.float64).to(self.theta)
+            for size in (d, len(self.theta))
+        )
         length = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
         share = (torch.arange(HELD_OUT, dtype=torch.float64)[:, None] + 1) / HELD_OUT
-        points = self.theta_at(self.reach * share.to(towards) * towards / length)
+        u = self.reach * share.to(towards) * towards / length
         radius = self.reach * share[:, 0]
         low, high = (
-            points.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
+            self.theta.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
             for end in ("low", "high")
         )
+        others = torch.maximum(torch.minimum(self.theta + self.spread * materials, high), low)
+        points = self.theta_at(u, others)
+        # shares of one unit of light that are more than all of it together are those of theta
+        allowed = torch.isfinite(self.parameters.log_prior(points))[:, None]
+        points = torch.where(allowed, points, self.theta_at(u))
         sound = ((points >= low) & (points <= high)).all(-1)
         points, radius = points[sound], radius[sound]
         if not len(points):
@@ -311,7 +328,7 @@ class Expansion(Evaluator):
         ratio = torch.where(counted, found, 1.0) / torch.where(counted, expected, 1.0)
         self.row_errors = 2.5 * torch.log10(ratio).abs()
         error = self.row_errors.amax(-1)
-        good = error <= MOST_MAG
+        good = error <= MOST_MAG - self.exact.error_mag
         if not bool(good.all()):
             self.reach = float(radius[~good].min())
         kept = radius < self.reach if not bool(good.all()) else good

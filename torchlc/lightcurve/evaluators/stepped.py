@@ -16,10 +16,10 @@ from torchlc.tensors.autodiff_state import apart, readable
 
 
 class SteppedTables(Evaluator):
-    """Tables at the steps of one effect's parameter and cubics of the light between them; 5e-4 mag at most."""
+    """Tables at the steps of one effect's parameter and cubics of the light between them; 1e-3 mag at most."""
 
     way = "stepped"
-    own_error_mag = 5e-4
+    own_error_mag = 1e-3
 
     def __init__(self, pipeline: Pipeline, effect: Effect) -> None:
         super().__init__(pipeline)

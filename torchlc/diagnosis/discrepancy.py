@@ -32,6 +32,10 @@ WINDOWS = (4, 8, 16, 32, 64, 128)
 """Rows of a window that light may be added in; half of each apart."""
 EVENT_MAG = (0.1, 0.5)
 """Standard deviations of what an event changes, mag."""
+EVENT_COSINES = 4
+"""Of the course of an event within its window: it may come quickly and go slowly."""
+AT_ONCE = 400
+"""Windows that are weighed together: some 20 MB for a thousand rows."""
 SKIPPED = ("inverse_flux", "shadow_coordinate", "glint_angle", "incidence")
 """Coordinates that others stand for, or that an effect of the library is a function of."""
 EVENT = "time, for a while"
@@ -105,26 +109,53 @@ def _along(at: Fitted, name: str, value: Tensor, plain: float, log_odds: float) 
 
 
 def _event(at: Fitted, plain: float, log_odds: float) -> Discrepancy:
-    """Light added, or taken by a share, in the window that explains most: scanned with no row taken as an outlier."""
+    """Light added, or taken by a share, in a course of its own in the window that explains most: scanned with no row taken as
+    an outlier."""
     seconds = at.model.assembly.context.seconds
     order = torch.argsort(seconds)
-    rows = []
-    for length in WINDOWS:
-        for first in range(0, max(len(order) - length + 1, 0), max(length // 2, 1)):
-            inside = torch.zeros(len(order), dtype=torch.bool)
-            inside[order[first : first + length]] = True
-            rows.append(inside)
-    windows = torch.stack(rows).to(at.delta) if rows else at.delta.new_ones(1, len(at.delta))
+    spans = [
+        order[first : first + length]
+        for length in WINDOWS
+        for first in range(0, max(len(order) - length + 1, 0), max(length // 2, 1))
+    ] or [order]
     with torch.no_grad():
         flux = at.model.brightness(at.theta).flux.clamp(min=1e-300)
     mag = at.scale / (at.scale.new_tensor(1.0) if at.likelihood.kind == "mag" else MAG_PER_LN)
-    shapes = torch.cat([windows * mag, windows * mag * (flux.median() / flux).clamp(max=100.0)])
-    bases = torch.cat([shapes * size for size in EVENT_MAG])[..., None]
+    kinds = [
+        mag * size * kind for size in EVENT_MAG for kind in (1.0, (flux.median() / flux).clamp(max=100.0))
+    ]
     tangent = at.slopes / at.wide[:, None]
-    gain = gains(at.delta / at.wide, tangent, at.g, bases / at.wide[:, None])
-    best = int(gain.argmax())
-    inside = windows[best % len(windows)] > 0
-    return _refitted(at, EVENT, bases[best], plain, log_odds, float(_mean(gain) - gain[best]), inside)
+
+    def columns(span: Tensor) -> Tensor:
+        return at.delta.new_zeros(len(seconds), EVENT_COSINES).index_copy(0, span, course(seconds[span]))
+
+    gain = []
+    for some in (spans[first : first + AT_ONCE] for first in range(0, len(spans), AT_ONCE)):
+        shapes = torch.stack([columns(span) for span in some])
+        gain.append(
+            torch.stack(
+                [
+                    gains(at.delta / at.wide, tangent, at.g, shapes * (kind / at.wide)[:, None])
+                    for kind in kinds
+                ]
+            )
+        )
+    gain = torch.cat(gain, 1)
+    kind, place = divmod(int(gain.argmax()), len(spans))
+    inside = torch.zeros_like(seconds, dtype=torch.bool).index_fill(0, spans[place], True)
+    basis = columns(spans[place]) * kinds[kind][:, None]
+    return _refitted(
+        at, EVENT, basis, plain, log_odds, float(_mean(gain.flatten()) - gain[kind, place]), inside
+    )
+
+
+def course(seconds: Tensor) -> Tensor:
+    """Columns (T, EVENT_COSINES) of an event between the first and last of ascending times (T,): a constant, and cosines of
+    falling size, together of unit variance."""
+    share = (seconds - seconds[0]) / (seconds[-1] - seconds[0]).clamp(min=1e-9)
+    order = torch.arange(EVENT_COSINES, dtype=seconds.dtype)
+    height = 1 / (1 + order)
+    return torch.cos(math.pi * share[:, None] * order) * height / torch.linalg.vector_norm(height)
 
 
 def _mean(gain: Tensor) -> Tensor:

@@ -19,8 +19,8 @@ UNKNOWN_ODDS = 0.02
 FAMILY_SHARE = 0.1
 """Of the named effect's probability that another in its place must have to be told beside it."""
 LEAST_TAKEN, FAR = 0.5, 6.0
-"""A single effect that leaves structure, more likely than not, stands in for something else unless it takes this share of
-the misfit, of which a row counts for FAR errors at most; several together bend a model to much that is none of them."""
+"""Effects that leave structure, more likely than not, stand in for something else unless each takes this share of the misfit
+that the others leave, of which a row counts for FAR errors at most: several bend a model to much that is none of them."""
 WEIGHED = 1e-3
 """Probability below which it makes no difference what of a hypothesis could be seen."""
 BAD = 0.5
@@ -140,7 +140,8 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
         rows.append(("odd", leader[1], leader[2] + worth))
         leaves = worth > 0
-    stands_in = leaves and share_taken(search, leader[1]) < LEAST_TAKEN
+    least = 1 - (1 - LEAST_TAKEN) ** max(len(leader[1].added), 1)
+    stands_in = leaves and share_taken(search, leader[1]) < least
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     rows, weight = less_unseen(search, rows, weight)
     nothing = noise = unknown = leftover = 0.0

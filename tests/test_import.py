@@ -26,9 +26,7 @@ def cpu_seconds(code: str) -> float:
 
 def test_the_package_loads_with_torch_in_hardly_more_time() -> None:
     """Public names are imported on first use; the model pulls in astropy and pydantic."""
-    code = (
-        "import time, torch\nbefore = time.process_time()\nimport torchlc\nprint(time.process_time() - before)"
-    )
+    code = "import time, torch\nbefore = time.process_time()\nimport torchlc\nprint(time.process_time() - before)"
     assert cpu_seconds(code) <= 0.3
 
 

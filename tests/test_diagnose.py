@@ -20,6 +20,7 @@ from torchlc.diagnosis.plan import next_nights
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
 from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import diagnose
+from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
 from torchlc.inference.posterior import Posterior, fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
@@ -191,15 +192,23 @@ def test_nights_are_planned_with_the_exposures_of_the_recording(demo_search) -> 
     assert nights and nights[0].margin > nights[-1].margin > 0
 
 
-def test_fewer_rows_than_parameters_get_a_verdict() -> None:
+@pytest.mark.parametrize("offsets", [(-10.0, 10.0, -10.0), (0.0, 0.0)])
+def test_no_row_to_spare_cannot_tell(offsets: tuple[float, ...]) -> None:
+    """Three rows that no material explains, and two that many do, for four free numbers and more."""
     scene = load_scene(DEMO / "scene.toml")
     recording = load_recording(DEMO / "recording.ecsv", scene)
     few = recording.keep(np.arange(len(recording)) % 80 == 0, "for a test")
-    few = replace(few, observed=few.observed + np.array([-10.0, 10.0, -10.0]))  # no material is so bright
+    few = few.keep(np.arange(len(few)) < len(offsets), "for a test")
+    few = replace(few, observed=few.observed + np.array(offsets))
     found = diagnose(scene, few, quick=True, effects=["background", "panel_offset"])
-    assert found.final.likelihood.degrees_of_freedom < 0
+    free = len(LightCurve(scene, few).names)
+    assert free > len(few) and found.final.likelihood.degrees_of_freedom < 0
     content = json.loads(json.dumps(found.to_json(), allow_nan=False))
-    assert content["verdict"] == "unexplained"
+    assert (content["verdict"], content["named"], content["where"]) == ("adequate", [], None)
+    assert headline(content) == (
+        f"These data cannot tell whether anything is missing: {free} free numbers leave none of the "
+        f"{len(few)} measured rows to spare."
+    )
 
 
 def test_a_scene_without_anything_free_gets_a_verdict() -> None:
@@ -311,7 +320,7 @@ def test_a_free_size_is_recovered_with_outliers_in_the_rows(demo) -> None:
 
 def weighed(**changes) -> Probabilities:
     usual = {
-        "nothing": 0.2, "noise": 0.0, "unknown": 0.0, "effects": {}, "kinds": {}, "leftover": 0.0,
+        "nothing": 0.2, "noise": 0.0, "unknown": 0.0, "effects": {}, "kinds": {}, "leftover": 0.0, "spare": 9,
         "sets": [(("a", "b"), 0.5), (("a", "c[x]"), 0.2), (("a",), 0.05), (("d", "b"), 0.05)],
     }  # fmt: skip
     return Probabilities(**(usual | changes))
@@ -325,6 +334,7 @@ def test_names_families_and_their_probability_are_read_off_one_object() -> None:
     assert weighed(nothing=0.6, sets=[(("a",), 0.4)]).verdict == "adequate"
     assert weighed(noise=0.3, nothing=0.25, unknown=0.45, sets=[]).verdict == "adequate"
     assert weighed(unknown=0.75, nothing=0.05, sets=[(("a",), 0.2)]).verdict == "unexplained"
+    assert weighed(unknown=0.9, nothing=0.1, sets=[], spare=0).verdict == "adequate", "too few rows"
     noisy = weighed(noise=0.9, nothing=0.1, sets=[], kinds={"jitter": 0.7, "outliers": 0.2})
     assert (noisy.verdict, noisy.named, noisy.told) == ("noise_model", ("jitter",), 0.9)
 

@@ -97,7 +97,7 @@ def test_wings_that_point_apart_are_named(tmp_path) -> None:
     recording = load_recording(tmp_path / "recording.ecsv", scene)
     recording = recording.keep(np.arange(len(recording)) % 2 == 0, "every second is enough")
     rivals = ["wobble", "panel_cant", "panel_offset", "attitude_offset", "nutation", "axis_tilt"]
-    found = diagnose(scene, recording, budget=12.0, effects=["wing_split", *rivals])
+    found = diagnose(scene, recording, quick=True, effects=["wing_split", *rivals])
     content = found.to_json()
     assert (content["verdict"], content["named"]) == ("missing_physics", ["wing_split"])
     assert found_values(found)["wing_split.deg"] == pytest.approx(3.0, abs=0.2)

@@ -2,7 +2,7 @@
 left alone:  python -m tests.killed_runs FOLDER KILLS COMMAND...
 
 Runs are forked from this process, which has imported everything, so that the moments fall into their work: into any
-of it, and every fourth time into the little that follows the writing of a file. What a kill leaves behind is looked
+of it, and every second time into the little that follows the writing of a file. What a kill leaves behind is looked
 at; a run that ends must end in the answer of the one left alone, and the next begins anew. Prints how many runs were
 killed, how many ended, and how many whole files the killed ones left.
 """
@@ -50,7 +50,7 @@ def main(folder: Path, kills: int, command: list[str]) -> None:
     while killed < kills:
         before = written(out)
         child = start(again(command, out))
-        if killed % 4 == 3:
+        if killed % 2:
             while written(out) == before and running(child):
                 time.sleep(0.001)
             time.sleep(random.uniform(0, SOON_S))

@@ -353,4 +353,5 @@ def test_values_are_stated_with_the_digits_their_uncertainty_bears():
     assert stated(row(90.1412, 0.5579)) == "90.14 ± 0.56"
     assert stated(row(0.0806942, 0.00080, "mag")) == "0.08069 ± 0.00080 mag"
     assert stated(row(1234.6, 57.2)) == "1235 ± 57"
+    assert stated(row(42.3, 180_000.0)) == "42 ± 180000"
     assert stated({"median": 40.0, "sd": 90.0, "q05": 30.0, "q95": 400.0, "unit": ""}) == "40 (30 to 400)"

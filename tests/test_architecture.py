@@ -6,6 +6,7 @@ Imports are read from the syntax trees, those inside functions and under TYPE_CH
 from __future__ import annotations
 
 import ast
+import functools
 import importlib.util
 from pathlib import Path
 
@@ -46,6 +47,7 @@ def floors() -> dict[str, int]:
     return {room: level for level, floor in enumerate(drawing.rooms()) for room in floor}
 
 
+@functools.cache
 def arrows() -> set[tuple[str, str]]:
     known = modules()
     pairs = {(name, other) for name, path in known.items() for other in imports(path, known)}

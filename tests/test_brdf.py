@@ -294,6 +294,19 @@ def test_oren_nayar_follows_cavities(sigma: float, rms: float) -> None:
     assert flat.std() > 1.9 * off.std()  # a plate of Lambert's law follows them far worse
 
 
+@pytest.mark.parametrize("sigma", [5.0, 20.0, 40.0])
+def test_oren_nayar_sends_out_no_less_than_nothing(sigma: float) -> None:
+    """From the normal to 89.99 deg on all sides: the published fit falls to -0.023 / pi at sigma = 40 deg."""
+    deg = np.concatenate([np.linspace(0, 85, 18), np.linspace(86, 89.99, 30)])
+    a, b, turn = (
+        torch.tensor(one).ravel().deg2rad() for one in np.meshgrid(deg, deg, np.linspace(0, 180, 19))
+    )
+    s = torch.stack([a.sin(), 0 * a, a.cos()], -1)
+    o = torch.stack([b.sin() * turn.cos(), b.sin() * turn.sin(), b.cos()], -1)
+    model = MODELS["oren-nayar"](albedo=1.0, sigma=sigma, learnable=False)
+    assert float(model(Z, X, s, o).min()) >= 0.0
+
+
 def test_oren_nayar_at_a_published_value() -> None:
     """Face on the law is albedo (1 - 0.5 s2 / (s2 + 0.33)) / pi: C1 alone, 0.773 at 30 deg."""
     value = float(MODELS["oren-nayar"](albedo=0.5, sigma=30.0, learnable=False)(Z, X, Z, Z))

@@ -21,7 +21,7 @@ from torchlc.geometry.orbit.elements import ElementSet
 from torchlc.geometry.orbit.motion import GM_EARTH
 from torchlc.readers import load_recording
 from torchlc.scene import Scene, load_scene
-from torchlc.scene.tle import Elements, nearest, read_elements
+from torchlc.scene.tle import Elements, nearest, read_catalogue, read_elements, sets_of_object
 
 CASES = Path(__file__).parents[2] / "shared" / "cases" / "tle"
 
@@ -204,8 +204,28 @@ class TestElementLines:
             assert len(self.read(tmp_path, "\n".join(lines))) == 1
 
     @pytest.mark.parametrize(
+        ("field", "number"),
+        [("A0000", 100000), ("E8493", 148493), ("J2931", 182931), ("P4018", 234018), ("Z9999", 339999)],
+    )
+    def test_a_letter_stands_for_two_digits(self, tmp_path: Path, field: str, number: int):
+        """As the SGP4 package reads Alpha-5; an object is found by either writing, and its orbit is that of the digits."""
+        lines = [changed(line, " 00001", f" {field}") for line in (GEO_1, GEO_2)]
+        assert Satrec.twoline2rv(*lines).satnum == number
+        (elements,) = self.read(tmp_path, "\n".join(lines))
+        assert elements.whole_number == str(number)
+        path = tmp_path / "two.txt"
+        path.write_text("\n".join([*lines, GEO_1, GEO_2]))
+        catalogue = read_catalogue(path)
+        for written in (field, field.lower(), str(number)):
+            (chosen,) = sets_of_object(path, catalogue, written)
+            assert chosen.lines == elements.lines
+
+    @pytest.mark.parametrize(
         ("line", "old", "new", "message"),
         [
+            (1, " 00001U", " O0001U", "column 3: 'O' .*a letter other than I and O"),
+            (1, " 00001U", " 0O001U", "column 4: 'O' .*a digit"),
+            (2, " 00001 ", " 0O001 ", "column 4: 'O' .*a digit"),
             (1, "20284.07", "20400.07", "columns 21-32, day of the year"),
             (1, "20284.07", "202 4.07", "without blanks inside"),
             (1, "20284.07", "20284,07", r"column 24: ',' in '1 00001U 16037A   20284,07"),

@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 import torchlc
 from tests.chromium import PROGRAM, Page
 from tests.small_case import NAME, write_case
 from torchlc.figures.raster import Mesh, looking_along, render
+from torchlc.figures.style import PALETTE
+from torchlc.report.figures.contract import INKS, draw_all
 from torchlc.results.fit_result import FitResult
 
 browser = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
@@ -166,6 +170,16 @@ def test_contrast_is_that_of_wcag_aa_in_light_and_dark(page: Path, dark: bool):
         assert ratio >= 4.5, where
         paper = tab.run("getComputedStyle(document.body).backgroundColor")
         assert (paper == "rgb(20, 23, 27)") == dark
+
+
+def test_letters_and_axes_of_every_figure_follow_the_dress_of_the_page(result: FitResult):
+    """Letters are drawn as paths, which the test of contrast does not see: black ones would be lost on dark ground."""
+    drawn = draw_all("fit", result)
+    assert {"curve", "shares", "corner", "traces", "object"} <= {kind.name for kind, _ in drawn}
+    for kind, figure in drawn:
+        letters = {to_hex(one.get_color()) for one in figure.findobj(Text) if one.get_text().strip()}
+        edges = {to_hex(one.get_edgecolor()) for axes in figure.axes for one in axes.spines.values()}
+        assert letters | edges <= {*INKS, *PALETTE}, kind.name
 
 
 @browser

@@ -178,33 +178,12 @@ def test_modes_are_all_visited_and_weighed():
 
 # ------------------------------------------------------------------ killed and resumed
 
-RUN = """
-import sys, torch
-torch.set_num_threads(1)
-sys.path.insert(0, {paper!r})
-sys.path.insert(0, {tests!r})
-from pathlib import Path
-from typing import Any
-import setting, torchlc
-from test_sample import BODY, night
-from torchlc.inference.optimiser import fit_map
-from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.sampler import sample
-scene = setting.object_1({{"body": BODY, "panel": setting.FREE}})
-found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))))
-sample(found, steps={steps}, walkers=32, seed=5, chain_file=Path({chain!r}), resume={resume})
-"""
 
-
-def program(chain: Path, steps: int, resume: bool) -> list[str]:
-    code = RUN.format(
-        paper=str(ROOT / "examples" / "paper"),
-        tests=str(ROOT / "tests"),
-        chain=str(chain),
-        steps=steps,
-        resume=resume,
-    )
-    return [sys.executable, "-W", "ignore", "-c", code]
+def sampled(chain: Path, steps: int, *, resume: bool = False) -> None:
+    """A chain of 32 walkers over three numbers."""
+    scene = setting.object_1({"body": BODY, "panel": setting.FREE})
+    found = fit_map(Likelihood(torchlc.LightCurve(scene, night(scene))), starts=2, adam_steps=20)
+    sample(found, steps=steps, walkers=32, seed=5, chain_file=chain, resume=resume)
 
 
 def chain_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -215,16 +194,17 @@ def chain_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def test_a_killed_chain_resumes_to_the_same_end(tmp_path):
     """SIGKILL once the first block is on disk; resumed, the chain is the undisturbed one to the bit."""
     whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
-    steps = 900
-    subprocess.run(program(whole, steps, resume=False), check=True)
-    run = subprocess.Popen(program(broken, steps, resume=False))
+    steps = 300
+    sampled(whole, steps)
+    code = f"from pathlib import Path; from tests.test_sample import sampled; sampled(Path({str(broken)!r}), {steps})"
+    run = subprocess.Popen([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT)
     deadline = time.monotonic() + 120
     while not broken.exists() and run.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(run.pid, signal.SIGKILL)
     assert run.wait() == -signal.SIGKILL
     assert 0 < len(chain_of(broken)[0]) < steps
-    subprocess.run(program(broken, steps, resume=True), check=True)
+    sampled(broken, steps, resume=True)
     for one, other in zip(chain_of(whole), chain_of(broken), strict=True):
         np.testing.assert_array_equal(one, other)
 

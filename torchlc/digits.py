@@ -21,6 +21,8 @@ def stated(row: Mapping[str, Any]) -> str:
         return f"{median:.4g} ± {sd:.2g}{unit}"
     if sd >= 10:
         place = 10 ** (math.floor(math.log10(sd)) - 1)
+        if abs(median) < place:  # of which no digit is certain
+            return f"{rounded(median, 2)} ± {rounded(sd, 2)}{unit}"
         return f"{round(median / place) * place:.0f} ± {round(sd / place) * place:.0f}{unit}"
     return f"{median:.{digits}f} ± {sd:.{digits}f}{unit}"
 

@@ -24,7 +24,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -150,8 +150,37 @@ def shares(with_it: Any, without: Any, sigma_flux: sky.Array, rows: sky.Mask) ->
     )
 
 
-def write_case(name: str, folder: Path, number: int, seed: int) -> str:
-    """Makes one case; returns a line about it."""
+class Observed(NamedTuple):
+    """What is concealed in one case, what that shines like, and what was recorded of it, bad rows apart."""
+
+    setup: Setup
+    concealed: Concealed
+    said: dict[str, Any]
+    physics: Concealed
+    curve: Any
+    mag: sky.Array
+    error: sky.Array
+    recorded: sky.Array
+    bad: sky.Array
+    quoted: sky.Array
+
+    def write(self, folder: Path) -> None:
+        """scene.toml and recording.ecsv."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "scene.toml").write_text(toml(self.setup.tree))
+        rows = len(self.mag)
+        observe.write_recording(
+            folder / "recording.ecsv",
+            self.setup.t,
+            self.recorded + self.bad,
+            self.quoted,
+            np.full(rows, self.setup.exptime),
+            np.full(rows, self.setup.station),
+        )
+
+
+def observed(name: str, number: int, seed: int) -> Observed:
+    """The case of that name; ``number`` is that of its elements."""
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     setup, concealed, said = compose(name, number, rng)
     setup = listed(setup, concealed, rng)
@@ -165,7 +194,14 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     brought = bool(said.get("nominal"))
     bad = mishaps(len(mag), rng) if brought else np.zeros(len(mag))
     quoted = np.round(error * error_factor(rng), 4) if brought else error
+    return Observed(setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted)
 
+
+def write_case(name: str, folder: Path, number: int, seed: int) -> str:
+    """Makes one case; returns a line about it."""
+    case = observed(name, number, seed)
+    setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted = case
+    brought = bool(said.get("nominal"))
     plain, plain_mag = truth_of(setup, {}, seed=seed)
     as_in_scene = setup.true_tree is None and setup.true_materials is None
     tree = setup.tree
@@ -240,22 +276,17 @@ def write_case(name: str, folder: Path, number: int, seed: int) -> str:
             "rows_in_shadow": int((curve.sunlit < 1).sum()),
         },
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "scene.toml").write_text(toml(setup.tree))
-    rows = len(mag)
-    observe.write_recording(
-        folder / "recording.ecsv",
-        setup.t,
-        recorded + bad,
-        quoted,
-        np.full(rows, setup.exptime),
-        np.full(rows, setup.station),
-    )
+    case.write(folder)
     observe.write_answer(folder / "answer.json", answer)
     return (
-        f"{name}: {setup.kind}, {rows} rows, gain {answer['gain']}, "
+        f"{name}: {setup.kind}, {len(mag)} rows, gain {answer['gain']}, "
         f"chi2 {answer['chi2']['baseline_refit']} -> {answer['chi2']['truth']}, family {family}"
     )
+
+
+def numbered() -> Iterator[tuple[int, str]]:
+    """The catalogue number and the name of every case."""
+    return enumerate(names(), 70001)
 
 
 def main() -> None:
@@ -267,7 +298,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--subset", action="store_true", help="some twenty cases, one of nearly every kind")
     options = parser.parse_args()
-    for number, name in enumerate(names(), 70001):
+    for number, name in numbered():
         wanted = options.only in name and (name in SUBSET or not options.subset)
         if wanted and not (options.out / name / "answer.json").exists():
             print(write_case(name, options.out / name, number, options.seed), flush=True)

@@ -208,7 +208,7 @@ def test_contract(tmp_path):
 def test_five_thousand_observations_a_second(tmp_path):
     """A cube's six faces, by the processor's clock of one thread and with tables made."""
     scene = still(CUBE, material("white", 200.0, 0.3, 0.3))
-    turn = np.linspace(0.0, 360.0, 6000)
+    turn = np.linspace(0.0, 360.0, 2000)
     position = 42164.0 * tilted(90.0, turn)
     recording = seen_from(
         scene, tmp_path, tilted(70.0, turn + 40.0), tilted(100.0, turn + 180.0), position=position
@@ -219,4 +219,4 @@ def test_five_thousand_observations_a_second(tmp_path):
         start = time.process_time()
         model.brightness()
         spent = time.process_time() - start
-    assert 6000 / spent > 5000
+    assert 2000 / spent > 5000

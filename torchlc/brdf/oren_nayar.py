@@ -12,6 +12,11 @@ from torch import Tensor
 from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch, retro
 from torchlc.parameters import REFLECTANCE, Quantity
 
+MOST_SIGMA = 40.0
+"""deg; up to here the law is compared with the integral over cavities."""
+NEARLY = 1 - 1e-12
+"""What is cut at the roughest surface's darkness stays above it by more than rounding."""
+
 
 class OrenNayar(Brdf):
     """Light once scattered by V-shaped cavities with Lambert walls: L1 of Oren and Nayar's full model.
@@ -23,8 +28,8 @@ class OrenNayar(Brdf):
     from the normal where sigma is at least 20 deg, 0.06 mag below; their shorter, qualitative model (A and B alone) by
     0.07 to 0.3 mag. Neglected: light scattered more than once within a cavity, 0.03 mag at sigma = 30 deg and
     albedo 0.2, 0.13 mag at albedo 0.9 (`eon` keeps all of it). At grazing light the fit sends out up to 0.2 % too
-    much of a white surface's light, and at sigma = 40 deg, more than 88 deg from the normal on opposite sides, up to
-    2 % less than none.
+    much of a white surface's light. At sigma = 40 deg, more than 88 deg from the normal on opposite sides, the fit would
+    fall to 2 % of Lambert's law below none, and is cut there: no sigma sends out less than none.
     """
 
     model: ClassVar[str] = "oren-nayar"
@@ -32,7 +37,7 @@ class OrenNayar(Brdf):
         Quantity(
             "albedo", "", 0.0, 1.0, "share of the light that the walls of cavities scatter", role=REFLECTANCE
         ),
-        Quantity("sigma", "deg", 0.0, 40.0, "standard deviation of the angles of the cavities' walls"),
+        Quantity("sigma", "deg", 0.0, MOST_SIGMA, "standard deviation of the angles of the cavities' walls"),
     )
     additive: ClassVar[bool] = True
 
@@ -50,12 +55,22 @@ class OrenNayar(Brdf):
         middle = (
             cos_i * cos_r * (sin_a + sin_b) / (cos_i + cos_r).clamp(min=TINY_COS)
         )  # mu0 mu tan((a + b) / 2)
-        rough = (towards + 0.125 * beside * middle) / math.pi
-        return {"smooth": (weight * lambert(angles)).sum(-2), "rough": (weight * rough).sum(-2)}
+        smooth = lambert(angles)
+        # where the roughest surface sends out nothing the smoother ones, whose share of the bent part is less, send out some
+        flat, bent_share = _shares(angles.cos_i.new_tensor(math.radians(MOST_SIGMA)) ** 2)
+        rough = torch.maximum(
+            (towards + 0.125 * beside * middle) / math.pi, -smooth * flat / bent_share * NEARLY
+        )
+        return {"smooth": (weight * smooth).sum(-2), "rough": (weight * rough).sum(-2)}
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         albedo, square = per_epoch(values["albedo"]), per_epoch(torch.deg2rad(values["sigma"]) ** 2)
-        flat, towards = 1 - 0.5 * square / (square + 0.33), square / (square + 0.09)
-        diffuse = albedo * (flat * table["smooth"] + towards * table["rough"])
+        flat, bent = _shares(square)
+        diffuse = albedo * (flat * table["smooth"] + bent * table["rough"])
         return torch.zeros_like(diffuse), diffuse
+
+
+def _shares(square: Tensor) -> tuple[Tensor, Tensor]:
+    """C1 and what multiplies the two bent terms, of the square of sigma in rad."""
+    return 1 - 0.5 * square / (square + 0.33), square / (square + 0.09)

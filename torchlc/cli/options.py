@@ -73,12 +73,12 @@ RecordingFile = Annotated[
     Path,
     typer.Argument(metavar="OBS", help="Recording, in any of the formats that are read.", show_default=False),
 ]
-Out = Annotated[
-    Path,
-    typer.Option(
-        "-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False, parser=directory
-    ),
-]
+RESULTS: Any = typer.Option(
+    "-o", "--out", metavar="DIR", help="Directory for the results.", show_default=False, parser=directory
+)
+Out = Annotated[Path, RESULTS]
+OutIfWanted = Annotated[Path | None, RESULTS]
+"""Without it results are only shown."""
 Seed = Annotated[int, whole_number("Seed of everything random.", 0, 2**32 - 1)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Threads = Annotated[int | None, whole_number("Threads of the computation.", 1, 1024, show_default=False)]

@@ -33,7 +33,8 @@ TOLD = 0.5
 class Probabilities:
     """Of ``nothing`` missing, of ``noise`` alone, of each effect of the library by name, and of something ``unknown`` alone;
     ``sets`` are the sets of entries, best first, with theirs, ``kinds`` those of the noise by name; ``leftover`` is that of
-    something unknown beside the best set."""
+    something unknown beside the best set. ``spare`` counts the rows that are more than the scene's own model has free numbers:
+    with none to spare nothing can be told, and nothing is."""
 
     nothing: float
     noise: float
@@ -42,6 +43,7 @@ class Probabilities:
     sets: Sequence[tuple[tuple[str, ...], float]]
     kinds: Mapping[str, float]
     leftover: float
+    spare: int
 
     @property
     def some_effect(self) -> float:
@@ -56,6 +58,8 @@ class Probabilities:
             "missing_physics": self.some_effect,
             "unexplained": self.unknown,
         }
+        if self.spare <= 0:
+            return "adequate"
         best = max(answers, key=lambda name: answers[name])
         if best in ("adequate", "noise_model") or answers[best] > TOLD:
             return best
@@ -173,6 +177,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         order,
         kinds,
         leftover,
+        spare=search.visited[Hypothesis()].likelihood.degrees_of_freedom,
     )
 
 

@@ -237,7 +237,11 @@ class Diagnosis:
 
     @property
     def doubt(self) -> str:
-        """Why nothing is named although something is missing: what comes nearest, and how near."""
+        """Why nothing is named although something is or may be missing: too few rows; or what comes nearest, and how near."""
+        if self.odds.spare <= 0:
+            likelihood = self.search.visited[Hypothesis()].likelihood
+            rows, free = int(likelihood.measured.sum()), len(likelihood.model.names) + likelihood.gains
+            return f"{free} free numbers leave none of the {rows} measured row{'s' * (rows != 1)} to spare"
         if self.verdict != "unexplained":
             return ""
         near = [

@@ -35,6 +35,8 @@ def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 
 def headline(content: Mapping[str, Any]) -> str:
     """The verdict in one line with its probability, from the content of diagnosis.json."""
+    if content["verdict"] == "adequate" and content["doubt"]:
+        return f"These data cannot tell whether anything is missing: {content['doubt']}."
     told = [_or(family) for family in content["families"]]
     noise = [with_title(name) for name in content["named"]]
     verdict = VERDICTS[content["verdict"]].format(

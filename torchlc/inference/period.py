@@ -184,6 +184,7 @@ def find_period(
     The search goes from twice the median cadence to half of the longest uninterrupted run unless told
     otherwise.
     """
+    recording.check_measured()
     rows = np.flatnonzero(~recording.upper_limit)
     if len(rows) < MIN_ROWS:
         raise InputError(

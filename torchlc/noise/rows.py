@@ -40,6 +40,7 @@ class Rows:
     """
 
     def __init__(self, recording: Recording, curve: Tensor, like: Tensor) -> None:
+        recording.check_measured()
         self.source = recording.source
         self.flux = recording.kind == "flux"
         self.observed = torch.as_tensor(recording.observed).to(like)

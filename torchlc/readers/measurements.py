@@ -66,6 +66,27 @@ class Measurements:
         """ "recording" when the file gives the errors, "fitted" when they must be found with the model."""
         return "fitted" if self.error is None else "recording"
 
+    def check_measured(self) -> None:
+        """Raise InputError unless every row has a finite value and, if errors are quoted, a finite one above 0. A recording
+        from a file has; one that was made in memory, to say only when to look, need not."""
+        for name, column, least in (
+            (self.kind, self.observed, -np.inf),
+            (f"{self.kind}_err", self.error, 0.0),
+        ):
+            if column is None:
+                continue
+            wrong = ~(np.isfinite(column) & (column > least))
+            if wrong.any():
+                row = int(np.argmax(wrong))
+                raise InputError(
+                    self.source,
+                    f"row {row + 1} of {len(self)} ({iso_times(self)[row]}), {name}",
+                    f"{column[row]:g}" + (f", as in {wrong.sum()} rows" if wrong.sum() > 1 else ""),
+                    "finite numbers" + (" above 0" if column is self.error else ""),
+                    "The magnitudes of a simulated curve are in its table: give simulate(..., noise=0.02).to_table(). "
+                    "Recording.keep leaves rows out",
+                )
+
     def keep(self, mask: np.ndarray, reason: str) -> Self:
         """The rows where ``mask`` (T,) is true; the others are counted in ``dropped`` under ``reason``."""
         lost = int(np.size(mask) - np.count_nonzero(mask))

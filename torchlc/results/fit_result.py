@@ -456,9 +456,10 @@ class FitResult:
     def headline(self) -> str:
         """The fit in one sentence."""
         state = "converged" if self.converged else "not converged"
+        spread = "upper limits alone" if self.recording.upper_limit.all() else f"rms {self.rms_mag:.3f} mag"
         return (
             f"{self.model.scene.name}: {len(self.recording)} rows, chi2 {self.fit.chi2:.1f} for "
-            f"{self.fit.dof} degrees of freedom, rms {self.rms_mag:.3f} mag, {state}"
+            f"{self.fit.dof} degrees of freedom, {spread}, {state}"
         )
 
     def __repr__(self) -> str:

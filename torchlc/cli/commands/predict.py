@@ -11,11 +11,11 @@ from torchlc.cli import completion
 from torchlc.cli.app import app
 from torchlc.cli.options import (
     Json,
+    OutIfWanted,
     Quiet,
     Seed,
     Threads,
     Trust,
-    directory,
     moment,
     number,
     whole_number,
@@ -38,17 +38,7 @@ def predict(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="DIR",
-            help="Directory for the results.",
-            show_default=False,
-            parser=directory,
-        ),
-    ] = None,
+    out: OutIfWanted = None,
     preset: Annotated[
         str | None,
         typer.Option(

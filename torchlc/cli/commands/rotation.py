@@ -10,13 +10,13 @@ import typer
 from torchlc.cli.app import app
 from torchlc.cli.options import (
     Json,
+    OutIfWanted,
     Quiet,
     SceneFile,
     Seed,
     Threads,
     Trust,
     Use,
-    directory,
     number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
@@ -30,17 +30,7 @@ def rotation(
     recordings: Annotated[
         list[Path], typer.Argument(metavar="OBS...", help="Recordings (ECSV or CSV).", show_default=False)
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="DIR",
-            help="Directory for the results.",
-            show_default=False,
-            parser=directory,
-        ),
-    ] = None,
+    out: OutIfWanted = None,
     shortest: Annotated[
         float | None, number("Shortest turn, s; default: the scene's bound.", show_default=False)
     ] = None,

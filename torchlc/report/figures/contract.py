@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import matplotlib
 from matplotlib.figure import Figure
 
 from torchlc.figures import saving, style
@@ -77,8 +78,9 @@ class ReportFigure(ABC):
         size = self.size(result)
 
         def draw() -> Figure:
-            figure = Figure(figsize=size)
-            self.draw(result, figure)
+            with matplotlib.rc_context(style.style()):  # axes keep the colours that they are made with
+                figure = Figure(figsize=size)
+                self.draw(result, figure)
             return figure
 
         return saving.drawn(draw, size)

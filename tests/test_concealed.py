@@ -17,7 +17,15 @@ from benchmarks.concealed.answer import absent, method, method_names
 from benchmarks.concealed.case import Case
 from benchmarks.concealed.linear import conditional
 from benchmarks.concealed.methods.distortion_snr import statistics, trained
-from benchmarks.concealed.scores import auc, calibration_error, found_share, in_families, overlap, reliability
+from benchmarks.concealed.scores import (
+    auc,
+    calibration_error,
+    found_share,
+    in_families,
+    overlap,
+    overview,
+    reliability,
+)
 
 
 def test_auc_is_mann_and_whitneys() -> None:
@@ -60,6 +68,20 @@ def test_names_and_families() -> None:
     assert not in_families([], accepted)
     assert found_share([("a",), ("d",), ("b",)], [frozenset({"a", "b"})]) == 0.5
     assert found_share([("c",)], accepted) == 1
+
+
+def test_overview_counts_what_was_said() -> None:
+    said = {"class": "one", "method": "m", "without": False, "confidence": 0.9}
+    rows = [
+        {**said, "verdict": "named", "sets": [["a", "b"]], "right": True},
+        {**said, "verdict": "none", "sets": [["c"]], "right": False, "confidence": 0.5},
+        {**said, "verdict": "named", "sets": [["a"]], "right": True, "without": True},
+        {**said, "verdict": "named", "sets": [["a"]], "right": True, "method": "other"},
+    ]
+    (line,) = overview(rows, "m", "command")
+    assert line["named"] == "a + b (1), none (1)"
+    assert line["right"] == "1 of 2"
+    assert line["probability"] == pytest.approx(0.7)
 
 
 def test_density_of_unseen_rows() -> None:

@@ -28,7 +28,7 @@ import torch
 
 from benchmarks.concealed.answer import absent, method, method_names
 from benchmarks.concealed.case import Case
-from benchmarks.concealed.scores import judged, summary
+from benchmarks.concealed.scores import judged, overview, summary
 
 CLASSES = ("none", "one", "two", "three", "unlisted", "other law", "nominal scene")
 GENERATORS = {"reference": None, "tracer": "mitsuba"}
@@ -152,6 +152,11 @@ def told(done: Sequence[Job], options: argparse.Namespace) -> dict[str, Any]:
         "failed": len(rows) - len(good),
         "titles": {row["method"]: method(row["method"]).TITLE for row in good},
         "scores": summary(good),
+        "overview": overview(
+            good,
+            "diagnosis",
+            f"python -m benchmarks.concealed --seed {options.seed} --cases {options.cases} -o DIR",
+        ),
     }
 
 

@@ -120,6 +120,30 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
+def overview(rows: Sequence[Mapping[str, Any]], method: str, command: str) -> list[dict[str, Any]]:
+    """One line for each class, of one method: what is concealed, what was named, with which probability, and how often that
+    was right."""
+    lines = []
+    for kind in dict.fromkeys(row["class"] for row in rows):
+        asked = [
+            row for row in rows if row["class"] == kind and row["method"] == method and not row["without"]
+        ]
+        if not asked:
+            continue
+        said = [" + ".join(row["sets"][0]) if row["verdict"] == "named" else row["verdict"] for row in asked]
+        lines.append(
+            {
+                "recording": f"concealed causes, class {kind} ({len(asked)} cases)",
+                "cause": "known to the generator",
+                "named": ", ".join(f"{one} ({said.count(one)})" for one in dict.fromkeys(said)),
+                "probability": _median(row["confidence"] for row in asked),
+                "right": f"{sum(bool(row['right']) for row in asked)} of {len(asked)}",
+                "command": command,
+            }
+        )
+    return lines
+
+
 def _scores(rows: Sequence[Mapping[str, Any]], kind: str | None = None) -> dict[str, Any]:
     whole = [row for row in rows if not row["without"]]
     none = [row for row in whole if row["class"] == "none"]

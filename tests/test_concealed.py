@@ -132,6 +132,19 @@ def test_a_traced_plate_obeys_lamberts_law() -> None:
     assert found == pytest.approx(expected, rel=0.01)
 
 
+def test_the_pit_is_a_closed_body() -> None:
+    """Its volume by the divergence theorem is the cube's less the pit's, its area the cube's and the pit's walls'."""
+    from benchmarks.concealed.tracer_cases import FLOOR, OPENING, pit
+
+    lines = [line.split() for line in pit().splitlines()]
+    points = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
+    corners = points[np.array([line[1:] for line in lines if line[0] == "f"], dtype=int) - 1]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    side, deep = 2 * OPENING, 1 - FLOOR
+    assert (corners[:, 0] * crosses).sum() / 6 == pytest.approx(8 - side**2 * deep, abs=1e-6)
+    assert np.linalg.norm(crosses, axis=1).sum() / 2 == pytest.approx(24 + 4 * side * deep, abs=1e-6)
+
+
 def test_the_command_makes_asks_and_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two traced cases: nothing missing is called none, a second lamp is seen; a second run asks no one again."""
     pytest.importorskip(

@@ -34,6 +34,9 @@ from benchmarks.concealed.case import Array, Case  # noqa: E402
 ROWS = 120
 PIXELS, SAMPLES, DEPTH = 48, 36, 8
 SEEN_SIGMA = 2.0
+PIT = "pit.obj"
+OPENING, FLOOR, FINE = 0.75, -0.6, 4
+"""Of a cube of half edge 1: half the opening in its +Z face, where its floor lies, and squares along an inner edge."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,11 @@ def make(kind: str, number: int, seed: int, folder: Path) -> str:
     name = f"tracer-{kind}-{number}"
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     setup, effects, world = _composed(kind, 71001 + number, rng)
-    mag = traced(setup, world, seed)
-    error = observe.errors(mag, setup.floor)
     folder.mkdir(parents=True, exist_ok=True)
+    if any("file" in one for one in setup.tree["components"]):
+        (folder / PIT).write_text(pit(), encoding="utf-8")
+    mag = traced(setup, world, seed, folder)
+    error = observe.errors(mag, setup.floor)
     (folder / "scene.toml").write_text(toml(setup.tree), encoding="utf-8")
     answer = {
         "key": name,
@@ -106,7 +111,7 @@ def _composed(kind: str, number: int, rng: Rng) -> tuple[Setup, list[str], World
         return _body(number, rng, "box", []), [], World(lamp=(lamp, draw(rng, 0.15, 0.3)))
     if kind == "nominal scene":
         return _body(number, rng, "box", []), [], World(sizes={"body": draw(rng, 1.1, 1.2)})
-    choice = int(rng.integers(4 if kind == "one" else 2))
+    choice = int(rng.integers(5 if kind == "one" else 2))
     if kind == "one":
         if choice == 0:  # dark wings send little light back
             return _body(number, rng, "wing", [], panel=0.05), ["self_shadowing"], World()
@@ -114,6 +119,8 @@ def _composed(kind: str, number: int, rng: Rng) -> tuple[Setup, list[str], World
             return _body(number, rng, "wing", ["self_shadowing"], panel=0.8), ["interreflection"], World()
         if choice == 2:
             return _body(number, rng, "box", []), ["appendage"], World(extra=(_plate(rng),))
+        if choice == 3:
+            return _hollow(_body(number, rng, "box", ["self_shadowing"])), ["interreflection"], World()
         return (
             _body(number, rng, "geo", ["self_shadowing"]),
             ["panel_cant"],
@@ -155,6 +162,47 @@ def _body(number: int, rng: Rng, kind: str, effects: list[str], panel: float | N
     return replace(setup, tree=tree, true_materials=true, t=setup.t[some], exptime=0.0)
 
 
+def _hollow(setup: Setup) -> Setup:
+    """The body a bright cube with a pit, light going to and fro in it."""
+    tree = deepcopy(setup.tree)
+    tree["components"] = [
+        {"name": "body", "shape": "mesh", "file": PIT, "centre": [0.0, 0.0, 0.0], "material": "body"}
+    ]
+    return replace(setup, tree=tree, true_materials={"body": {"model": "lambert", "albedo": 0.8}})
+
+
+def pit() -> str:
+    """A cube of half edge 1 m with a square pit in its +Z face, as an OBJ file; normals outwards."""
+    a, z = OPENING, FLOOR
+    patches = [  # corner, two edges whose cross product is the normal, squares along an edge
+        ((-1, -1, -1), (0, 2, 0), (2, 0, 0), 1),
+        ((1, -1, -1), (0, 2, 0), (0, 0, 2), 1),
+        ((-1, -1, -1), (0, 0, 2), (0, 2, 0), 1),
+        ((-1, 1, -1), (0, 0, 2), (2, 0, 0), 1),
+        ((-1, -1, -1), (2, 0, 0), (0, 0, 2), 1),
+        ((-1, -1, 1), (2, 0, 0), (0, 1 - a, 0), 1),
+        ((-1, a, 1), (2, 0, 0), (0, 1 - a, 0), 1),
+        ((-1, -a, 1), (1 - a, 0, 0), (0, 2 * a, 0), 1),
+        ((a, -a, 1), (1 - a, 0, 0), (0, 2 * a, 0), 1),
+        ((-a, -a, z), (2 * a, 0, 0), (0, 2 * a, 0), FINE),
+        ((a, -a, z), (0, 0, 1 - z), (0, 2 * a, 0), FINE),
+        ((-a, -a, z), (0, 2 * a, 0), (0, 0, 1 - z), FINE),
+        ((-a, a, z), (2 * a, 0, 0), (0, 0, 1 - z), FINE),
+        ((-a, -a, z), (0, 0, 1 - z), (2 * a, 0, 0), FINE),
+    ]
+    points, faces = [], []
+    for corner, first, second, count in patches:
+        origin, e1, e2 = np.array(corner, float), np.array(first) / count, np.array(second) / count
+        for i in range(count):
+            for j in range(count):
+                at = origin + i * e1 + j * e2
+                base = len(points) + 1
+                points += [at, at + e1, at + e1 + e2, at + e2]
+                faces += [(base, base + 1, base + 2), (base, base + 2, base + 3)]
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in points]
+    return "\n".join([*lines, *(f"f {one} {two} {three}" for one, two, three in faces)]) + "\n"
+
+
 def _plate(rng: Rng) -> tuple[Array, Array, float]:
     """A bright flat box that stands off the body."""
     centre = 2.2 * sky.unit(rng.standard_normal(3))
@@ -166,26 +214,26 @@ def _plate(rng: Rng) -> tuple[Array, Array, float]:
 # ------------------------------------------------------------------------------------------ light
 
 
-def traced(setup: Setup, world: World, seed: int) -> Array:
-    """Magnitudes (T,) at the setup's rows."""
+def traced(setup: Setup, world: World, seed: int, folder: Path) -> Array:
+    """Magnitudes (T,) at the setup's rows; ``folder`` has the meshes."""
     import drjit
     import mitsuba
 
     mitsuba.set_variant("scalar_rgb")
     drjit.set_thread_count(1)
     scene = setup.true_scene()
-    parts, _ = build(scene.components, 8)
     to_sun, to_observer, to_body, range_m = view(scene, setup.t, setup.station)
     cant = np.deg2rad(world.cant_deg)
-    poses = [wing_pose(part, to_sun, 0.0, cant) for part in parts]
+    poses = [
+        None if one["shape"] == "mesh" else wing_pose(build([one], 8)[0][0], to_sun, 0.0, cant)
+        for one in scene.components
+    ]
     intensity = np.empty(len(setup.t))
     for row in range(len(setup.t)):
-        meshes = [
-            _mesh(
-                component, scene.materials[component["material"]], None if pose is None else pose[row], world
-            )
-            for component, pose in zip(scene.components, poses, strict=True)
-        ]
+        meshes = []
+        for one, pose in zip(scene.components, poses, strict=True):
+            bsdf = _bsdf(scene.materials[one["material"]])
+            meshes.append(_mesh(one, bsdf, None if pose is None else pose[row], world, folder))
         meshes += [
             _box(centre, half, np.eye(3), _bsdf({"albedo": albedo})) for centre, half, albedo in world.extra
         ]
@@ -287,13 +335,16 @@ def _box(
 
 
 def _mesh(
-    component: Mapping[str, Any], material: Mapping[str, Any], pose: Array | None, world: World
+    component: Mapping[str, Any], bsdf: dict[str, Any], pose: Array | None, world: World, folder: Path
 ) -> dict[str, Any]:
-    """A box or plate of the scene where it stands, its first edge scaled as the world has it."""
+    """A part of the scene where it stands, the first edge of a box or plate scaled as the world has it."""
+    if component["shape"] == "mesh":
+        file = str(folder / component["file"])
+        return {"type": "obj", "filename": file, "face_normals": True, "bsdf": bsdf, "reach": np.sqrt(3.0)}
     size = np.array(component["size"], float)
     size[0] *= world.sizes.get(component["name"], 1.0)
     centre = np.array(component["centre"], float)
     turn = np.eye(3) if pose is None else pose
     if component["shape"] == "box":
-        return _box(centre, size / 2, turn, _bsdf(material))
-    return _box(centre, np.r_[size / 2, 1.0], turn, _bsdf(material), "rectangle")
+        return _box(centre, size / 2, turn, bsdf)
+    return _box(centre, np.r_[size / 2, 1.0], turn, bsdf, "rectangle")

@@ -206,6 +206,8 @@ def evidence_of_the_peak() -> dict[str, str]:
         rows.append("| " + " | ".join(cells) + " |")
     occlusion = found["occlusion"]
     return {
+        "story_plain": f"{found['lobe tail, plain']['left_at_peak_mag']:.2f}",
+        "story_told": f"{found['lobe tail, plain']['told']:.2f}",
         "story_table": "\n".join(rows),
         "story_error": f"{occlusion['error_to_be_seen_mag']:.4f}",
         "story_change": f"{occlusion['largest_change_mag']:.3f}",

@@ -12,7 +12,7 @@ import numpy as np
 EXAMPLES = Path(__file__).parents[2] / "examples"
 sys.path[:0] = [str(EXAMPLES / one) for one in ("calibration", "reference")]
 
-from cases import CONDUCTORS, Composed, compose  # noqa: E402
+from cases import CONDUCTORS, SIZES, Composed, compose  # noqa: E402
 from concealed import RECIPES, Rng, kinds  # noqa: E402
 from gain import sized  # noqa: E402
 from make_injections import write_composed  # noqa: E402
@@ -57,7 +57,7 @@ def _composed(kind: str, number: int, rng: Rng) -> Composed:
     if kind == "none":
         return compose(f"control_{rng.choice(NONE)}", catalogue, rng)
     if kind == "one":
-        return compose(f"{rng.choice(SINGLE)}-{rng.choice(['medium', 'large'])}", catalogue, rng)
+        return compose(f"{rng.choice(SINGLE)}-{rng.choice(list(SIZES))}", catalogue, rng)
     if kind in ("two", "three"):
         return _several(2 if kind == "two" else 3, catalogue, rng)
     if kind == "unlisted":

@@ -157,7 +157,7 @@ def _scores(rows: Sequence[Mapping[str, Any]], kind: str | None = None) -> dict[
         "detected": {str(level): _mean(row["p"] <= level for row in some) for level in ALARMS},
         "false_alarms": {str(level): _mean(row["p"] <= level for row in none) for level in ALARMS},
         **{key: _mean(row[key] for row in some) for key in ("first", "third", "family", "share")},
-        "verdict_right": _mean(row["right"] for row in asked),
+        "verdict_right": _mean(row["right"] for row in asked) if any(row["sets"] for row in rows) else None,
         "overlap": _median(row["overlap"] for row in some),
         "gain": _median(row["gain"] for row in some),
         "calibration_error": calibration_error(

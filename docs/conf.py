@@ -125,7 +125,7 @@ def evidence_of_the_benchmark() -> dict[str, str]:
     kinds = [kind for kind, count in numbers["classes"].items() if count]
 
     def shown(value: float | None, form: str = ".2f") -> str:
-        return "cannot" if value is None else format(value, form)
+        return "–" if value is None else format(value, form)
 
     def table(heads: list[str], rows: list[list[str]]) -> str:
         lines = [heads, ["---"] * len(heads), *rows]
@@ -134,6 +134,7 @@ def evidence_of_the_benchmark() -> dict[str, str]:
     whole = [
         [
             titles[name],
+            str(one["cases"]),
             shown(one["auc"]),
             *(shown(one["detected"][level]) for level in ("0.01", "0.05")),
             *(shown(one["false_alarms"][level]) for level in ("0.01", "0.05")),
@@ -145,7 +146,7 @@ def evidence_of_the_benchmark() -> dict[str, str]:
         for name in order
         for one in [scores[name]["all"]]
     ]
-    heads = ["method", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
+    heads = ["method", "cases", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
              "causes found", "verdict right", "rows", "gain", "calibration error", "abstained", "CPU s"]  # fmt: skip
     missing = [kind for kind in kinds if kind != "none"]
 

@@ -166,6 +166,8 @@ def test_the_command_makes_asks_and_scores(tmp_path: Path, capsys: pytest.Captur
     before = [file.read_text() for file in files]
     main(call)
     assert [file.read_text() for file in files] == before
+    with pytest.raises(SystemExit, match="holds cases of seed 5"):
+        main([*call[:1], "6", *call[2:]])
 
     case = Case(next(tmp_path.glob("cases/tracer-none-0")))
     p = [

@@ -126,9 +126,11 @@ def _answer(job: Job) -> dict[str, Any]:
     return json.loads((job.folder / "answer.json").read_text(encoding="utf-8"))
 
 
-def told(done: Sequence[Job], options: argparse.Namespace) -> dict[str, Any]:
-    """The summary of what is there, with what it was made by."""
-    rows = [row for job in done for row in results(job.folder)]
+def told(options: argparse.Namespace) -> dict[str, Any]:
+    """The summary of all that the folder holds, of this call and of earlier ones, with what it was made by."""
+    folders = [one for one in sorted((options.out / "cases").iterdir()) if results(one)]
+    answers = [json.loads((one / "answer.json").read_text(encoding="utf-8")) for one in folders]
+    rows = [row for one in folders for row in results(one)]
     good = [row for row in rows if "failed" not in row]
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"],
@@ -141,23 +143,27 @@ def told(done: Sequence[Job], options: argparse.Namespace) -> dict[str, Any]:
         "seed": options.seed,
         "commit": commit,
         "machine": f"{platform.machine()}, {multiprocessing.cpu_count()} cores",
-        "cases": sum(bool(results(job.folder)) for job in done),
-        "classes": {
-            kind: sum(job.kind == kind and bool(results(job.folder)) for job in done) for kind in CLASSES
-        },
-        "generators": {
-            name: sum(job.generator == name and bool(results(job.folder)) for job in done)
-            for name in GENERATORS
-        },
+        "cases": len(folders),
+        "classes": {kind: sum(one["class"] == kind for one in answers) for kind in CLASSES},
+        "generators": {name: sum(one["generator"] == name for one in answers) for name in GENERATORS},
         "failed": len(rows) - len(good),
         "titles": {row["method"]: method(row["method"]).TITLE for row in good},
         "scores": summary(good),
         "overview": overview(
-            good,
-            "diagnosis",
-            f"python -m benchmarks.concealed --seed {options.seed} --cases {options.cases} -o DIR",
+            good, "diagnosis", f"python -m benchmarks.concealed --seed {options.seed} -o DIR"
         ),
     }
+
+
+def claim(folder: Path, seed: int) -> None:
+    """Marks a folder as that of a seed; ends where it is another's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mark = folder / "seed.txt"
+    if mark.exists() and mark.read_text(encoding="utf-8").strip() != str(seed):
+        raise SystemExit(
+            f"{folder} holds cases of seed {mark.read_text().strip()}, not {seed}; give another folder"
+        )
+    mark.write_text(f"{seed}\n", encoding="utf-8")
 
 
 def _chosen(text: str | None, known: Sequence[str], what: str) -> list[str]:
@@ -199,6 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         methods,
         options.out,
     )
+    claim(options.out, options.seed)
     if options.processes == 1:
         for job in wanted:
             print(run(job), flush=True)
@@ -207,8 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
             for line in pool.map(run, wanted):
                 print(line, flush=True)
-    content = json.dumps(told(wanted, options), indent=1) + "\n"
-    options.out.mkdir(parents=True, exist_ok=True)
+    content = json.dumps(told(options), indent=1) + "\n"
     for path in (options.out / "summary.json", options.publish):
         if path is not None:
             path.write_text(content, encoding="utf-8")

@@ -96,6 +96,33 @@ def verdict(setup: Setup, concealed: Concealed) -> dict[str, Any]:
     }
 
 
+def line(name: str, one: dict[str, Any]) -> dict[str, Any]:
+    """A row of the overview of the evidence."""
+    hidden = one["gain"] < 1.0
+    cause = {"lobe tail": "lobe_tail", "panel cant": "panel_cant"}.get(
+        name.partition(",")[0], "self_shadowing"
+    )
+    first = one["named"][:1] == [cause]
+    family = any(cause in members for members in one["families"])
+    right = (
+        "yes"
+        if first
+        else "in the family"
+        if family
+        else "silent"
+        if one["verdict"] != "missing_physics"
+        else "no"
+    )
+    return {
+        "recording": f"Object 1's peak, {name}",
+        "cause": f"`{cause}`" + (", which a refit hides" if hidden else ""),
+        "named": ", ".join(f"`{effect}`" for effect in one["named"]) or one["verdict"],
+        "probability": one["told"],
+        "right": "yes: nothing shows" if hidden and one["verdict"] == "adequate" else right,
+        "command": "python examples/calibration/paper_story.py docs/evidence",
+    }
+
+
 def main() -> None:
     out = Path(sys.argv[1])
     setup, touching = night(), night(gap=0.0)
@@ -125,6 +152,7 @@ def main() -> None:
         print(name, found[name], flush=True)
     out.mkdir(parents=True, exist_ok=True)
     found = {name: found[name] for name in ("occlusion", "occlusion as published", *causes)}
+    found["overview"] = [line(name, found[name]) for name in ("occlusion", *causes)]
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 

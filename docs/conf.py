@@ -116,7 +116,110 @@ def calibration_of_the_verdict() -> dict[str, str]:
     }
 
 
+def evidence_of_the_benchmark() -> dict[str, str]:
+    """What docs/evidence/concealed.md says in numbers, from those of ``python -m benchmarks.concealed``."""
+    numbers = json.loads((HERE / "evidence" / "concealed.json").read_text(encoding="utf-8"))
+    toy = json.loads((HERE / "evidence" / "concealed_toy.json").read_text(encoding="utf-8"))
+    titles, scores = numbers["titles"], numbers["scores"]
+    order = ["diagnosis", *sorted(name for name in titles if name != "diagnosis")]
+    kinds = [kind for kind, count in numbers["classes"].items() if count]
+
+    def shown(value: float | None, form: str = ".2f") -> str:
+        return "–" if value is None else format(value, form)
+
+    def table(heads: list[str], rows: list[list[str]]) -> str:
+        lines = [heads, ["---"] * len(heads), *rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    whole = [
+        [
+            titles[name],
+            str(one["cases"]),
+            shown(one["auc"]),
+            *(shown(one["detected"][level]) for level in ("0.01", "0.05")),
+            *(shown(one["false_alarms"][level]) for level in ("0.01", "0.05")),
+            *(shown(one[key]) for key in ("first", "third", "family", "share", "verdict_right", "overlap")),
+            shown(one["gain"], ".1f"),
+            *(shown(one[key]) for key in ("calibration_error", "abstained")),
+            shown(one["seconds"], ".1f"),
+        ]
+        for name in order
+        for one in [scores[name]["all"]]
+    ]
+    heads = ["method", "cases", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
+             "causes found", "verdict right", "rows", "gain", "calibration error", "abstained", "CPU s"]  # fmt: skip
+    missing = [kind for kind in kinds if kind != "none"]
+
+    def by_class(key: str) -> str:
+        return table(
+            ["method", *missing],
+            [
+                [titles[name], *(shown(scores[name].get(kind, {}).get(key)) for kind in missing)]
+                for name in order
+            ],
+        )
+
+    strengths = next(iter(toy["detected"].values()))
+    return {
+        "concealed_cases": str(numbers["cases"]),
+        "concealed_classes": ", ".join(
+            f"{count} of {kind}" for kind, count in numbers["classes"].items() if count
+        ),
+        "concealed_generators": ", ".join(
+            f"{count} by {name}" for name, count in numbers["generators"].items()
+        ),
+        "concealed_commit": numbers["commit"],
+        "concealed_seed": str(numbers["seed"]),
+        "concealed_machine": numbers["machine"],
+        "concealed_failed": str(numbers["failed"]),
+        "concealed_table": table(heads, whole),
+        "concealed_auc": by_class("auc"),
+        "concealed_family": by_class("family"),
+        "concealed_gain": by_class("gain"),
+        "concealed_toy": table(
+            ["statistic", *(f"{one} sigma, {level}" for one in strengths for level in ("1 %", "5 %"))],
+            [
+                [name, *(shown(by_level[level]) for by_level in found.values() for level in ("0.01", "0.05"))]
+                for name, found in toy["detected"].items()
+            ],
+        ),
+    }
+
+
+def evidence_of_the_peak() -> dict[str, str]:
+    """What docs/evidence/paper_story.md says in numbers, from those of its example."""
+    found = json.loads((HERE / "evidence" / "paper_story.json").read_text(encoding="utf-8"))
+    rows = ["| cause | size | changes, mag | uneven over the peak, mag | refit leaves, mag | chi, refit | steepest, mag/h | refit's |"
+            " global p | verdict | named, with its family | probability |", "|" + "---|" * 12]  # fmt: skip
+    for name, one in found.items():
+        if name == "overview" or "verdict" not in one:
+            continue
+        family = "; ".join(" or ".join(members) for members in one["families"]) or "nothing"
+        size = "wings at the wall" if "gap_m" in one else ", ".join(
+            f"{key} = {value:.3g}"
+            for values in one["parameters"].values()
+            for key, value in values.items()
+            if not isinstance(value, str)
+        )  # fmt: skip
+        cells = [name, size, f"{one['largest_change_mag']:.3f}", f"{one['uneven_at_peak_mag']:.4f}",
+                 f"{one['left_by_refit_mag']:.4f}", f"{one['gain']:.1f}", f"{one['slope_with']:.3f}",
+                 f"{one['slope_refit']:.3f}", f"{one['global_p']:.2g}", one["verdict"], family, f"{one['told']:.2f}"]  # fmt: skip
+        rows.append("| " + " | ".join(cells) + " |")
+    occlusion = found["occlusion"]
+    return {
+        "story_plain": f"{found['lobe tail, plain']['left_at_peak_mag']:.2f}",
+        "story_told": f"{found['lobe tail, plain']['told']:.2f}",
+        "story_table": "\n".join(rows),
+        "story_error": f"{occlusion['error_to_be_seen_mag']:.4f}",
+        "story_change": f"{occlusion['largest_change_mag']:.3f}",
+        "story_uneven": f"{occlusion['uneven_at_peak_mag']:.4f}",
+        "story_left": f"{occlusion['left_by_refit_mag']:.4f}",
+        "story_gap": f"{found['occlusion as published']['gap_m']:.2f}",
+    }
+
+
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
+myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak()
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 autodoc_typehints = "description"

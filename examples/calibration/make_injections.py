@@ -33,9 +33,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import observe
 import sky
 from body import DEFAULT_EFFECTS
-from cases import NOISE, OUTSIDE, SUBSET, compose, listed, names
+from cases import NOISE, OUTSIDE, SUBSET, Composed, compose, listed, names
 from circumstances import Setup
-from concealed import Concealed, instant
+from concealed import Concealed, Rng, instant
 from gain import Baseline, truth_of
 from nominal import error_factor, loose_tangents, mishaps
 from scene_files import toml
@@ -182,7 +182,12 @@ class Observed(NamedTuple):
 def observed(name: str, number: int, seed: int) -> Observed:
     """The case of that name; ``number`` is that of its elements."""
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    setup, concealed, said = compose(name, number, rng)
+    return write_composed(name, folder, seed, rng, compose(name, number, rng))
+
+
+def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Composed) -> str:
+    """Observes what was composed and writes its three files; returns a line about it."""
+    setup, concealed, said = composed
     setup = listed(setup, concealed, rng)
     physics = {k: v for k, v in concealed.items() if k not in NOISE}
     curve, mag = truth_of(setup, physics, seed=seed)

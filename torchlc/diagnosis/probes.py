@@ -80,7 +80,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     psi = torch.cat([psi, sought])
     moved = change(psi)
     if per is not None:
-        part = context.curve if per == "curve" else context.night
+        part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)
     padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
     projected = padded - (padded @ basis) @ basis.T

@@ -1,0 +1,186 @@
+"""Several objects of one design in one fit: an offset of each, from a population whose spread is learnt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import multivariate_normal
+
+import torchlc
+from tests.effects.passes import magnitudes, model_with, orbiting, rows
+from torchlc.diagnosis.proof import log_density, make_blocks
+from torchlc.errors import InputError
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import whitener
+from torchlc.lightcurve.model import LightCurve
+from torchlc.noise.draw import draw
+from torchlc.noise.scatter import Shared
+from torchlc.stages.noise import Noise
+
+SCENE = orbiting()
+SPREAD, ERROR, OBJECTS = 0.3, 0.05, 24
+
+
+def fleet(scene=SCENE, spread=SPREAD, count=OBJECTS, seed=0, error=ERROR, cadence_s=600.0):
+    """The scene's light at its rows, dealt at random to objects with offsets of a known spread; and the offsets."""
+    random = np.random.default_rng(seed)
+    recording = rows(scene, cadence_s=cadence_s)
+    number = random.integers(count, size=len(recording))
+    number[:count] = np.arange(count)
+    offset = spread * random.normal(size=count)
+    observed = magnitudes(scene, recording) + offset[number] + error * random.normal(size=len(recording))
+    return replace(
+        recording,
+        observed=observed,
+        error=np.full(len(recording), error),
+        object=number,
+        object_ids=tuple(f"sat {k}" for k in range(count)),
+    ), offset
+
+
+def marginal(residual, error, *groups):
+    """Log density of residuals by SciPy: white errors, and for each (numbers, spread) one offset a member."""
+    covariance = np.diag(np.broadcast_to(error, residual.shape) ** 2)
+    for number, spread in groups:
+        covariance = covariance + spread**2 * (number[:, None] == number)
+    return multivariate_normal(np.zeros(len(residual)), covariance).logpdf(residual)
+
+
+def test_the_offset_of_each_object_is_integrated_out():
+    recording, _ = fleet()
+    model, theta = model_with(SCENE, recording, "object_scatter", object_scatter__mag=0.2)
+    likelihood = Likelihood(model)
+    residual = recording.observed - magnitudes(SCENE, recording)
+    expected = marginal(residual, ERROR, (recording.object, 0.2))
+    assert float(likelihood.log_likelihood(theta)) == pytest.approx(expected, rel=1e-11)
+    batch = likelihood.log_likelihood(torch.stack([theta, theta]))
+    torch.testing.assert_close(batch, batch[:1].expand(2), rtol=1e-13, atol=0)
+
+
+def test_objects_and_nights_that_cross():
+    """Rows that a chain of objects and nights links have one covariance."""
+    recording, _ = fleet(count=6)
+    night = np.random.default_rng(1).integers(3, size=len(recording))
+    recording = replace(recording, night=night, night_ids=("a", "b", "c"))
+    noise = {"object_scatter__mag": 0.3, "night_scatter__mag": 0.1}
+    model, theta = model_with(SCENE, recording, "object_scatter", "night_scatter", **noise)
+    residual = recording.observed - magnitudes(SCENE, recording)
+    expected = marginal(residual, ERROR, (recording.object, 0.3), (night, 0.1))
+    assert float(Likelihood(model).log_likelihood(theta)) == pytest.approx(expected, rel=1e-10)
+
+
+def test_whitened_rows_are_in_the_order_of_the_recording():
+    """Of unit variance and uncorrelated: their sum of squares is the quadratic form of the covariance."""
+    recording, _ = fleet()
+    model, theta = model_with(SCENE, recording, "object_scatter", object_scatter__mag=SPREAD)
+    likelihood = Likelihood(model)
+    found = likelihood.residuals(theta)
+    white = whitener(likelihood, found, model.noise(theta))(found).numpy()
+    delta = found.delta.numpy()
+    covariance = ERROR**2 * np.eye(len(delta)) + SPREAD**2 * (recording.object[:, None] == recording.object)
+    assert white @ white == pytest.approx(delta @ np.linalg.solve(covariance, delta), rel=1e-10)
+    alone = np.bincount(recording.object) == 1
+    lonely = np.flatnonzero(alone[recording.object])
+    np.testing.assert_allclose(white[lonely], delta[lonely] / np.hypot(ERROR, SPREAD), rtol=1e-10)
+
+
+def test_a_spread_that_is_known_is_found():
+    """Within 3 standard deviations of it, which for N objects is about 1 / sqrt(2 N) of itself; and the zero point within 3 of the
+    mean of N offsets."""
+    scene = _with_zero_point(SCENE)
+    recording, offset = fleet(SCENE, count=60, seed=3, cadence_s=90.0)
+    result = torchlc.fit(scene, recording, steps=400, walkers=16, seed=1)
+    told = result.parameters()
+    spread = offset.std()
+    assert abs(told["object_scatter.mag"]["median"] - spread) < 3 * spread / np.sqrt(2 * 60)
+    assert abs(told["zero_point"]["median"] - offset.mean()) < 3 * ERROR
+    assert told["zero_point"]["sd"] == pytest.approx(spread / np.sqrt(60), rel=0.3)  # objects count, not rows
+    assert "zero_point[sat 0]" not in told
+
+
+def test_unseen_objects_are_scored_with_the_spread():
+    """Blocks are whole objects, and their density is that of the marginal distribution with what the fit knows."""
+    recording, _ = fleet()
+    model, theta = model_with(SCENE, recording, "object_scatter", object_scatter__mag=SPREAD)
+    group = model.assembly.context.object
+    assert group is not None
+    blocks = make_blocks(model.assembly.context.seconds, group)
+    held = [set(recording.object[rows.numpy()]) for rows, _ in blocks]
+    assert sum(map(len, held)) == OBJECTS  # none in two blocks
+    from torchlc.diagnosis.hypotheses import Hypothesis
+    from torchlc.inference.posterior import Posterior, fitted_at
+
+    posterior = Posterior(Likelihood(model), False)
+    at = fitted_at(Hypothesis(), posterior, posterior.coordinates(theta))
+    physical = torch.tensor(posterior.physical, dtype=torch.long)
+    one = blocks[0][0]
+    slopes = at.slopes[one][:, physical].numpy()
+    known = slopes @ at.covariance[physical][:, physical].numpy() @ slopes.T
+    same = recording.object[one.numpy()][:, None] == recording.object[one.numpy()]
+    covariance = known + ERROR**2 * np.eye(len(one)) + SPREAD**2 * same
+    delta = at.delta[one].numpy()
+    expected = multivariate_normal(np.zeros(len(one)), covariance).logpdf(delta)
+    assert float(log_density(at, at, one)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_scatter_between_objects_is_not_named_as_physics():
+    """An effect that is 0.4 mag for half of the objects at random: as many rows as there are would name anything. The offset of
+    each object explains it."""
+    recording, _ = fleet(spread=0.4, count=12, seed=5, cadence_s=150.0)
+    scene = _with_zero_point(SCENE)
+    names = ["extinction_residual", "zero_point_drift"]
+    found = torchlc.diagnose(scene, recording, effects=names, quick=True, seed=0).to_json()
+    assert found["verdict"] in ("adequate", "noise_model")
+    assert not set(found["named"]) & set(names)
+
+
+def test_draws_of_a_fleet():
+    """Offsets of 400 objects of 5 rows: their standard deviation is the spread to 3 of its own, spread / sqrt(2 N)."""
+    number = torch.arange(2000) % 400
+    noise = Noise().with_process(Shared("object_scatter", torch.tensor([SPREAD], dtype=torch.float64), number))
+    quoted = torch.full((2000,), 1e-6, dtype=torch.float64)
+    delta = draw(noise, quoted, torch.zeros(2000, dtype=torch.long), np.random.default_rng(2))
+    each = delta.reshape(5, 400)
+    assert float(each.std(0).max()) < 1e-4  # one offset for all rows of an object
+    assert abs(float(each[0].std()) - SPREAD) < 3 * SPREAD / np.sqrt(800)
+
+
+def test_without_objects_it_is_refused():
+    with pytest.raises(InputError, match="which object a row belongs to"):
+        LightCurve(_with_zero_point(SCENE), rows(SCENE))
+
+
+def _with_zero_point(scene):
+    """The scene with a zero point of each object."""
+    number = torchlc.scene.Free(value=0.0, sigma=1.0, prior="normal", per="object")
+    parameters = {**scene.model.parameters, "zero_point": number}
+    return scene.model_copy(update={"model": scene.model.model_copy(update={"parameters": parameters})})
+
+
+TABLE = "time,mag,mag_err,{}\n" + "".join(
+    f"2024-01-01T0{k}:00:00,{6 + 0.1 * k},0.1,{name}\n" for k, name in enumerate("abacb")
+)
+
+
+@pytest.mark.parametrize("column", ["object", "satellite_name", "Satellite", "norad_cat_id"])
+def test_a_recording_says_which_object_a_row_is(tmp_path, column):
+    path = tmp_path / "fleet.csv"
+    path.write_text(TABLE.format(column))
+    recording = torchlc.load_recording(path)
+    assert [recording.object_ids[k] for k in recording.object] == list("abacb")
+    kept = recording.keep(recording.object != 0, "test")
+    assert [kept.object_ids[k] for k in kept.object] == list("bcb") and len(kept.object_ids) == 2
+    again = torchlc.Recording.from_table(recording.to_table())
+    assert again.object_ids == recording.object_ids and (again.object == recording.object).all()
+    other = torchlc.load_recording(path, columns="object=b")
+    assert len(other) == 2 and other.dropped == {"of another object": 3}
+
+
+def test_a_column_of_another_name_is_told(tmp_path):
+    path = tmp_path / "fleet.csv"
+    path.write_text(TABLE.format("craft"))
+    assert torchlc.load_recording(path).object is None
+    assert torchlc.load_recording(path, columns="objects=craft").object_ids == ("a", "b", "c")

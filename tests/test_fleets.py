@@ -18,6 +18,8 @@ from torchlc.inference.optimiser import whitener
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.draw import draw
 from torchlc.noise.scatter import Shared
+from torchlc.readers import Recording
+from torchlc.readers.recording import load_recording
 from torchlc.stages.noise import Noise
 
 SCENE = orbiting()
@@ -169,18 +171,18 @@ TABLE = "time,mag,mag_err,{}\n" + "".join(
 def test_a_recording_says_which_object_a_row_is(tmp_path, column):
     path = tmp_path / "fleet.csv"
     path.write_text(TABLE.format(column))
-    recording = torchlc.load_recording(path)
+    recording = load_recording(path)
     assert [recording.object_ids[k] for k in recording.object] == list("abacb")
     kept = recording.keep(recording.object != 0, "test")
     assert [kept.object_ids[k] for k in kept.object] == list("bcb") and len(kept.object_ids) == 2
-    again = torchlc.Recording.from_table(recording.to_table())
+    again = Recording.from_table(recording.to_table())
     assert again.object_ids == recording.object_ids and (again.object == recording.object).all()
-    other = torchlc.load_recording(path, columns="object=b")
+    other = load_recording(path, columns="object=b")
     assert len(other) == 2 and other.dropped == {"of another object": 3}
 
 
 def test_a_column_of_another_name_is_told(tmp_path):
     path = tmp_path / "fleet.csv"
     path.write_text(TABLE.format("craft"))
-    assert torchlc.load_recording(path).object is None
-    assert torchlc.load_recording(path, columns="objects=craft").object_ids == ("a", "b", "c")
+    assert load_recording(path).object is None
+    assert load_recording(path, columns="objects=craft").object_ids == ("a", "b", "c")

@@ -210,6 +210,7 @@ class Workbench:
                 continue
             kind = cls()
             able = kind.missing(context) is None and kind.beside(present) is None
+            able = able and all(one.beside([kind]) is None for one in present)
             if able and not (kind.correlates and longest > LONGEST_CURVE):
                 found[name] = kind
         return found

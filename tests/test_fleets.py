@@ -21,6 +21,7 @@ from torchlc.noise.scatter import Shared
 from torchlc.readers import Recording
 from torchlc.readers.recording import load_recording
 from torchlc.stages.noise import Noise
+from torchlc.tensors.least_squares import differences
 
 SCENE = orbiting()
 SPREAD, ERROR, OBJECTS = 0.3, 0.05, 24
@@ -62,15 +63,31 @@ def test_the_offset_of_each_object_is_integrated_out():
     torch.testing.assert_close(batch, batch[:1].expand(2), rtol=1e-13, atol=0)
 
 
-def test_objects_and_nights_that_cross():
+def test_objects_and_other_groups_that_cross():
     """Rows that a chain of objects and nights links have one covariance."""
     recording, _ = fleet(count=6)
     night = np.random.default_rng(1).integers(3, size=len(recording))
-    recording = replace(recording, night=night, night_ids=("a", "b", "c"))
-    noise = {"object_scatter__mag": 0.3, "night_scatter__mag": 0.1}
-    model, theta = model_with(SCENE, recording, "object_scatter", "night_scatter", **noise)
+    model, theta = model_with(SCENE, recording, "object_scatter", object_scatter__mag=0.3)
+    nightly = Shared("nights", torch.tensor(0.1, dtype=torch.float64), torch.from_numpy(night))
     residual = recording.observed - magnitudes(SCENE, recording)
     expected = marginal(residual, ERROR, (recording.object, 0.3), (night, 0.1))
+    noise = model.noise(theta).with_process(nightly)
+    assert float(Likelihood(model).log_likelihood(theta, noise)) == pytest.approx(expected, rel=1e-10)
+
+
+def test_beside_noise_that_rows_of_a_curve_share():
+    """Red noise links the rows of each curve, objects link curves."""
+    recording, _ = fleet(count=6)
+    curve = np.arange(len(recording)) % 2
+    recording = replace(recording, curve=curve, curve_ids=("a", "b"))
+    values = {"object_scatter__mag": 0.3, "red_noise__mag": 0.1, "red_noise__tau_min": 40.0}
+    model, theta = model_with(SCENE, recording, "object_scatter", "red_noise", **values)
+    residual = recording.observed - magnitudes(SCENE, recording)
+    minutes = recording.seconds / 60
+    x = np.sqrt(3) * np.abs(minutes[:, None] - minutes) / 40.0
+    covariance = ERROR**2 * np.eye(len(x)) + 0.09 * (recording.object[:, None] == recording.object)
+    covariance += 0.01 * (1 + x) * np.exp(-x) * (curve[:, None] == curve)
+    expected = multivariate_normal(np.zeros(len(x)), covariance).logpdf(residual)
     assert float(Likelihood(model).log_likelihood(theta)) == pytest.approx(expected, rel=1e-10)
 
 
@@ -186,3 +203,15 @@ def test_a_column_of_another_name_is_told(tmp_path):
     path.write_text(TABLE.format("craft"))
     assert load_recording(path).object is None
     assert load_recording(path, columns="objects=craft").object_ids == ("a", "b", "c")
+
+
+def test_the_slope_of_a_held_coordinate_is_none():
+    """Residuals of two batches may differ by rounding, which is no slope: a coordinate that cannot move has 0."""
+
+    def residual(y):
+        return torch.stack([3 * y[:, 0], 1.0 + 1e-16 * len(y) * 1e3 + 0 * y[:, 1]], -1)
+
+    y, low, high = (torch.tensor(one, dtype=torch.float64) for one in ([[1.0, 2.0]], [0.0, 2.0], [5.0, 2.0]))
+    slopes = differences(residual, y, low, high)
+    torch.testing.assert_close(slopes, torch.tensor([[[3.0, 0.0], [0.0, 0.0]]], dtype=torch.float64), rtol=1e-6, atol=1e-3)
+    assert (slopes[..., 1] == 0).all()

@@ -206,7 +206,7 @@ class Workbench:
         longest = int(torch.bincount(context.curve).max())
         found = {}
         for name, cls in registry().items():
-            if not issubclass(cls, NoiseKind) or cls.only_asked or name in {one.name for one in present}:
+            if not issubclass(cls, NoiseKind) or name in {effect.name for effect in present}:
                 continue
             kind = cls()
             able = kind.missing(context) is None and kind.beside(present) is None

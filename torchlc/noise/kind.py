@@ -41,8 +41,7 @@ class Facts:
 class NoiseKind(Effect):
     """A noise model. ``widens``, ``reshapes`` and ``correlates`` say which of variance, law and processes it changes;
     ``mends_errors`` marks the kind that a fit adds where chi-square says that the quoted errors are too small; ``between_objects``
-    one by whose ``mag`` objects of one design differ, which an object that was not seen is predicted with; ``only_asked`` one
-    that a diagnosis has only where the scene lists it."""
+    one by whose ``mag`` objects of one design differ, which an object that was not seen is predicted with."""
 
     stage = "noise"
     widens: ClassVar[bool] = False
@@ -50,7 +49,6 @@ class NoiseKind(Effect):
     correlates: ClassVar[bool] = False
     mends_errors: ClassVar[bool] = False
     between_objects: ClassVar[bool] = False
-    only_asked: ClassVar[bool] = False
 
     def missing(self, context):
         return super().missing(context) or (too_many(context.limits) if self.correlates else None)

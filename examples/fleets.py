@@ -48,7 +48,9 @@ def robust(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
-def fitted(scene: torchlc.Scene, recording: Recording, seed: int = 0) -> tuple[torchlc.LightCurve, torch.Tensor]:
+def fitted(
+    scene: torchlc.Scene, recording: Recording, seed: int = 0
+) -> tuple[torchlc.LightCurve, torch.Tensor]:
     """The model of a recording and its most probable theta."""
     model = torchlc.LightCurve(scene, recording)
     return model, fit_map(Likelihood(model), starts=STARTS, adam_steps=ADAM_STEPS, seed=seed).theta
@@ -79,7 +81,9 @@ def held_out(scene: torchlc.Scene, recording: Recording, member: np.ndarray) -> 
 
 
 def v15_scene(effects: str) -> torchlc.Scene:
-    text = (DATA / "starlink_v15" / "scene.toml").read_text().replace("effects = []", f"effects = [{effects}]")
+    text = (
+        (DATA / "starlink_v15" / "scene.toml").read_text().replace("effects = []", f"effects = [{effects}]")
+    )
     return torchlc.Scene.from_toml(text, DATA / "starlink_v15")
 
 
@@ -114,16 +118,20 @@ def v15() -> dict[str, Any]:
 # ------------------------------------------------------------------ v2 mini
 
 
-def v2mini(folder: Path) -> tuple[torchlc.Scene, Recording, np.ndarray, dict[str, np.ndarray]]:
+def v2mini(
+    folder: Path, lowest_deg: float = LOWEST_DEG
+) -> tuple[torchlc.Scene, Recording, np.ndarray, dict[str, np.ndarray]]:
     """Scene and recording with the satellite of each row, which rows are flagged as lit, and what else is recorded of each."""
     with (DATA / "starlink_v2mini" / "v2mini_part.csv").open() as stream:
-        rows = [row for row in csv.DictReader(stream) if float(row["alt_deg_satchecker"]) > LOWEST_DEG]
+        rows = [row for row in csv.DictReader(stream) if float(row["alt_deg_satchecker"]) > lowest_deg]
     rows.sort(key=lambda row: row["observation_time_utc"])
 
     def column(name: str) -> np.ndarray:
         return np.array([float(row[name]) for row in rows])
 
-    latitude, longitude, up = (column(f"observer_{key}") for key in ("latitude_deg", "longitude_deg", "altitude_m"))
+    latitude, longitude, up = (
+        column(f"observer_{key}") for key in ("latitude_deg", "longitude_deg", "altitude_m")
+    )
     alt, az = column("alt_deg_satchecker"), column("az_deg_satchecker")
     place = earth.station_itrs(latitude, longitude, up)
     sight = column("range_to_sat_km_satchecker")[:, None] * earth.horizontal_itrs(place, alt, az)
@@ -131,7 +139,8 @@ def v2mini(folder: Path) -> tuple[torchlc.Scene, Recording, np.ndarray, dict[str
     places = list(zip(latitude, longitude, up, strict=True))
     ids = {one: f"s{k}" for k, one in enumerate(dict.fromkeys(places))}
     stations = "".join(
-        f'[[stations]]\nid = "{key}"\nlatitude = {a}\nlongitude = {b}\nheight = {c}\n' for (a, b, c), key in ids.items()
+        f'[[stations]]\nid = "{key}"\nlatitude = {a}\nlongitude = {b}\nheight = {c}\n'
+        for (a, b, c), key in ids.items()
     )
     scene = torchlc.Scene.from_toml(f"""
 format = "torchlc-scene/1"
@@ -201,7 +210,9 @@ def log_population(mean: np.ndarray, variance: np.ndarray) -> float:
     return float(top + np.log(np.trapezoid(np.exp(log_density - top), spread)))
 
 
-def split(delta: np.ndarray, number: np.ndarray, recorded: dict[str, np.ndarray], jitter: float) -> list[dict[str, Any]]:
+def split(
+    delta: np.ndarray, number: np.ndarray, recorded: dict[str, np.ndarray], jitter: float
+) -> list[dict[str, Any]]:
     """Where each recorded column divides the population best into two, each with a centre and a spread of its own, and by how much
     ln of the evidence is larger than that of one population, over all places of the cut alike. Best column first."""
     ids = np.unique(number)
@@ -230,8 +241,16 @@ def split(delta: np.ndarray, number: np.ndarray, recorded: dict[str, np.ndarray]
                 "log_evidence": float(gains.max() + np.log(np.exp(gains - gains.max()).mean())),
                 "cut": float(best),
                 "between": [float(value[low].max()), float(value[~low].min())],
-                "below": {"objects": int(low.sum()), "median": float(np.median(mean[low])), "sigma": robust(mean[low])},
-                "above": {"objects": int((~low).sum()), "median": float(np.median(mean[~low])), "sigma": robust(mean[~low])},
+                "below": {
+                    "objects": int(low.sum()),
+                    "median": float(np.median(mean[low])),
+                    "sigma": robust(mean[low]),
+                },
+                "above": {
+                    "objects": int((~low).sum()),
+                    "median": float(np.median(mean[~low])),
+                    "sigma": robust(mean[~low]),
+                },
             }
         )
     found.sort(key=lambda row: -row["log_evidence"])
@@ -243,8 +262,8 @@ def split(delta: np.ndarray, number: np.ndarray, recorded: dict[str, np.ndarray]
 
 def fleet() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
+        dark = told_dark(*v2mini(Path(folder), 0.0)[:3])
         scene, recording, lit, recorded = v2mini(Path(folder))
-    dark = told_dark(scene, recording, ~lit)
     lighted = recording.keep(lit, "flagged as not illuminated")
     recorded = {name: column[lit] for name, column in recorded.items()}
     assert lighted.object is not None
@@ -278,24 +297,27 @@ def fleet() -> dict[str, Any]:
     return found
 
 
-def told_dark(scene: torchlc.Scene, recording: Recording, dark: np.ndarray) -> list[dict[str, Any]]:
-    """The rows flagged as not illuminated: how much of the Sun the Earth hides there, by the row's own place and time, and how
-    long before or after it is half hidden at the satellite's rate along its orbit."""
-    some = recording.keep(dark, "flagged as lit")
-    assert some.object is not None
-    curve = torchlc.simulate(scene, some)
-    hidden, phase = curve.columns["eclipse_fraction"], curve.columns["phase_angle_deg"]
-    assert hidden is not None and phase is not None
-    return [
+def told_dark(scene: torchlc.Scene, recording: Recording, lit: np.ndarray) -> dict[str, Any]:
+    """How much of the Sun the Earth hides at the place and time of each row flagged as not illuminated, and at how many of the
+    others it hides all."""
+    hidden = torchlc.simulate(scene, recording).columns["eclipse_fraction"]
+    assert hidden is not None and recording.object is not None and recording.alt is not None
+    rows = [
         {
-            "object": some.object_ids[some.object[k]],
-            "time": str(some.time[k].isot)[:19],
-            "mag": float(some.observed[k]),
+            "object": recording.object_ids[recording.object[k]],
+            "time": str(recording.time[k].isot)[:19],
+            "mag": float(recording.observed[k]),
+            "elevation_deg": float(recording.alt[k]),
             "hidden": float(hidden[k]),
-            "phase_deg": float(phase[k]),
         }
-        for k in range(len(some))
+        for k in np.flatnonzero(~lit)
     ]
+    wholly = np.array([row["hidden"] for row in rows]) == 1.0
+    return {
+        "rows": rows,
+        "wholly_hidden": int(wholly.sum()),
+        "others_wholly_hidden": int((hidden[lit] == 1.0).sum()),
+    }
 
 
 # ------------------------------------------------------------------ visor
@@ -340,7 +362,9 @@ def visor() -> dict[str, Any]:
     return {
         "satellites": [
             {"name": one[0], "mag": m, "reduced": r, "visor": bool(v), "probability": p}
-            for one, m, r, v, p in zip(cells, mag.tolist(), reduced.tolist(), fitted_visor, chance.tolist(), strict=True)
+            for one, m, r, v, p in zip(
+                cells, mag.tolist(), reduced.tolist(), fitted_visor, chance.tolist(), strict=True
+            )
         ],
         "fainter_with_visor": float(best[1]),
         "sigma": float(np.std(reduced - basis @ best, ddof=3)),

@@ -159,7 +159,9 @@ def test_scatter_between_objects_is_not_named_as_physics():
 def test_draws_of_a_fleet():
     """Offsets of 400 objects of 5 rows: their standard deviation is the spread to 3 of its own, spread / sqrt(2 N)."""
     number = torch.arange(2000) % 400
-    noise = Noise().with_process(Shared("object_scatter", torch.tensor([SPREAD], dtype=torch.float64), number))
+    noise = Noise().with_process(
+        Shared("object_scatter", torch.tensor([SPREAD], dtype=torch.float64), number)
+    )
     quoted = torch.full((2000,), 1e-6, dtype=torch.float64)
     delta = draw(noise, quoted, torch.zeros(2000, dtype=torch.long), np.random.default_rng(2))
     each = delta.reshape(5, 400)
@@ -213,5 +215,7 @@ def test_the_slope_of_a_held_coordinate_is_none():
 
     y, low, high = (torch.tensor(one, dtype=torch.float64) for one in ([[1.0, 2.0]], [0.0, 2.0], [5.0, 2.0]))
     slopes = differences(residual, y, low, high)
-    torch.testing.assert_close(slopes, torch.tensor([[[3.0, 0.0], [0.0, 0.0]]], dtype=torch.float64), rtol=1e-6, atol=1e-3)
+    torch.testing.assert_close(
+        slopes, torch.tensor([[[3.0, 0.0], [0.0, 0.0]]], dtype=torch.float64), rtol=1e-6, atol=1e-3
+    )
     assert (slopes[..., 1] == 0).all()

@@ -72,7 +72,6 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             moved = (at.delta - likelihood.residuals(many).delta) / at.sigma
         return torch.nan_to_num(moved)
 
-    context = bench.base.context
     basis = torch.linalg.qr(at.tangent)[0]
     u = torch.cat([at.delta / at.sigma, at.g])
     psi = _tried(bench, posterior, entry, seed) if per is None else theta[:, columns] + divided_step(entry)

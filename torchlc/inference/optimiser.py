@@ -193,7 +193,9 @@ def whitener(
     sigma = noise.sigma(at.sigma, at.scale).expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
         levels = (
-            white_levels(likelihood, at.delta, noise) if noise.processes else likelihood.fitted_levels(at.delta)
+            white_levels(likelihood, at.delta, noise)
+            if noise.processes
+            else likelihood.fitted_levels(at.delta)
         )
         sigma = levels[likelihood.curve]
     if noise.processes:

@@ -93,9 +93,7 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
     zero_point = scene.model.parameters.get("zero_point")
     if isinstance(zero_point, Free) and zero_point.per == "object":  # that of the population
         parameters = {**scene.model.parameters, "zero_point": zero_point.model_copy(update={"per": None})}
-        scene = scene.model_copy(
-            update={"model": scene.model.model_copy(update={"parameters": parameters})}
-        )
+        scene = scene.model_copy(update={"model": scene.model.model_copy(update={"parameters": parameters})})
     plain = scene.model_copy(update={"orbit": Orbit(vectors="icrs")})
     if listed is None:
         return plain, []

@@ -126,7 +126,14 @@ def classes() -> str:
         rows.append(
             (name, str(row["objects"]), str(row["rows"]), f"{row['unseen']:.2f}", f"{row['unseen_objects']:.2f}", f"{spread:.2f}")
         )  # fmt: skip
-    head = ("class", "satellites", "rows", "robust sigma, rows of unseen satellites", "of their medians", "spread that was learnt")
+    head = (
+        "class",
+        "satellites",
+        "rows",
+        "robust sigma, rows of unseen satellites",
+        "of their medians",
+        "spread that was learnt",
+    )
     return table([head, *rows])  # fmt: skip
 
 
@@ -137,17 +144,33 @@ def splits() -> str:
             f"{row['log_evidence']:.1f}",
             f"{row['probability']:.2g}",
             f"{row['between'][0]:.6g} and {row['between'][1]:.6g}",
-            *(f"{side['objects']}: {side['median']:+.2f} ± {side['sigma']:.2f}" for side in (row["below"], row["above"])),
+            *(
+                f"{side['objects']}: {side['median']:+.2f} ± {side['sigma']:.2f}"
+                for side in (row["below"], row["above"])
+            ),
         )
         for row in read("evidence/fleets.json")["v2mini"]["splits"]
     ]
-    head = ("column", "ln of the evidence gained", "probability", "cut between", "satellites below, mag", "and above")
+    head = (
+        "column",
+        "ln of the evidence gained",
+        "probability",
+        "cut between",
+        "satellites below, mag",
+        "and above",
+    )
     return table([head, *rows])
 
 
 def dark() -> str:
     rows = [
-        (row["object"], row["time"], f"{row['mag']:.1f}", f"{row['elevation_deg']:.0f}", f"{row['hidden']:.2f}")
+        (
+            row["object"],
+            row["time"],
+            f"{row['mag']:.1f}",
+            f"{row['elevation_deg']:.0f}",
+            f"{row['hidden']:.2f}",
+        )
         for row in read("evidence/fleets.json")["v2mini"]["dark"]["rows"]
     ]
     return table([("satellite", "time, UTC", "mag", "elevation, deg", "of the Sun hidden"), *rows])

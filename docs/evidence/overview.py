@@ -56,7 +56,7 @@ def overview() -> str:
         ),
         (
             "[Starlink v2 mini](starlink.md), two populations",
-            "direct-to-cell satellites at 330 to 380 km, launched from 2024 on, fly another attitude",
+            "direct-to-cell satellites at 330 to 380 km, others at 500 to 580 km",
             f"two populations, divided by {split['column']}",
             f"{split['probability']:.2f} ({height['column']}: {height['probability']:.2f}), of the columns recorded",
             "yes: both columns divide the same satellites",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from evidence import overview
 from latex2mathml.converter import convert
 
 import torchlc
@@ -219,7 +220,7 @@ def evidence_of_the_peak() -> dict[str, str]:
 
 
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
-myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak()
+myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak() | overview.tables()
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 autodoc_typehints = "description"

@@ -48,10 +48,10 @@ def case(tmp_path_factory):
     )
     (folder / "scene.toml").write_text(text)
     scene = Scene.from_toml(text, known_effects=registry())
-    lines = ["time,station,mag,mag_err,exptime,curve"]
+    lines = ["time,station,mag,mag_err,exptime,curve,object"]
     station = scene.stations[0].id
     lines += [
-        f"{2459140.1 + k / 96 + (k // 12):.6f},{station},{12 + 0.1 * (k % 3)},0.05,{5 + k % 2},{'AB'[k // 12]}"
+        f"{2459140.1 + k / 96 + (k // 12):.6f},{station},{12 + 0.1 * (k % 3)},0.05,{5 + k % 2},{'AB'[k // 12]},{'PQR'[k % 3]}"
         for k in range(24)
     ]
     (folder / "rows.csv").write_text("\n".join(lines))

@@ -231,7 +231,17 @@ def rows(setting: Setting) -> Recording:
     if setting.exptime is not None:
         grid = replace(grid, exptime=np.full(len(grid), setting.exptime))
     seen = grid.keep(above_horizon(make_track(scene, grid)), "below the horizon")
-    return replace(seen, observed=np.zeros(len(seen)), error=np.full(len(seen), ERROR_MAG))
+    objects = np.arange(len(seen)) % OBJECTS  # in turn: nothing but object_scatter asks for them
+    return replace(
+        seen,
+        observed=np.zeros(len(seen)),
+        error=np.full(len(seen), ERROR_MAG),
+        object=objects,
+        object_ids=tuple(f"object {k + 1}" for k in range(OBJECTS)),
+    )
+
+
+OBJECTS = 12
 
 
 def with_vectors(setting: Setting, scene: torchlc.Scene) -> Recording:

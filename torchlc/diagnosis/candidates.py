@@ -10,13 +10,13 @@ from torchlc.lightcurve.assembly import Assembly
 from torchlc.scene.problems import shown
 from torchlc.suggest import did_you_mean
 
-DIVISIONS = ("curve", "night")
+DIVISIONS = ("curve", "night", "object")
 """What a diagnosis may divide an offset by."""
 
 
 def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = None) -> None:
     """Raise InputError unless the library has every one of these effects, each ``name``, ``name[target]``, or either
-    with ``@curve`` or ``@night``; and unless a target is there in an ``assembly``, if given."""
+    with ``@curve``, ``@night`` or ``@object``; and unless a target is there in an ``assembly``, if given."""
     known = names()
     for text in effects or ():
         entry = Entry.parse(text)
@@ -34,14 +34,16 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
                 None,
                 "--effects",
                 shown(text),
-                f"{entry.name} or, to give each a value, {entry.name}@curve or {entry.name}@night"
+                f"{entry.name} or, to give each a value, {entry.name}@curve, @night or @object"
                 if divisible
                 else f"{entry.name} without @ and ~: it has one value for the whole recording",
             )
-        if assembly is not None and entry.per is not None and len(assembly.row_index[entry.per][1]) < 2:
-            raise InputError(
-                None, "--effects", shown(text), f"several {entry.per}s, of which the recording has one"
-            )
+        if assembly is not None and entry.per is not None:
+            _, members = assembly.row_index.get(entry.per, (None, ()))
+            if len(members) < 2:
+                has = "one" if members else "no column"
+                expected = f"several {entry.per}s, of which the recording has {has}"
+                raise InputError(None, "--effects", shown(text), expected)
         if entry.target is not None and assembly is not None:
             targets = [one for one in registry()[entry.name].targets(assembly.context) if one is not None]
             if entry.target not in targets:

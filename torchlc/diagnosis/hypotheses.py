@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,6 +33,8 @@ NOISE_ODDS = 0.3
 LAW_ODDS = 0.1
 """Of another law of reflection, or of sizes that are only nominal; the scene's author chose for a reason."""
 MOST_EFFECTS = 3
+MOST_OBJECTS = 30
+"""Objects that an offset is divided by in a search: each is a number of its own, and a minimum costs their square."""
 LONGEST_CURVE = 1500
 """Rows of a curve that may err together: the factorisation of their covariance takes a tenth of a second."""
 LADDER = (1.0, -1.0, 0.3, -0.3, 3.0, -3.0, 2.0, -2.0)
@@ -176,12 +179,24 @@ class Workbench:
         return NOMINAL in self._scenes
 
     def divisions(self) -> list[str]:
-        """What an offset may be divided by in this recording: curves, and nights where they are not the curves."""
+        """What an offset may be divided by in this recording: curves, nights where they are not the curves, and objects
+        where they are neither and not too many."""
         curves, nights = len(self.recording.curve_ids), len(self.recording.night_ids)
         pairs = len(set(zip(self.recording.curve.tolist(), self.recording.night.tolist(), strict=True)))
         found = ["curve"] if curves > 1 else []
         if nights > 1 and not (pairs == curves == nights):
             found.append("night")
+        objects = self.recording.object
+        if objects is not None and 1 < len(self.recording.object_ids) <= MOST_OBJECTS:
+            count = len(self.recording.object_ids)
+            others = {"curve": self.recording.curve, "night": self.recording.night}
+            alike = (
+                count == len(np.unique(one)) == len(set(zip(objects, one, strict=True)))
+                for name, one in others.items()
+                if name in found
+            )
+            if not any(alike):
+                found.append("object")
         return found
 
     def kinds(self) -> dict[str, NoiseKind]:
@@ -195,6 +210,7 @@ class Workbench:
                 continue
             kind = cls()
             able = kind.missing(context) is None and kind.beside(present) is None
+            able = able and all(one.beside([kind]) is None for one in present)
             if able and not (kind.correlates and longest > LONGEST_CURVE):
                 found[name] = kind
         return found

@@ -72,7 +72,6 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             moved = (at.delta - likelihood.residuals(many).delta) / at.sigma
         return torch.nan_to_num(moved)
 
-    context = bench.base.context
     basis = torch.linalg.qr(at.tangent)[0]
     u = torch.cat([at.delta / at.sigma, at.g])
     psi = _tried(bench, posterior, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
@@ -80,7 +79,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     psi = torch.cat([psi, sought])
     moved = change(psi)
     if per is not None:
-        part = context.curve if per == "curve" else context.night
+        part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)
     padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
     projected = padded - (padded @ basis) @ basis.T

@@ -103,7 +103,8 @@ def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:
         covariance = torch.diag(sigma**2) + slopes @ spread @ slopes.T
         for process in known.noise.processes:
             sd = (process.sd * known.scale)[rows]
-            same = known.likelihood.curve[rows][:, None] == known.likelihood.curve[rows]
+            member = process.members(known.likelihood.curve)[rows]
+            same = member[:, None] == member
             covariance = covariance + process.correlation(rows) * same * sd[:, None] * sd
         return torch.distributions.MultivariateNormal(torch.zeros_like(delta), covariance).log_prob(delta)
     if known.noise.normal:

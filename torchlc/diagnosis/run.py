@@ -139,6 +139,8 @@ def _proof(search: Search, odds: Probabilities, null: Fitted, final: Fitted) -> 
     there is time."""
     context = search.bench.base.context
     group = context.curve if len(search.bench.recording.curve_ids) >= 4 else context.night
+    if context.object is not None and len(search.bench.recording.object_ids) >= 4:
+        group = context.object
     blocks = make_blocks(context.seconds, group)
     shown = {"null": null, "final": final, "as quoted": search.visited[Hypothesis()]}
     runner = _runner_up(search, odds)

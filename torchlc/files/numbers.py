@@ -60,7 +60,7 @@ class Free(Table):
     high: Real | None = None
     sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
     prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal"] = "uniform"
-    per: Literal["curve", "station", "night"] | None = None
+    per: Literal["curve", "station", "night", "object"] | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals
-from torchlc.noise.correlated import correlated_parts
+from torchlc.noise.correlated import correlated_parts, white_levels
 from torchlc.noise.orthant import POINTS
 from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE
 from torchlc.tensors.least_squares import Minimum, minimise
@@ -192,18 +192,22 @@ def whitener(
     noise = Noise() if noise is None else noise
     sigma = noise.sigma(at.sigma, at.scale).expand(at.delta.shape)
     if likelihood.fitted_errors and fitted:
-        levels = likelihood.white_levels if noise.processes else likelihood.fitted_levels
-        sigma = levels(at.delta)[likelihood.curve]
+        levels = (
+            white_levels(likelihood, at.delta, noise)
+            if noise.processes
+            else likelihood.fitted_levels(at.delta)
+        )
+        sigma = levels[likelihood.curve]
     if noise.processes:
         parts = correlated_parts(likelihood, at, sigma, noise)
-        order = torch.argsort(torch.cat([part.rows for part in parts]))
+        order = torch.argsort(torch.cat([part.rows.flatten() for part in parts]))
         spread = [torch.sqrt(part.limits.square().sum(-1)) for part in parts]
 
         def correlated(found: Residuals) -> Tensor:
             pieces = []
             for part, sd in zip(parts, spread, strict=True):
                 white, left = part.whitened(found.delta)
-                pieces += [white, left / sd]
+                pieces.append(torch.cat([white, left / sd], -1).flatten(-2))
             return likelihood.deviance_rows(torch.cat(pieces, -1)[..., order])
 
         return correlated

@@ -37,6 +37,8 @@ RESOLVED_N = 1e4
 WIDE = 200.0
 """Exponent of a lobe as wide as one of m = 0.1, below which edges within it cost more than 0.002 mag."""
 
+OBJECTS_DIFFER = "object_scatter"
+"""What a zero point that each object has for itself amounts to: the population's, and noise that its rows share."""
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
 POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 
@@ -58,7 +60,7 @@ class Assembly:
     sun_magnitude: Tensor
     row_index: Mapping[str, tuple[Tensor, Sequence[str]]]
     divided: Mapping[str, str]
-    """By full name, what a number has a value for each of: "curve", "station" or "night"."""
+    """By full name, what a number has a value for each of: "curve", "station", "night" or "object"."""
     origins: Mapping[str, Origin]
     """By full name, whose each number is."""
     warnings: tuple[str, ...]
@@ -324,6 +326,8 @@ def assemble(
         "station": (context.station, recording.station_ids),
         "night": (context.night, recording.night_ids),
     }
+    if context.object is not None:
+        row_index["object"] = (context.object, recording.object_ids)
     wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
     _check_given(scene, context)
@@ -461,6 +465,7 @@ def _context(
         night=torch.as_tensor(recording.night, dtype=torch.long),
         curve_ids=recording.curve_ids,
         night_ids=recording.night_ids,
+        object=None if recording.object is None else torch.as_tensor(recording.object, dtype=torch.long),
         track=track,
         attitude=attitude,
         shape=shape,
@@ -494,11 +499,14 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         effect.taken, effect.by, effect.width = numbers | parts, by, width
         return effect
 
+    found: list[Effect] = []
     if wanted is None:
         standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
-        return tuple(made(effect) for effect in standard if effect.missing(context) is None)
-    found: list[Effect] = []
-    for entry in wanted:
+        found = [made(effect) for effect in standard if effect.missing(context) is None]
+    asked = list(wanted or ())
+    if _from_population(scene) and OBJECTS_DIFFER not in asked:
+        asked.append(OBJECTS_DIFFER)
+    for entry in asked:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
         if name not in known:
@@ -528,6 +536,12 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
     order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
+
+
+def _from_population(scene: Scene) -> bool:
+    """Whether each object has a zero point of its own, from a population whose spread is learnt."""
+    number = scene.model.parameters.get("zero_point")
+    return isinstance(number, SceneFree) and number.per == "object"
 
 
 def _prepared(
@@ -748,6 +762,9 @@ def _parameters(
         """One free number, or one for each member of a division."""
         members = [(name, origin)]
         if division is not None:
+            if division not in row_index:
+                found, expected = f'per = "{division}"', f"a column {division}, which the recording lacks"
+                raise InputError(scene.source, name, found, expected)
             divided[name] = division
             ids = row_index[division][1]
             members = [(f"{name}[{member}]", origin.of(division, member)) for member in ids]
@@ -771,6 +788,8 @@ def _parameters(
             quantity = Quantity(short, "", -math.inf, math.inf, short)
         add(name, origin, numbers[name], quantity)
     zero_point = scene.model.parameters.get("zero_point", 0.0)
+    if isinstance(zero_point, SceneFree) and _from_population(scene):
+        zero_point = zero_point.model_copy(update={"per": None})  # that of the population
     add("zero_point", Origin("calibration", "", "zero_point"), zero_point, ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:

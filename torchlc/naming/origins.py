@@ -17,7 +17,7 @@ from typing import Literal
 Role = Literal["materials", "components", "attitude", "calibration", "effects"]
 ENTRY = re.compile(
     r"(?P<name>[^\[\]@~]+)(\[(?P<target>[^\[\]]+)\])?"
-    r"(@(?P<per>curve|station|night))?(~(?P<width>\d+(\.\d*)?(e[-+]?\d+)?))?"
+    r"(@(?P<per>curve|station|night|object))?(~(?P<width>\d+(\.\d*)?(e[-+]?\d+)?))?"
 )
 """An item of a list of effects. Targets hold any sign but brackets."""
 
@@ -25,7 +25,7 @@ ENTRY = re.compile(
 @dataclass(frozen=True)
 class Origin:
     """Whose a number is: ``role``, the ``owner``'s name (empty for the calibration), its ``quantity``; the ``target``
-    of an effect; and for a value of its own, what ``division`` (curve, station, night) it belongs to, and which."""
+    of an effect; and for a value of its own, what ``division`` (curve, station, night, object) it belongs to, and which."""
 
     role: Role
     owner: str

@@ -14,13 +14,14 @@ RIDGE = 1e-9
 
 def draw(noise: Noise, quoted: Tensor, curve: Tensor, random: np.random.Generator) -> Tensor:
     """Errors (T,), mag, of rows of quoted error (T,) and ``curve`` (T,): each row's own, of its law, and those that the
-    rows of a curve share."""
+    rows of a curve, or of another group, share."""
     sigma = noise.sigma(quoted, torch.ones_like(quoted))
     normal = torch.as_tensor(random.normal(size=len(quoted))).to(quoted)
     delta = noise.law.deviates(normal, random) * sigma
     for process in noise.processes:
-        for one in torch.unique(curve):
-            rows = torch.nonzero(curve == one)[:, 0]
+        member = process.members(curve)
+        for one in torch.unique(member):
+            rows = torch.nonzero(member == one)[:, 0]
             correlation = process.correlation(rows)
             factor = torch.linalg.cholesky(
                 correlation + RIDGE * torch.eye(len(rows), dtype=correlation.dtype, device=correlation.device)

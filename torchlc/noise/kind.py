@@ -40,13 +40,15 @@ class Facts:
 
 class NoiseKind(Effect):
     """A noise model. ``widens``, ``reshapes`` and ``correlates`` say which of variance, law and processes it changes;
-    ``mends_errors`` marks the kind that a fit adds where chi-square says that the quoted errors are too small."""
+    ``mends_errors`` marks the kind that a fit adds where chi-square says that the quoted errors are too small; ``between_objects``
+    one by whose ``mag`` objects of one design differ, which an object that was not seen is predicted with."""
 
     stage = "noise"
     widens: ClassVar[bool] = False
     reshapes: ClassVar[bool] = False
     correlates: ClassVar[bool] = False
     mends_errors: ClassVar[bool] = False
+    between_objects: ClassVar[bool] = False
 
     def missing(self, context):
         return super().missing(context) or (too_many(context.limits) if self.correlates else None)

@@ -87,14 +87,16 @@ class Rows:
         """Sum of squares of each curve's measured rows, (..., C), of residuals (..., T)."""
         return self.by_curve(torch.where(self.limit, 0.0, delta) ** 2 if self.censored else delta**2)
 
-    def white_levels(self, delta: Tensor) -> Tensor:
+    def white_levels(self, delta: Tensor, together: Tensor) -> Tensor:
         """Noise level of each curve, (..., curves), from the steps between successive residuals delta (...,
-        T) of measured rows, which errors that neighbours share hardly change: their root mean square over sqrt 2."""
-        order = torch.argsort(self.curve, stable=True)
+        T) of measured rows of one number ``together`` (T,), of which a curve may have several and which errors that such
+        rows share hardly change: their root mean square over sqrt 2."""
+        order = torch.argsort(together, stable=True)
         order = order[self.measured[order]]
-        step = torch.diff(delta[..., order]) * (torch.diff(self.curve[order]) == 0)
-        step = torch.zeros_like(delta).index_copy(-1, order[1:], step)
-        level = torch.sqrt(self.by_curve(step**2) / (2 * (self.count - 1).clamp(min=1.0)))
+        alike = (torch.diff(together[order]) == 0).to(delta)
+        step = torch.zeros_like(delta).index_copy(-1, order[1:], torch.diff(delta[..., order]) * alike)
+        steps = self.by_curve(torch.zeros_like(self.observed).index_copy(-1, order[1:], alike))
+        level = torch.sqrt(self.by_curve(step**2) / (2 * steps.clamp(min=1.0)))
         return torch.maximum(level, 1e-3 * self.noise_level)
 
     def log_below(self, u: Tensor) -> Tensor:

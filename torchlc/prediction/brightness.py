@@ -21,7 +21,7 @@ from torchlc.noise.kind import NoiseKind
 from torchlc.prediction.passes import Pass, Span
 from torchlc.readers import Recording
 from torchlc.readers.groups import compact, local_nights
-from torchlc.scene import Orbit, Scene
+from torchlc.scene import Free, Orbit, Scene
 from torchlc.stages.effect import Effect, Entry
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
@@ -90,12 +90,22 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
     Jitter stays: it is what the model is off by. With it the warning that effects were left out.
     """
     listed = scene.model.effects
+    zero_point = scene.model.parameters.get("zero_point")
+    if isinstance(zero_point, Free) and zero_point.per == "object":  # that of the population
+        parameters = {**scene.model.parameters, "zero_point": zero_point.model_copy(update={"per": None})}
+        scene = scene.model_copy(update={"model": scene.model.model_copy(update={"parameters": parameters})})
     plain = scene.model_copy(update={"orbit": Orbit(vectors="icrs")})
     if listed is None:
         return plain, []
     kept = [entry for entry in listed if not _of_the_recording(registry()[Entry.parse(entry).name])]
     # rows of a prediction are instants: exposures have nothing to smear, and nothing is lost
-    lost = [e for e in listed if e not in kept and not registry()[Entry.parse(e).name].spans_exposure]
+    lost = [
+        entry
+        for entry in listed
+        if entry not in kept
+        and not (cls := registry()[Entry.parse(entry).name]).spans_exposure
+        and not getattr(cls, "between_objects", False)  # which the scatter of the draws holds
+    ]
     said = f"left out of the prediction, for it belongs to a recording: {', '.join(lost)}"
     model = scene.model.model_copy(update={"effects": kept})
     return plain.model_copy(update={"model": model}), [said] if lost else []
@@ -119,9 +129,7 @@ def drawn(model: LightCurve, posterior: Posterior | None, count: int, seed: int)
     theta = model.parameter_set.sample_prior(count, torch.Generator().manual_seed(seed))
     if posterior is None:
         return theta, []
-    chosen = np.random.default_rng(seed).choice(
-        len(posterior.draws), count, replace=len(posterior.draws) < count
-    )
+    chosen = _chosen(posterior, count, seed)
     lacking = []
     for column, name in enumerate(names):
         if name in posterior.names:
@@ -133,6 +141,21 @@ def drawn(model: LightCurve, posterior: Posterior | None, count: int, seed: int)
     return theta, [said] if lacking else []
 
 
+def between_objects(posterior: Posterior | None, count: int, seed: int) -> np.ndarray | None:
+    """Standard deviation between objects that a fit has learnt, mag, of each draw (D,) of :func:`drawn`; None without."""
+    learnt = [f"{name}.mag" for name, cls in registry().items() if getattr(cls, "between_objects", False)]
+    columns = [] if posterior is None else [k for k, name in enumerate(posterior.names) if name in learnt]
+    if posterior is None or not columns:
+        return None
+    return np.hypot.reduce(posterior.draws[_chosen(posterior, count, seed)][:, columns], axis=1)
+
+
+def _chosen(posterior: Posterior, count: int, seed: int) -> np.ndarray:
+    """Which draws of a posterior are taken."""
+    enough = len(posterior.draws) >= count
+    return np.random.default_rng(seed).choice(len(posterior.draws), count, replace=not enough)
+
+
 def affordable(model: LightCurve, draws: int, rows: int) -> int:
     """Draws that are worked out: fewer where each has a geometry of its own and rows are many."""
     if not model.geometry_free:
@@ -140,9 +163,11 @@ def affordable(model: LightCurve, draws: int, rows: int) -> int:
     return max(min(draws, MOST_MOVED // max(rows, 1)), min(draws, LEAST_DRAWS))
 
 
-def magnitudes(model: LightCurve, theta: Tensor, scatter_mag: float, seed: int) -> np.ndarray:
+def magnitudes(
+    model: LightCurve, theta: Tensor, scatter_mag: float, seed: int, learnt: np.ndarray | None = None
+) -> np.ndarray:
     """Magnitudes (D, T) at draws theta (D, P), each as of one object that differs from the model's by a normal offset of
-    standard deviation ``scatter_mag``, and by what jitter the model has. Infinite without light.
+    standard deviation ``scatter_mag`` and ``learnt`` (D,), and by what jitter the model has. Infinite without light.
 
     The offset of a draw is the same at all rows; offsets are evenly spread quantiles in random order, so that quantiles
     over few draws are those of the normal. One draw of theta (nothing free) stands for as many as there are offsets.
@@ -150,7 +175,7 @@ def magnitudes(model: LightCurve, theta: Tensor, scatter_mag: float, seed: int) 
     with torch.no_grad():
         mag = model.magnitude(model.brightness(theta), theta).expand(len(theta), -1).numpy()
         added = model.noise(theta).variance
-    sigma = np.full((len(theta), 1), scatter_mag)
+    sigma = np.hypot(scatter_mag, 0.0 if learnt is None else learnt[:, None]).reshape(-1, 1)
     if added is not None:
         sigma = np.sqrt(sigma**2 + added.expand(len(theta), -1).numpy())
     if not sigma.any():

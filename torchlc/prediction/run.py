@@ -209,7 +209,8 @@ def run(
         )
         said += [text for text in notes if text not in said]
         draws, free = max(draws, len(theta)), bool(model.names)
-        lighted, passed_over = _lighted(model, theta, span, orbiters, passes, lit, group, wanted)
+        learnt = brightness.between_objects(posterior, len(theta), wanted.seed)
+        lighted, passed_over = _lighted(model, theta, span, orbiters, passes, lit, group, wanted, learnt)
         finished |= dict(zip(group, lighted, strict=True))
         if passed_over and UNSEARCHED not in said:
             said.append(UNSEARCHED)
@@ -308,13 +309,14 @@ def _lighted(
     lit: Sequence[np.ndarray],
     group: Sequence[int],
     wanted: Wanted,
+    learnt: np.ndarray | None,
 ) -> tuple[list[PredictedPass], bool]:
     """The passes of one batch with their magnitudes and glints; and whether a mesh was not searched for glints."""
     own, rows = [passes[k] for k in group], [lit[k] for k in group]
     _, order = brightness.recording_of(span, own, rows)
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
-    drawn = brightness.magnitudes(model, theta, wanted.scatter_mag, wanted.seed)[:, back]
+    drawn = brightness.magnitudes(model, theta, wanted.scatter_mag, wanted.seed, learnt)[:, back]
     names, angles, passed_over = facet_angles(model, theta)
     angles = angles[..., back]
     widths = {material: lobe_widths_deg(model, theta, material) for _, _, material in names}

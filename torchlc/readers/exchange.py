@@ -16,7 +16,7 @@ from torchlc.errors import InputError, MissingExtraError
 from torchlc.readers import declared
 from torchlc.readers.astropy_tables import PLAIN_KINDS, described
 from torchlc.readers.reader import LIMITS
-from torchlc.readers.roles import VECTORS, assigned
+from torchlc.readers.roles import LABELS, VECTORS, assigned
 from torchlc.readers.table import METADATA, Header
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from torchlc.readers.measurements import Measurements
     from torchlc.scene.reading import Reading
 
-COLUMNS = (*LIMITS, "station", "band", "curve", "upper_limit")
+COLUMNS = (*LIMITS, *LABELS, "upper_limit")
 """What is read of a time series, beside its times; the rest is left."""
 MAG_PER_LN = 2.5 / np.log(10)
 
@@ -36,6 +36,8 @@ def carried(measurements: Measurements) -> dict[str, Any]:
     found: dict[str, Any] = {"curve": Column(np.array(measurements.curve_ids, dtype=str)[measurements.curve])}
     if measurements.band is not None:
         found["band"] = Column(measurements.band.astype(str))
+    if measurements.object is not None:
+        found["object"] = Column(np.array(measurements.object_ids, dtype=str)[measurements.object])
     for name in ("exptime", "alt", "az", "height"):
         values = getattr(measurements, name)
         if values is not None:

@@ -1,4 +1,4 @@
-"""Several recordings of one object as one."""
+"""Several recordings of one object, or of several of one design, as one."""
 
 from __future__ import annotations
 
@@ -44,8 +44,10 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         taken += names
     station, station_ids = _by_name([(one.station, one.station_ids) for one in recordings])
     night, night_ids = _by_name([(one.night, one.night_ids) for one in recordings])
+    told = [(one.object, one.object_ids) for one in recordings if one.object is not None]
+    objects, object_ids = _by_name(told) if len(told) == len(recordings) else (None, ())
     columns: dict[str, np.ndarray | None] = {}
-    lacking = []
+    lacking = ["object"] if told and objects is None else []
     for name in ("exptime", "band", "sun", "obs", "position", "velocity", "alt", "az", "height"):
         parts = [getattr(one, name) for one in recordings]
         given = [part for part in parts if part is not None]
@@ -76,6 +78,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         curve_ids=tuple(taken),
         night=night[order],
         night_ids=night_ids,
+        object=None if objects is None else objects[order],
+        object_ids=object_ids,
         upper_limit=np.concatenate([one.upper_limit for one in recordings])[order],
         dropped=dropped,
         warnings=tuple(dict.fromkeys(warnings)),

@@ -23,6 +23,7 @@ class Measurements:
 
     ``seconds`` count from ``time[0]``; ``first_time`` is the first finite row of the file and stays when rows
     are dropped. ``station``, ``curve`` and ``night`` index ``station_ids``, ``curve_ids`` and ``night_ids``.
+    ``object`` indexes ``object_ids`` where the recording says of which object each row is, else None.
     ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
     to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
     ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
@@ -43,6 +44,8 @@ class Measurements:
     upper_limit: np.ndarray
     exptime: np.ndarray | None = None
     band: np.ndarray | None = None
+    object: np.ndarray | None = None
+    object_ids: tuple[str, ...] = ()
     sun: np.ndarray | None = None
     obs: np.ndarray | None = None
     position: np.ndarray | None = None
@@ -101,14 +104,19 @@ class Measurements:
         arrays = {
             name: value[index]
             for name, value in vars(self).items()
-            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night")
+            if isinstance(value, np.ndarray) and name not in ("seconds", "curve", "night", "object")
         }
         curve, curve_ids = compact(self.curve[index], self.curve_ids)
         night, night_ids = compact(self.night[index], self.night_ids)
         time = cast(Time, self.time[index])
+        objects, object_ids = self.object, self.object_ids
+        if objects is not None:
+            objects, object_ids = compact(objects[index], object_ids)
         return replace(
             self,
             **arrays,
+            object=objects,
+            object_ids=object_ids,
             time=time,
             seconds=seconds_since(time, cast(Time, time[:1])),
             curve=curve,

@@ -9,14 +9,18 @@ from torchlc.errors import InputError
 from torchlc.suggest import did_you_mean
 
 MOST_LISTED = 12
+ALL = "*"
+"""What is said in place of a name where every object of a file is wanted."""
 
 
 def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> str | None:
-    """One name of the object wanted, of those of every row; None where all rows are of one object.
+    """One name of the object wanted, of those of every row; None where all rows are wanted, for they are of one object or ALL is said.
 
     ``wanted`` is a name or number of it, or a part of a name that only one object has.
     """
     every = {frozenset(one) for one in names}
+    if wanted is not None and wanted.strip() == ALL:
+        return None
     if wanted is None:
         if len(every) <= 1:
             return None
@@ -27,7 +31,7 @@ def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> 
             None,
             f"{len(every)} objects ({', '.join(listed[:MOST_LISTED])}{', ...' if len(every) > MOST_LISTED else ''})",
             "one object",
-            f'Say which: --columns object="{some}", by its name, its number or a part of its name',
+            f'Say which: --columns object="{some}", by its name, its number or a part of its name; object="*" takes all, for a fleet',
         )
     folded = wanted.strip().casefold()
     exact = [one for one in every if folded in {name.casefold() for name in one}]

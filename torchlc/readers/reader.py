@@ -17,7 +17,8 @@ from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
-from torchlc.readers.roles import VECTORS
+from torchlc.readers.objects import ALL, chosen_object
+from torchlc.readers.roles import LABELS, VECTORS
 from torchlc.readers.table import (
     BEYOND_MAG,
     MAX_ROWS,
@@ -109,7 +110,7 @@ class _Reader:
         self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
         self.time_format = self.timing.format
         self.frame = declared.frame(header, scene)
-        self.labels = {name: LabelReader() for name in ("station", "band", "curve") if name in header.names}
+        self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
         self.units_told: list[str] = []
         self.columns = self._read()
@@ -212,6 +213,7 @@ class _Reader:
         return None
 
     def measurements(self, min_rows: int) -> Measurements:
+        self._choose_object()
         self._move_to_middle()
         self.times_of_file = self.columns["time"]
         self._drop_markers()
@@ -249,6 +251,7 @@ class _Reader:
                 raise InputError(self.source, place, "a vector of length 0", "a direction")
         limit = columns.get("upper_limit", np.zeros(len(days), dtype=bool))
         seconds = seconds_since(time, cast(Time, time[:1]))
+        objects, object_ids = self._objects()
         self.warnings += copies(seconds[~limit], columns[self.kind][~limit], curve[~limit], curve_ids)
         return Measurements(
             time=time,
@@ -266,6 +269,8 @@ class _Reader:
             upper_limit=limit,
             exptime=columns.get("exptime"),
             band=self._band(),
+            object=objects,
+            object_ids=object_ids,
             sun=vectors.get("sun"),
             obs=vectors.get("obs"),
             position=vectors.get("position"),
@@ -318,6 +323,17 @@ class _Reader:
             self.rows = self.rows[mask]
         if not len(self.rows):
             raise no_usable_row(self.source, self.dropped)
+
+    def _choose_object(self) -> None:
+        """The rows of the object wanted, of a table that names several."""
+        wanted = self.reading.object
+        if wanted is None or wanted.strip() == ALL or "object" not in self.columns:
+            return
+        ids = self.labels["object"].ids
+        if len(ids) > 1:
+            name = chosen_object(self.source, [{one or "unnamed"} for one in ids], wanted)
+            codes = [code for code, one in enumerate(ids) if (one or "unnamed") == name]
+            self._keep(np.isin(self.columns["object"], codes), "of another object")
 
     def _move_to_middle(self) -> None:
         """Times of the start or end of exposures become those of their middle."""
@@ -515,6 +531,13 @@ class _Reader:
         band = self.columns.get("band", np.zeros(len(self.rows), dtype=np.int64))
         pairs = [f"{place} {name}".strip() for place in station_ids for name in bands]
         return groups.compact(station * len(bands) + band, pairs)
+
+    def _objects(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
+        """The ``object`` column, as an index into its names; None without one."""
+        if "object" not in self.columns:
+            return None, ()
+        names = [name or "unnamed" for name in self.labels["object"].ids]
+        return groups.compact(self.columns["object"], names)
 
     def _band(self) -> np.ndarray | None:
         """Band names (T,)."""

@@ -38,6 +38,7 @@ class Recording(Measurements):
             (self.curve_ids, "curve"),
             (self.night_ids, "night"),
             (self.station_ids, "station"),
+            *([(self.object_ids, "object")] if self.object is not None else []),
         ):
             told.append(f"{len(names)} {what}{'s' * (len(names) != 1)}")
         told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")

@@ -18,7 +18,9 @@ VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
 GEOMETRY = tuple(f"{prefix}_{axis}" for prefix in VECTORS.values() for axis in "xyz")
 HORIZONTAL = ("alt", "az", "height")
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
-ROLES = ("time", *BRIGHTNESS, "exptime", "station", "band", "curve", "upper_limit", *GEOMETRY, *HORIZONTAL)
+LABELS = ("station", "band", "curve", "object")
+"""Columns of names: which of several a row belongs to."""
+ROLES = ("time", *BRIGHTNESS, "exptime", *LABELS, "upper_limit", *GEOMETRY, *HORIZONTAL)
 """Columns of ours."""
 DELIVERED = "delivered "
 """What a column is called whose name is one of ours, but which the user replaced by another."""
@@ -81,6 +83,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),
+    "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
 OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
@@ -127,7 +130,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role in ROLES:
         if role not in taken and role in header.names:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station"):
+    for role in ("time", "mag", "flux", "exptime", "band", "station", "object"):
         if role not in taken:
             others = STAMPS if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):

@@ -17,6 +17,8 @@ DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " ", "bar": "|"}
 OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?([0-5]\d))?", re.ASCII | re.IGNORECASE)
 OPTION = "--columns"
+OBJECTS = {"objects": "object"}
+"""How the column that names each row's object is told, for "object" is the one wanted."""
 ITEM = re.compile(r'(?:[^,"]|"[^"]*"?)+')
 """What stands between commas; a comma between double quotes belongs to a name."""
 
@@ -55,7 +57,7 @@ class Reading(Table):
     ``columns``: our name of a column and the file's, of which several are joined by "+"; ``units`` of our columns;
     ``time_format``, ``time_scale``, ``time_zone`` and ``time_mark`` say what the times are; ``light_path``: the Sun
     or the barycentre, to which the way of light was reduced, for an object in the ``direction`` (ICRS right ascension
-    and declination, deg); ``exptime`` of all rows, s; ``object``: name or number of the one wanted.
+    and declination, deg); ``exptime`` of all rows, s; ``object``: name or number of the one wanted, "*" for all.
     ``non_detections``: empty slots of a steady cadence are upper limits (None: where the format leaves such rows out), in
     gaps of at most ``longest_gap`` s.
     """
@@ -96,7 +98,9 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
         return given
     pairs = _pairs(given) if isinstance(given, str) else dict(given)
     table: dict[str, Any] = {key: value for key, value in pairs.items() if key in Reading.model_fields}
-    columns = {key: str(value) for key, value in pairs.items() if key not in Reading.model_fields}
+    columns = {
+        OBJECTS.get(key, key): str(value) for key, value in pairs.items() if key not in Reading.model_fields
+    }
     if "exptime" in table and not _is_number(table["exptime"]):
         columns["exptime"] = str(table.pop("exptime"))
     for name in ("exptime", "longest_gap"):

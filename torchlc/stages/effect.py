@@ -437,6 +437,7 @@ class Context:
     night: Tensor
     curve_ids: Sequence[str]
     night_ids: Sequence[str]
+    object: Tensor | None
     track: Track
     attitude: Attitude
     shape: Shape

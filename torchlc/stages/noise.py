@@ -130,15 +130,21 @@ NORMAL = Normal()
 
 
 class Process(ABC):
-    """Errors that the rows of a curve share: normal, of standard deviation ``sd`` mag (..., 1) or (..., T), and
-    independent between curves. ``name`` is that of the effect that brings it."""
+    """Errors that rows share: normal, of standard deviation ``sd`` mag (..., 1) or (..., T), and independent between
+    curves, or between what ``group`` (T,) numbers, such as objects. ``name`` is that of the effect that brings it."""
 
     name: str
     sd: Tensor
+    group: Tensor | None = None
+
+    def members(self, curve: Tensor) -> Tensor:
+        """The number (T,) of the curve, or of what else shares an error, that each row belongs to."""
+        return curve if self.group is None else self.group
 
     @abstractmethod
     def correlation(self, rows: Tensor) -> Tensor:
-        """Correlation (..., n, n) between some rows of one curve, given by their numbers (n,)."""
+        """Correlation (..., n, n) between some rows of one curve, given by their numbers (n,); of one with a ``group``
+        between rows of several members, (M, n, n) of (M, n), rows of each row of numbers being of one member or 0."""
 
     @property
     def key(self) -> Hashable:

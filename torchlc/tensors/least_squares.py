@@ -105,7 +105,8 @@ def differences(
     """Jacobian (S, R, P) at y (S, P) by one-sided differences, backwards at an upper bound: one batched call,
     no tracing of the model.
 
-    ``at`` (S, R) is residual(y) where it is known already. The step is 1e-6 of the coordinate's scale, the
+    ``at`` (S, R) is residual(y) where it is known already. A coordinate whose bounds are one value is held: its slope is 0,
+    whatever rounding differs by between batches. The step is 1e-6 of the coordinate's scale, the
     relative error of a slope of the order of 1e-6 as well.
     """
     starts, dimensions = y.shape
@@ -125,7 +126,9 @@ def differences(
         for number, members in enumerate(colours.groups):
             group[list(members)] = number
         change = torch.where(colours.touched, change[:, group], 0.0)
-    return torch.nan_to_num(change / (moved - y)[..., None]).transpose(-1, -2)
+    size = (moved - y)[..., None]
+    slope = torch.where(size == 0, 0.0, change / torch.where(size == 0, 1.0, size))
+    return torch.nan_to_num(slope).transpose(-1, -2)
 
 
 def _finite(cost: Tensor) -> Tensor:

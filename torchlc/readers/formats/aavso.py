@@ -67,7 +67,7 @@ class Aavso(Format):
                 )
                 if error and error.lower() != "na" and abs(checked) <= BEYOND_MAG:
                     checked_decimal(error, path, f"{place}, MERR")
-                yield name, [date, mag, error, band]
+                yield name, [date, mag, error, band, name]
 
         wanted = chosen_object(path, [{name} for name, _ in all_rows()], head.reading.object)
 
@@ -76,7 +76,7 @@ class Aavso(Format):
 
         return Header(
             path,
-            ("time", "mag", "mag_err", "band"),
+            ("time", "mag", "mag_err", "band", "object"),
             delimiter,
             ecsv=False,
             descriptions={"time": dates[1]},

@@ -22,7 +22,7 @@ NEAR_DEG = 0.05
 class Score(Format):
     """Apparent magnitudes at mid-exposure in UTC. A row without a magnitude but with a limiting one is an upper limit.
 
-    Of a file of many satellites one is chosen. An observer's place has to be near a station of the scene.
+    Of a file of many satellites one is chosen, or all, each by its first name. An observer's place has to be near a station of the scene.
     """
 
     name = "SCORE"
@@ -71,9 +71,10 @@ class Score(Format):
                     error,
                     cells.get("observing_filter", ""),
                     stations[place],
+                    next((cells[name] for name in SATELLITE if cells.get(name)), ""),
                 ]
 
-        columns = ("time", "mag", "mag_err", "band", "station")
+        columns = ("time", "mag", "mag_err", "band", "station", "object")
         return Header(path, columns, ",", ecsv=False, meta={"time_format": "iso"}, rows=rows, format=cls.name)
 
 

@@ -89,7 +89,7 @@ def test_the_nutation_of_a_ratio_is_that_of_eulers_equations(rates: tuple[float,
 def _pair(rates: tuple[float, float]):
     from torchlc.inference.rotation.two_frequencies import FrequencyPair
 
-    return FrequencyPair(rates[0], rates[1], True, 1.0, 0)
+    return FrequencyPair(rates[0], rates[1], True, 1.0)
 
 
 def test_both_frequencies_are_in_the_light(seen: tuple[Rows, FacetLight], rates: tuple[float, float]) -> None:

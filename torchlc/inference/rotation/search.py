@@ -5,6 +5,7 @@ structure.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -60,9 +61,9 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 UNSTEADY = 150.0
 """Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
-PAIRS, TUMBLE_STARTS, SECOND_STARTS, KNOWN_STARTS = 16, 36, 30, 12
-"""Pairs of frequencies of a free rotation that are looked at; states of the grid that are refined: over all bodies, then of the best
-body, and of this where it explains the light already."""
+PAIRS, TUMBLE_STARTS, SECOND_STARTS = 16, 48, 30
+"""Pairs of frequencies of a free rotation that are looked at; states of the grid that are refined, first over all bodies and then of
+the best body."""
 OF_A_BODY = 2
 """States of one body with one pair of frequencies among the first."""
 TUMBLES = 2
@@ -287,12 +288,14 @@ def _tumbling(
     )
     found = refiner.refined(_spread_out(first, TUMBLE_STARTS), progress=lambda share: say("their bodies", share))
     if found and found[0][0].chi2 < about_an_axis - CHANGED:
-        # the bodies are known now; with them the grid tells directions of the angular momentum apart
-        known = found[0][0].chi2 < STRUCTURE * dof
-        for state in _distinct_tumbles(found, 1 if known else TUMBLES):
-            states = tumble_grid.search(rows, body, [state.pair], state.moments[None], kept=SECOND_STARTS)
-            states = states[:KNOWN_STARTS] if known else states
-            found += refiner.refined(states, progress=lambda share: say("their poles", share))
+        # the bodies are known now, but for which axis is which; with them the grid tells directions of the angular momentum apart
+        for state in _distinct_tumbles(found, TUMBLES):
+            axes = torch.tensor(list(itertools.permutations(range(3))))
+            moments = state.moments[axes]
+            states = tumble_grid.search(
+                rows, body, [state.pair], moments / moments[:, 2:], kept=SECOND_STARTS // 3
+            )
+            found += refiner.refined(states[:SECOND_STARTS], progress=lambda share: say("their poles", share))
     found.sort(key=lambda one: one[0].chi2)
     kept: list[tuple[Tumble, Tensor, Tensor]] = []
     for one in found:

@@ -26,16 +26,17 @@ WAY_STEPS, TURN_STEPS, HARMONICS = 36, 48, 16
 POLES, BODY = 110, 400
 """Directions of L in space, 20 deg apart, and in the body, 10 deg apart."""
 EXPONENT = 20.0
-MASSES = 7
-"""Steps of the triangle of the second moments of mass about the planes of the body: 28 bodies."""
+MASSES = 9
+"""Steps of the triangle of the second moments of mass about the planes of the body: 45 bodies."""
 NUTATIONS = 64
 POLES_AT_ONCE = 22
 """Directions of L whose light is held at once: 120 MB a pass for each instant."""
 KEPT = 6
 """Places of a state that are kept, of different directions of L."""
 MOST_PASSES = 3
-DARK = 1e-4
-"""Share of the largest square of a column below which it is rounding, of the single precision of the spectra."""
+DARK, ALONG = 0.1, 0.01
+"""Share of the mean square of a column below which it is dark, and square of the sine between columns below which they are one: a
+series cut at its HARMONICS swings by so much beside a glint."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,8 @@ def _states(
         targets = torch.einsum("nwh,wdnch->dcwh", spectrum[1], columns[:, :, :, 3:])
         both = torch.cat([products, targets], 1)
         whole = torch.fft.irfft(torch.fft.ifft(both, dim=-2), n=TURN_STEPS, dim=-1)  # (D, 5, W, S)
-        least, at = (size - _gain(*whole.unbind(1)).clamp(max=size)).flatten(1).min(-1)
+        gain = _gain(*whole.unbind(1))
+        least, at = (size - torch.where(gain < size, gain, 0.0)).flatten(1).min(-1)
         total += least
         places.append(at)
     found = []
@@ -234,9 +236,9 @@ def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
 
 def _gain(aa: Tensor, ab: Tensor, bb: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """By how much two columns, neither less than 0, lower the sum of squares, from their products and targets. Where a column is
-    dark its product is what rounding left of the brightest."""
-    aa, bb = (one.clamp(min=max(DARK * float(one.max()), 1e-30)) for one in (aa, bb))
-    determinant = (aa * bb - ab * ab).clamp(min=1e-4 * aa * bb)
+    dark its product is what the harmonics that are left out make of the bright ones."""
+    aa, bb = (one.clamp(min=max(DARK * float(one.mean()), 1e-30)) for one in (aa, bb))
+    determinant = (aa * bb - ab * ab).clamp(min=ALONG * aa * bb)
     x, y = (bb * a - ab * b) / determinant, (aa * b - ab * a) / determinant
     both = torch.where((x > 0) & (y > 0), a * x + b * y, 0.0)
     single = torch.maximum(a.clamp(min=0) ** 2 / aa, b.clamp(min=0) ** 2 / bb)

@@ -108,7 +108,14 @@ def passes(rng: np.random.Generator, high: bool, count: int, span_s: float, rows
         time_ = np.concatenate([np.sort(one + span_s * rng.random(rows)) for one in chosen]).round(3)
         site, _ = sky.station(time_, *SITES[station])
         position = orbit.state(time_)[0]
-        return Seen(elements, station, time_, np.repeat(np.arange(count), rows), sky.sun(time_) - position, site - position)
+        return Seen(
+            elements,
+            station,
+            time_,
+            np.repeat(np.arange(count), rows),
+            sky.sun(time_) - position,
+            site - position,
+        )
 
 
 def light(component: Tree, materials: Tree, sun: np.ndarray, observer: np.ndarray) -> np.ndarray:
@@ -124,13 +131,20 @@ def light(component: Tree, materials: Tree, sun: np.ndarray, observer: np.ndarra
                     material = sector["material"]
         seen = np.flatnonzero((sun @ face.normal > 0) & (observer @ face.normal > 0))
         if len(seen):
-            frame = (np.broadcast_to(x, (len(seen), 3)) for x in (face.normal, face.u, np.cross(face.normal, face.u)))
+            frame = (
+                np.broadcast_to(x, (len(seen), 3))
+                for x in (face.normal, face.u, np.cross(face.normal, face.u))
+            )
             total[seen] += face.area * reflected(materials[material], {}, *frame, sun[seen], observer[seen])
     return total
 
 
 def recorded(
-    rng: np.random.Generator, seen: Seen, component: Tree, materials: Tree, turned: Callable[[np.ndarray], np.ndarray]
+    rng: np.random.Generator,
+    seen: Seen,
+    component: Tree,
+    materials: Tree,
+    turned: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Magnitudes, errors and which rows a camera sees; ``turned``: seconds to body from inertial axes (T, 3, 3)."""
     distance = np.linalg.norm(seen.observer, axis=-1)
@@ -187,7 +201,10 @@ def unknown_scene(seen: Seen, component: Tree, names: list[str], bracket: tuple[
         },
         "components": [component],
         "materials": {name: dict(free) for name in names},
-        "model": {"effects": ["sun_distance"], "parameters": {"zero_point": 0.0, "band_sun_magnitude": BAND_SUN}},
+        "model": {
+            "effects": ["sun_distance"],
+            "parameters": {"zero_point": 0.0, "band_sun_magnitude": BAND_SUN},
+        },
     }
 
 
@@ -238,7 +255,13 @@ def tumbling(seed: int) -> Case:
     mass = (size**2) * np.exp(0.2 * rng.standard_normal(3))
     moments = mass.sum() - mass
     moments /= moments.max()
-    component = {"name": "body", "shape": "box", "size": [float(one) for one in size], "centre": [0.0, 0.0, 0.0], "material": "body"}
+    component = {
+        "name": "body",
+        "shape": "box",
+        "size": [float(one) for one in size],
+        "centre": [0.0, 0.0, 0.0],
+        "material": "body",
+    }
     materials = {"body": paint(rng)}
     pole, phase = random_pole(rng), float(rng.random())
     small, middle, _ = np.sort(moments)
@@ -268,7 +291,9 @@ def euler(
     along = np.zeros(3)
     along[order[2]], along[order[0]] = np.cos(nutation), np.sin(nutation)
     start, _ = Rotation.align_vectors(np.array([[0.0, 0.0, 1.0]]), along[None])
-    first = np.concatenate([rate * along / moments, (Rotation.from_euler("z", 2 * np.pi * phase) * start).as_quat()])
+    first = np.concatenate(
+        [rate * along / moments, (Rotation.from_euler("z", 2 * np.pi * phase) * start).as_quat()]
+    )
 
     def slope(_time: float, state: np.ndarray) -> np.ndarray:
         wx, wy, wz, x, y, z, w = state
@@ -280,7 +305,9 @@ def euler(
         ])  # fmt: skip
 
     def matrix(seconds: np.ndarray) -> np.ndarray:
-        reached = solve_ivp(slope, (0.0, until), first, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=seconds).y
+        reached = solve_ivp(
+            slope, (0.0, until), first, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=seconds
+        ).y
         return np.swapaxes(Rotation.from_quat(reached[3:].T).as_matrix(), -1, -2)
 
     grid = np.arange(0.0, min(until, 300 * 2 * np.pi / rate), 2 * np.pi / rate / 60)
@@ -298,7 +325,9 @@ def euler(
     ends = np.interp(whole[[0, -1]], way, grid)
     result = {"rotation": float(np.ptp(ends) / (len(whole) - 1))}
     for name, axis in (("precession_long", order[0]), ("precession_short", order[2])):
-        result[name] = float(np.ptp(ends) / np.ptp(np.interp(ends, grid, turns(body[:, axis, 0], body[:, axis, 1]))))
+        result[name] = float(
+            np.ptp(ends) / np.ptp(np.interp(ends, grid, turns(body[:, axis, 0], body[:, axis, 1])))
+        )
     return matrix, result
 
 
@@ -306,7 +335,11 @@ def _case(
     scene: Tree, seen: Seen, mag: np.ndarray, error: np.ndarray, kept: np.ndarray, truth: dict[str, Any]
 ) -> Case:
     names = np.array([f"pass{k + 1}" for k in seen.number])
-    truth |= {"rows": int(kept.sum()), "error_mag": float(error[0]), "revolutions_a_day": float(seen.elements[1][52:63])}
+    truth |= {
+        "rows": int(kept.sum()),
+        "error_mag": float(error[0]),
+        "revolutions_a_day": float(seen.elements[1][52:63]),
+    }
     return Case(scene, seen.time[kept], mag[kept], error[kept], names[kept], seen.station, truth)
 
 
@@ -315,7 +348,10 @@ def write(case: Case, folder: Path) -> tuple[Path, Path]:
     columns = [("time", "string", ""), ("mag", "float64", "mag"), ("mag_err", "float64", "mag"),
                ("exptime", "float64", "s"), ("station", "string", ""), ("curve", "string", "")]  # fmt: skip
     lines = ["# %ECSV 1.0", "# ---", "# datatype:"]
-    lines += [f"# - {{name: {name}, {f'unit: {unit}, ' if unit else ''}datatype: {kind}}}" for name, kind, unit in columns]
+    lines += [
+        f"# - {{name: {name}, {f'unit: {unit}, ' if unit else ''}datatype: {kind}}}"
+        for name, kind, unit in columns
+    ]
     lines += ["# schema: astropy-2.0", " ".join(name for name, _, _ in columns)]
     lines += [
         f"{sky.iso(float(t))} {m:.4f} {e:.4f} 0.01 {case.station} {name}"
@@ -344,12 +380,25 @@ def _compared(truth: dict[str, Any], mode: dict[str, Any]) -> dict[str, Any]:
         right = pole < BARS["pole_deg"] and abs(ratio - 1) < BARS["period"] and mode["periods_s"] is None
         return {"right": right, "pole_deg": pole, "period_ratio": ratio, "multiple": abs(ratio - 1) < 0.02}
     if mode["periods_s"] is None:
-        return {"right": False, "pole_deg": pole, "period_ratio": mode["period_s"] / truth["periods_s"]["precession_long"]}
-    ratios = {key: mode["periods_s"][key] / truth["periods_s"][key] for key in ("precession_long", "rotation")}
-    inertia = max(abs(a / b - 1) for a, b in zip(mode["inertia_ratios"], truth["inertia_ratios"], strict=True))
+        return {
+            "right": False,
+            "pole_deg": pole,
+            "period_ratio": mode["period_s"] / truth["periods_s"]["precession_long"],
+        }
+    ratios = {
+        key: mode["periods_s"][key] / truth["periods_s"][key] for key in ("precession_long", "rotation")
+    }
+    inertia = max(
+        abs(a / b - 1) for a, b in zip(mode["inertia_ratios"], truth["inertia_ratios"], strict=True)
+    )
     right = pole < BARS["axis_deg"] and inertia < BARS["inertia"]
     right = right and all(abs(one - 1) < BARS["periods"] for one in ratios.values())
-    return {"right": right, "pole_deg": pole, "inertia": inertia, **{f"{key}_ratio": one for key, one in ratios.items()}}
+    return {
+        "right": right,
+        "pole_deg": pole,
+        "inertia": inertia,
+        **{f"{key}_ratio": one for key, one in ratios.items()},
+    }
 
 
 def _unit(ra_dec: list[float]) -> np.ndarray:
@@ -372,13 +421,21 @@ def run(kind: str, seed: int, folder: Path) -> dict[str, Any]:
         return result | {"right": False, "error": done.stderr.strip()[-300:]}
     answer = json.loads(done.stdout)
     best = answer["modes"][0]
-    also = {"chi2": best["chi2"], "dof": answer["dof"], "verdict": answer["verdict"], "warnings": answer["warnings"]}
+    also = {
+        "chi2": best["chi2"],
+        "dof": answer["dof"],
+        "verdict": answer["verdict"],
+        "warnings": answer["warnings"],
+    }
     return result | score(case.truth, answer) | also
 
 
 def summary(results: list[dict[str, Any]]) -> str:
     """A table in Markdown, a row a kind."""
-    lines = ["| kind | draws | right | pole or L deg, median | decided | decided and wrong | CPU s, median and most |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| kind | draws | right | pole or L deg, median | decided | decided and wrong | CPU s, median and most |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for kind in ("steady", "tumbling"):
         some = [one for one in results if one["kind"] == kind]
         if not some:
@@ -394,7 +451,9 @@ def summary(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("results", nargs="?", type=Path, default=RESULTS)
     parser.add_argument("--kind", choices=("steady", "tumbling"))
     parser.add_argument("--first", type=int, default=1)
@@ -402,7 +461,11 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="where to put the files of each draw")
     parser.add_argument("--summary", action="store_true")
     given = parser.parse_args()
-    known = [json.loads(line) for line in given.results.read_text().splitlines()] if given.results.exists() else []
+    known = (
+        [json.loads(line) for line in given.results.read_text().splitlines()]
+        if given.results.exists()
+        else []
+    )
     if not given.summary:
         kinds = [given.kind] if given.kind else ["steady", "tumbling"]
         for seed in range(given.first, given.first + given.count):
@@ -416,7 +479,13 @@ def main() -> None:
                     known.append(run(kind, seed, folder))
                 with given.results.open("a") as file:
                     file.write(json.dumps(known[-1]) + "\n")
-                print(kind, seed, "right" if known[-1]["right"] else "not right", f"{time.monotonic() - began:.0f} s", flush=True)
+                print(
+                    kind,
+                    seed,
+                    "right" if known[-1]["right"] else "not right",
+                    f"{time.monotonic() - began:.0f} s",
+                    flush=True,
+                )
     print(summary(known))
 
 

@@ -286,7 +286,9 @@ def _tumbling(
     first = tumble_grid.search(
         rows, body, pairs, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
     )
-    found = refiner.refined(_spread_out(first, TUMBLE_STARTS), progress=lambda share: say("their bodies", share))
+    found = refiner.refined(
+        _spread_out(first, TUMBLE_STARTS), progress=lambda share: say("their bodies", share)
+    )
     if found and found[0][0].chi2 < about_an_axis - CHANGED:
         # the bodies are known now, but for which axis is which; with them the grid tells directions of the angular momentum apart
         for state in _distinct_tumbles(found, TUMBLES):

@@ -36,6 +36,8 @@ MOST_LOG = 6.0
 PHASE_FLOOR = 2e-3
 """Error of a phase, turns, that the light of facets has of itself."""
 WIDTH = 4.0
+WIDENED = (1.0, 16.0, 256.0)
+"""Factors of the covariance of phases, in turn, until a count joins them: that of a bent valley is too narrow."""
 MOST_COUNTS = 400
 JOINED = 10
 """Counts of turns that one rotation is fitted to."""
@@ -222,7 +224,12 @@ class TumbleRefiner:
         slope = ((self._gaps(y + step, base) - self._gaps(y - step, base)) / 2e-6).T  # (C, P)
         spread = slope @ covariance @ slope.T
         spread.diagonal().add_(2 * PHASE_FLOOR**2)
-        counts, complete = _counts(off, spread, self.symmetric)
+        for widened in WIDENED:
+            counts, complete = _counts(off, widened * spread, self.symmetric)
+            if counts:
+                break
+        else:
+            return []
         found = []
         for _, one in counts[:JOINED]:
             moved = y + covariance @ slope.T @ torch.linalg.solve(spread, one - off)

@@ -10,6 +10,7 @@ coefficients, T rows of a pass.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -19,15 +20,15 @@ from torch import Tensor
 from torchlc.inference.rotation.passes import Rows
 
 COARSE, FINE = 2, 4
-"""Highest orders of the series in both frequencies: where all pairs are looked at, and where the best are told apart."""
+"""Highest orders of the series in both frequencies: all pairs are looked at with both, and the best are told apart with the latter."""
 ROWS_A_COEFFICIENT = 2.5
 """Rows of a pass a coefficient below which the order is reduced."""
 STEPS = 4.0
 """Pairs of a grid over the time of the longest pass."""
 DIRECT = 8000
 """Pairs that are fitted: of more, those whose places in the spectrum hold most."""
-LEADING = 120
-"""Pairs that are told apart."""
+LEADING = 80
+"""Pairs of each order that are told apart."""
 MOST_GRID = 200_000
 """Pairs of a grid; if there were more, its steps are wider."""
 RIDGE = 1e-4
@@ -56,21 +57,29 @@ def frequency_pairs(rows: Rows, low: float, high: float, *, halves: bool, most: 
     same after half a turn about each axis."""
     longest = float(rows.span.max())
     light = [_light(rows, one) for one in range(rows.passes)]
-    light = [one for one in light if len(one[0]) >= ROWS_A_COEFFICIENT * (2 * len(_orders(COARSE, halves)) + 1)]
+    light = [
+        one for one in light if len(one[0]) >= ROWS_A_COEFFICIENT * (2 * len(_orders(COARSE, halves)) + 1)
+    ]
     if not light:
         return []
     candidates, step = _candidates(low, high, longest)
     if len(candidates) > DIRECT:
         candidates = candidates[torch.topk(_spectral(light, _pair(candidates), step, halves), DIRECT).indices]
-    share = explained(light, _pair(candidates), halves, COARSE)
-    leading = candidates[_distinct(candidates, share, longest, LEADING)]
+    # a low order is forgiving between the steps of the grid, a high one sees glints
+    kept = [
+        _distinct(candidates, explained(light, _pair(candidates), halves, order), longest, LEADING)
+        for order in (COARSE, FINE)
+    ]
+    leading = candidates[sorted(set(itertools.chain.from_iterable(kept)))]
     fine = explained(light, _pair(leading), halves, FINE)
     for part in (2, 4):
         offsets = step / part * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
         moves = torch.nn.functional.pad(torch.cartesian_prod(offsets, offsets), (0, 1))
         trials = leading[:, None] + moves
         trials[..., 1].clamp_(min=LEAST_TURNS / longest)
-        value, at = explained(light, _pair(trials.flatten(0, 1)), halves, FINE).unflatten(0, trials.shape[:2]).max(1)
+        value, at = (
+            explained(light, _pair(trials.flatten(0, 1)), halves, FINE).unflatten(0, trials.shape[:2]).max(1)
+        )
         better = value > fine
         leading = torch.where(better[:, None], trials[torch.arange(len(at)), at], leading)
         fine = torch.where(better, value, fine)
@@ -87,7 +96,9 @@ def _candidates(low: float, high: float, longest: float) -> tuple[Tensor, float]
     while (high - low) * MOST_RATIO * high > MOST_GRID / 2 * step**2:
         step *= 1.5
     long = torch.arange(low, high + step, step, dtype=torch.float64).clamp(max=high)
-    polhode = torch.arange(LEAST_TURNS / longest, max(MOST_RATIO * high, 1 / longest), step, dtype=torch.float64)
+    polhode = torch.arange(
+        LEAST_TURNS / longest, max(MOST_RATIO * high, 1 / longest), step, dtype=torch.float64
+    )
     found = torch.cartesian_prod(long, polhode, torch.tensor([1.0, 0.0], dtype=torch.float64))
     return found[found[:, 1] <= MOST_RATIO * found[:, 0]], step
 

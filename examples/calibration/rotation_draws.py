@@ -290,7 +290,7 @@ def euler(
     order = np.argsort(moments)
     along = np.zeros(3)
     along[order[2]], along[order[0]] = np.cos(nutation), np.sin(nutation)
-    start, _ = Rotation.align_vectors(np.array([[0.0, 0.0, 1.0]]), along[None])
+    start = Rotation.align_vectors(np.array([[0.0, 0.0, 1.0]]), along[None])[0]
     first = np.concatenate(
         [rate * along / moments, (Rotation.from_euler("z", 2 * np.pi * phase) * start).as_quat()]
     )

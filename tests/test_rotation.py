@@ -124,6 +124,29 @@ def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.Capture
     assert "a range of periods" in capsys.readouterr().err
 
 
+def test_modes_of_rows_without_errors_compare_by_their_scatter(
+    files: tuple[Path, list[Path]], tmp_path: Path
+) -> None:
+    """One night without its column of errors. Of N normal rows of unknown scatter the likelihood, integrated over the scatter, goes
+    as S^(-N/2), S the sum of squares (Gelman et al., Bayesian Data Analysis, 3.2): modes are apart by 2 N ln of the ratio of rms,
+    to the 1e-3 that a floor of the scatter leaves, and this says their probabilities."""
+    from astropy.table import Table
+
+    scene, paths = files
+    table = Table.read(paths[0], format="ascii.ecsv")
+    table.remove_column("mag_err")
+    table.write(tmp_path / "bare.ecsv", format="ascii.ecsv")
+    found = torchlc.rotation(scene, tmp_path / "bare.ecsv").to_json()
+    modes = found["modes"]
+    assert len(modes) > 1
+    rms = np.array([one["rms_mag"] for one in modes])
+    expected = 2 * found["rows"] * np.log(rms / rms[0])
+    above = np.array([one["above_best"] for one in modes])
+    np.testing.assert_allclose(above, expected, atol=1e-3 * found["rows"])
+    chances = np.exp(-expected / 2) / np.exp(-expected / 2).sum()
+    np.testing.assert_allclose([one["probability"] for one in modes], chances, atol=0.03)
+
+
 def three_passes(middle: list[float]) -> Rows:
     empty = torch.zeros(0, dtype=torch.float64)
     span = torch.full((3,), 50.0, dtype=torch.float64)

@@ -88,15 +88,12 @@ def free_rotation(
 
 def frequencies(moments: Tensor, nutation_rad: Tensor, period_s: Tensor) -> FreeRotation:
     """Mean rates of a state; arguments as of :func:`free_rotation`, (...,) but for moments (..., 3)."""
-    motion = _motion(moments, nutation_rad[..., None])
-    scale = 1.0 / (period_s[..., None] * _long(motion))
-    sam = motion.short_axis_mode
-    about = motion.phi + motion.polhode
-    long, short, polhode = (
-        (rate * scale)[..., 0]
-        for rate in (_long(motion), torch.where(sam, about, motion.phi), motion.polhode)
-    )
-    return FreeRotation(long, short, polhode, sam[..., 0])
+    way = _way(moments, nutation_rad[..., None])
+    sam = way.short_axis_mode[..., 0]
+    phi, polhode = way.phi_rate.mean(-1) / (2 * math.pi), way.polhode[..., 0]
+    long, short = phi - torch.where(sam, 0.0, polhode), phi + torch.where(sam, polhode, 0.0)
+    scale = 1.0 / (period_s * long)
+    return FreeRotation(long * scale, short * scale, polhode * scale, sam)
 
 
 def _long(motion: _Motion) -> Tensor:
@@ -105,7 +102,22 @@ def _long(motion: _Motion) -> Tensor:
     return motion.phi - torch.where(motion.short_axis_mode, 0.0, motion.polhode)
 
 
-def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
+@dataclass(frozen=True)
+class _Way:
+    """The way of l round the body for L = I3 = 1, as of :class:`_Motion`, and the rate of phi (..., NODES) over half of it, rad a
+    unit of time; which place each axis has in the order of the moments."""
+
+    m: Tensor
+    amplitude: Tensor
+    across: Tensor
+    along: Tensor
+    polhode: Tensor
+    phi_rate: Tensor
+    order: Tensor
+    short_axis_mode: Tensor
+
+
+def _way(moments: Tensor, nutation: Tensor) -> _Way:
     ordered, order = torch.sort(moments, dim=-1)
     small, middle, large = (ordered / ordered[..., 2:]).unbind(-1)
     small, middle, large = (one[..., None] for one in (small, middle, large))
@@ -126,8 +138,6 @@ def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
     rate = along * torch.sqrt(ends * inner)  # d u / dt of the elliptic functions
     means = _means(m)
     polhode = rate * means[-1][0] / (2 * math.pi)  # over 4 K = 2 pi / mean
-    basis = _basis(order, sam)
-
     x = torch.arange(NODES, dtype=m.dtype, device=m.device) / (2 * NODES)
     sn, cn, dn = _elliptic(means, m, x)
     first, second = torch.where(sam, cn, sn), torch.where(sam, sn, cn)
@@ -148,14 +158,27 @@ def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
     turning = torch.linalg.cross(l, omega)
     swing = (l[..., 0] * turning[..., 1] - l[..., 1] * turning[..., 0]) / (1 + l[..., 2])
     phi_rate = inverse - swing
-    spectrum = torch.fft.rfft(phi_rate, dim=-1).real / NODES
+    return _Way(m, amplitude, across, along, polhode, phi_rate, order, sam)
+
+
+def _motion(moments: Tensor, nutation: Tensor) -> _Motion:
+    way = _way(moments, nutation)
+    spectrum = torch.fft.rfft(way.phi_rate, dim=-1).real / NODES
     mean = spectrum[..., :1]
-    k = torch.arange(1, NODES // 2, dtype=m.dtype, device=m.device)
-    still = polhode == 0
-    period = torch.where(still, 0.0, 1 / torch.where(still, 1.0, polhode))
+    k = torch.arange(1, NODES // 2, dtype=mean.dtype, device=mean.device)
+    still = way.polhode == 0
+    period = torch.where(still, 0.0, 1 / torch.where(still, 1.0, way.polhode))
     harmonics = 2 * spectrum[..., 1 : NODES // 2] * period / (4 * math.pi * k)
     return _Motion(
-        m, amplitude, across, along, polhode, mean / (2 * math.pi), _significant(harmonics), basis, sam
+        way.m,
+        way.amplitude,
+        way.across,
+        way.along,
+        way.polhode,
+        mean / (2 * math.pi),
+        _significant(harmonics),
+        _basis(way.order, way.short_axis_mode),
+        way.short_axis_mode,
     )
 
 

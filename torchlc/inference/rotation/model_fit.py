@@ -194,8 +194,8 @@ def _periods(local: Local) -> tuple[tuple[float, float], ...]:
 def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble) -> Trial:
     """A free rotation, free near a state with phases at one instant."""
     epoch, seconds = _epoch_s(scene, recording)
-    moments, nutation, long = state.moments[None], torch.tensor([state.nutation]), torch.tensor([state.long])
-    nutation, long = nutation.to(moments), long.to(moments)
+    moments = state.moments[None]
+    nutation, long = moments.new_tensor([state.nutation]), moments.new_tensor([state.long])
     reference = int(state.at.shape[0] > 1) * rows.longest
     elapsed = (seconds - state.at[reference])[None].to(moments)
     turn, way = advanced(

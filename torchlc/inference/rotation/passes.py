@@ -79,7 +79,7 @@ def rows_of(model: LightCurve) -> Rows:
     if scaled:
         flux, error = observed, likelihood.error[index] / observed.abs().clamp(min=1e-12)
     else:
-        zero = float(model.values(model.parameter_set.start()).get("zero_point", torch.tensor(0.0)))
+        zero = float(model.values(model.parameter_set.start()).get("zero_point", 0.0))
         sun_magnitude = assembly.sun_magnitude.expand(len(recording))[index]
         flux = 10 ** (-0.4 * (observed - sun_magnitude - zero))
         error = likelihood.error[index] / MAG_PER_LN

@@ -27,6 +27,8 @@ FLOOR = 0.15
 """Error, as a share of the light, that a grid of these steps has of itself."""
 TYPICAL = 0.1
 SWEEPS = 25
+PARALLEL = 1e-12
+"""Square of the sine between two columns below which they are one."""
 POLES_AT_ONCE = 8
 DRIFT_SD = 2.0
 """Standard deviations by which the frequency of a pass may differ from that of the longest."""
@@ -100,7 +102,7 @@ def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symm
         DRIFT_SD * float(drift) * frequencies[:, None] >= (frequencies - frequencies[:, None]).abs()
         for drift in rows.drift
     ]
-    weights = torch.zeros(0)
+    weights = torch.zeros(0, dtype=torch.float64)
     for turn in range(4):
         by_frequency = [one.amin(-1) for one in misfits]
         least = [_least(one, near) for one, near in zip(by_frequency, allowed, strict=True)]
@@ -204,7 +206,7 @@ def instants(rows: Rows, here: Tensor) -> Tensor:
         for one in (rows.to_sun, rows.to_observer)
     )
     count = max(2, min(NODES, len(here), math.ceil(moved / NODE_STEP) + 1))
-    return torch.linspace(0, len(here) - 1, count).round().long()
+    return torch.linspace(0, len(here) - 1, count, dtype=torch.float64).round().long()
 
 
 def _correlated(table: Tensor, binned: Tensor) -> Tensor:
@@ -226,8 +228,10 @@ def spread(flux: Tensor, error: Tensor) -> Tensor:
 
 
 def non_negative(products: Tensor, targets: Tensor) -> Tensor:
-    """Least squares (..., K) without negative numbers, from normal equations, by coordinate descent."""
+    """Least squares (..., K) without negative numbers, from normal equations: exact for two columns, else by coordinate descent."""
     diagonal = torch.diagonal(products, dim1=-2, dim2=-1)
+    if targets.shape[-1] == 2:
+        return _two(diagonal, products[..., 0, 1], targets)
     safe = diagonal.clamp(min=1e-30)
     found = torch.zeros_like(targets)
     for _ in range(SWEEPS):
@@ -235,6 +239,20 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
             slope = targets[..., k] - (products[..., k, :] * found).sum(-1)
             found[..., k] = (found[..., k] + slope / safe[..., k]).clamp(min=0.0)
     return found
+
+
+def _two(diagonal: Tensor, cross: Tensor, targets: Tensor) -> Tensor:
+    """Least squares (..., 2) without negative numbers: both columns where neither comes out negative, else the better one alone."""
+    safe = diagonal.clamp(min=1e-30)
+    determinant = safe[..., 0] * safe[..., 1] - cross**2
+    solvable = determinant > PARALLEL * safe[..., 0] * safe[..., 1]
+    pair = (safe.flip(-1) * targets - cross[..., None] * targets.flip(-1)) / torch.where(
+        solvable, determinant, 1.0
+    )[..., None]
+    alone = targets.clamp(min=0) / safe
+    first = alone[..., 0] * targets[..., 0] >= alone[..., 1] * targets[..., 1]
+    single = torch.where(torch.stack([first, ~first], -1), alone, 0.0)
+    return torch.where((solvable & (pair > 0).all(-1))[..., None], pair, single)
 
 
 def _misfit(products: Tensor, targets: Tensor, weights: Tensor, size: float, scaled: bool) -> Tensor:

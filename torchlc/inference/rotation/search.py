@@ -5,7 +5,9 @@ structure.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -34,6 +36,7 @@ from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import GridState
 from torchlc.inference.rotation.refine import Local, Refiner, free_tilts
 from torchlc.inference.rotation.steps import Steps
+from torchlc.inference.rotation.tumble_grid import TumbleState
 from torchlc.inference.rotation.tumble_refine import Tumble, TumbleRefiner
 from torchlc.inference.rotation.two_frequencies import frequency_pairs
 from torchlc.inference.rotation.windows import windows
@@ -47,8 +50,8 @@ STEPS_A_TURN = 12.0
 STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-6
 """CPU seconds for the first least squares, of a start, and of each pair of row and facet of a start, as measured on one core."""
 LEAST_STARTS, MOST_STARTS = 24, 200
-FLOOR = 0.05
-"""Relative error of the light of facets."""
+FLOOR, SHARP = 0.05, 0.01
+"""Relative error of the light of facets, and where that alone explains the rows."""
 LOCALS, JOINED = 4, 3
 """Solutions of different poles, and counts of turns of the best, that the model is fitted to."""
 LIKELY = 12
@@ -58,12 +61,17 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 UNSTEADY = 150.0
 """Squared distance, in standard deviations, of the phases from any steady spin beyond which the model is not tried on one."""
-PAIRS, PAIRS_AT_ONCE, TUMBLE_STARTS, SECOND_STARTS = 4, 2, 36, 30
-"""Pairs of frequencies of a free rotation that are looked at, this many at once; states of the grid that are refined, first over all bodies
-and then of the best body."""
+PAIRS, TUMBLE_STARTS, SECOND_STARTS = 16, 48, 30
+"""Pairs of frequencies of a free rotation that are looked at; states of the grid that are refined, first over all bodies and then of
+the best body."""
+OF_A_BODY = 2
+"""States of one body with one pair of frequencies among the first."""
 TUMBLES = 2
 """Solutions of free rotation, and counts of turns of each, that the model is fitted to."""
 MIN_ROWS = 12
+MOST_CHANGE = 0.1
+"""Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
+change by 5 % in six years."""
 Progress = Callable[[str, float], None]
 
 
@@ -153,7 +161,10 @@ def search_rotation(
     modes = merged([one for one in found if math.isfinite(one.chi2)], rows)
     if not modes:
         raise InputError(
-            recording.source, None, "no rotation with a finite chi-square", "rows that the model can fit"
+            recording.source,
+            None,
+            f"no rotation of {1 / high:.6g} to {1 / low:.6g} s a turn that joins the passes and that the model can fit",
+            "a wider range of periods (--shortest, --longest), or passes nearer to each other",
         )
     left = len(rows.flux) - len(modes[0].theta)
     noise = None if rows.noise is None else MAG_PER_LN * rows.noise
@@ -185,6 +196,11 @@ def _range(
     warnings = []
     first = shortest or (3600 * bounds[0] if bounds[0] else 2 * cadence)
     last = longest or (3600 * bounds[1] if bounds[1] else float(rows.span.max()))
+    change = min(MOST_CHANGE, pole_grid.DRIFT_SD * float(rows.drift.max()))
+    if bounds[0] and shortest is None:
+        first /= 1 + change
+    if bounds[1] and longest is None:
+        last *= 1 + change
     if not isinstance(period, Free) and shortest is None and longest is None:
         warnings.append(
             f"the scene's period is fixed: all from {first:.4g} to {last:.4g} s were looked at, not only that"
@@ -260,29 +276,28 @@ def _distinct(found: Sequence[Local]) -> list[Local]:
 def _tumbling(
     rows: Rows, body: FacetLight, low: float, high: float, dof: int, about_an_axis: float, say: Progress
 ) -> list[Tumble]:
-    """Solutions of free rotation, joined over the passes, best first. Further pairs of frequencies are looked at only where
-    the first do better than ``about_an_axis``, the chi-square of a turn about an axis of the body."""
+    """Solutions of free rotation, joined over the passes, best first. ``about_an_axis``: chi-square of a turn about an axis of
+    the body."""
     axes = torch.eye(3, dtype=torch.float64)
     halves = all(body.symmetry(axis) % 2 == 0 for axis in axes)
     say("two frequencies", 0.0)
     pairs = frequency_pairs(rows, low, high, halves=halves, most=PAIRS)
     refiner = TumbleRefiner(rows, body, FLOOR)
-    found: list[tuple[Tumble, Tensor, Tensor]] = []
-    for start in range(0, len(pairs), PAIRS_AT_ONCE):
-        some = pairs[start : start + PAIRS_AT_ONCE]
-        first = tumble_grid.search(
-            rows, body, some, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
-        )
-        rough = refiner.refined(first[:TUMBLE_STARTS], progress=lambda share: say("their bodies", share))
-        found += rough
-        if not rough or rough[0][0].chi2 > about_an_axis - CHANGED:
-            break
-        # the bodies are known now; with them the grid tells directions of the angular momentum apart
-        for state in _distinct_tumbles(rough, TUMBLES):
-            states = tumble_grid.search(rows, body, [state.pair], state.moments[None], kept=SECOND_STARTS)
-            found += refiner.refined(states, progress=lambda share: say("their poles", share))
-        if min(one.chi2 for one, _, _ in found) < STRUCTURE * dof:
-            break
+    first = tumble_grid.search(
+        rows, body, pairs, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
+    )
+    found = refiner.refined(
+        _spread_out(first, TUMBLE_STARTS), progress=lambda share: say("their bodies", share)
+    )
+    if found and found[0][0].chi2 < about_an_axis - CHANGED:
+        # the bodies are known now, but for which axis is which; with them the grid tells directions of the angular momentum apart
+        for state in _distinct_tumbles(found, TUMBLES):
+            axes = torch.tensor(list(itertools.permutations(range(3))))
+            moments = state.moments[axes]
+            states = tumble_grid.search(
+                rows, body, [state.pair], moments / moments[:, 2:], kept=SECOND_STARTS // 3
+            )
+            found += refiner.refined(states[:SECOND_STARTS], progress=lambda share: say("their poles", share))
     found.sort(key=lambda one: one[0].chi2)
     kept: list[tuple[Tumble, Tensor, Tensor]] = []
     for one in found:
@@ -291,9 +306,23 @@ def _tumbling(
     joined = []
     for one in kept:
         if one[0].chi2 < 1.5 * kept[0][0].chi2 + 200:
-            joined += refiner.joined(one)[:TUMBLES]
+            # light of flat facets is that of the model, but for shadows, which a good fit says there are none of
+            last = TumbleRefiner(rows, body, SHARP if one[0].chi2 < dof else FLOOR)
+            joined += last.joined(last.settled(one))[:TUMBLES]
     joined.sort(key=lambda one: one.chi2)
     return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2]
+
+
+def _spread_out(states: Sequence[TumbleState], most: int) -> list[TumbleState]:
+    """The best states, OF_A_BODY of each body with each pair of frequencies."""
+    kept: list[TumbleState] = []
+    count: Counter[tuple[float, ...]] = Counter()
+    for one in states:
+        key = (one.long, one.nutation, *one.moments.tolist())
+        if len(kept) < most and count[key] < OF_A_BODY:
+            count[key] += 1
+            kept.append(one)
+    return kept
 
 
 def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:

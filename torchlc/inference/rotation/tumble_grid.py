@@ -26,14 +26,17 @@ WAY_STEPS, TURN_STEPS, HARMONICS = 36, 48, 16
 POLES, BODY = 110, 400
 """Directions of L in space, 20 deg apart, and in the body, 10 deg apart."""
 EXPONENT = 20.0
-MASSES = 7
-"""Steps of the triangle of the second moments of mass about the planes of the body: 28 bodies."""
+MASSES = 9
+"""Steps of the triangle of the second moments of mass about the planes of the body: 45 bodies."""
 NUTATIONS = 64
 POLES_AT_ONCE = 22
 """Directions of L whose light is held at once: 120 MB a pass for each instant."""
 KEPT = 6
 """Places of a state that are kept, of different directions of L."""
 MOST_PASSES = 3
+DARK, ALONG = 0.1, 0.01
+"""Share of the mean square of a column below which it is dark, and square of the sine between columns below which they are one: a
+series cut at its HARMONICS swings by so much beside a glint."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,13 @@ def search(
             if nutation is not None:
                 paths.append((pair, one, nutation, data, *_path(one, nutation, ways)))
     best: list[list[TumbleState]] = [[] for _ in paths]
+    if not paths:
+        return []
+    used, places = torch.unique(torch.stack([path[4] for path in paths]), return_inverse=True)
+    paths = [(*path[:4], place, *path[5:]) for path, place in zip(paths, places, strict=True)]
     parts = directions(POLES).split(POLES_AT_ONCE)
     for number, poles in enumerate(parts):
-        tables = [_table(rows, body, poles, ways, rows.of(one)) for one in passes]
+        tables = [_table(rows, body, poles, ways[used], rows.of(one)) for one in passes]
         for k, path in enumerate(paths):
             best[k] += _states(rows, passes, tables, poles, kept, *path)
             if progress is not None:
@@ -186,7 +193,7 @@ def _states(
     """The best places of one body in one pair's rotation."""
     harmonic = torch.arange(HARMONICS, dtype=torch.float64)
     shift = torch.exp(1j * harmonic * angle[:, None]).to(torch.complex64)  # (W, H)
-    total = torch.zeros(len(poles))
+    total = torch.zeros(len(poles), dtype=torch.float64)
     places = []
     for table, (spectrum, size) in zip(tables, data, strict=True):
         columns = table[nearest] * shift[:, None, None, None]  # (W, D, N, 5, H)
@@ -195,7 +202,8 @@ def _states(
         targets = torch.einsum("nwh,wdnch->dcwh", spectrum[1], columns[:, :, :, 3:])
         both = torch.cat([products, targets], 1)
         whole = torch.fft.irfft(torch.fft.ifft(both, dim=-2), n=TURN_STEPS, dim=-1)  # (D, 5, W, S)
-        least, at = (size - _gain(*whole.unbind(1))).flatten(1).min(-1)
+        gain = _gain(*whole.unbind(1))
+        least, at = (size - torch.where(gain < size, gain, 0.0)).flatten(1).min(-1)
         total += least
         places.append(at)
     found = []
@@ -227,9 +235,10 @@ def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
 
 
 def _gain(aa: Tensor, ab: Tensor, bb: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """By how much two columns, neither less than 0, lower the sum of squares, from their products and targets."""
-    aa, bb = aa.clamp(min=1e-20), bb.clamp(min=1e-20)
-    determinant = (aa * bb - ab * ab).clamp(min=1e-6 * aa * bb)
+    """By how much two columns, neither less than 0, lower the sum of squares, from their products and targets. Where a column is
+    dark its product is what the harmonics that are left out make of the bright ones."""
+    aa, bb = (one.clamp(min=max(DARK * float(one.mean()), 1e-30)) for one in (aa, bb))
+    determinant = (aa * bb - ab * ab).clamp(min=ALONG * aa * bb)
     x, y = (bb * a - ab * b) / determinant, (aa * b - ab * a) / determinant
     both = torch.where((x > 0) & (y > 0), a * x + b * y, 0.0)
     single = torch.maximum(a.clamp(min=0) ** 2 / aa, b.clamp(min=0) ** 2 / bb)

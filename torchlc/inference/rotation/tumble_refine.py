@@ -29,11 +29,15 @@ from torchlc.tensors.vectors import unit
 STAGES = ((6, 0.5), (7, 0.25), (25, 0.1))
 """Iterations, and the share of the starts that is kept after them."""
 LEAST_KEPT = 4
+SETTLING, SETTLED = 80, 1e-7
+"""Iterations, and the relative gain at which they end, on the way down a valley."""
 MOST_LOG = 6.0
 """Bound of the logarithm of a ratio of second moments of mass: a rod of 1 to 20."""
 PHASE_FLOOR = 2e-3
 """Error of a phase, turns, that the light of facets has of itself."""
 WIDTH = 4.0
+WIDENED = (1.0, 16.0, 256.0)
+"""Factors of the covariance of phases, in turn, until a count joins them: that of a bent valley is too narrow."""
 MOST_COUNTS = 400
 JOINED = 10
 """Counts of turns that one rotation is fitted to."""
@@ -41,6 +45,8 @@ FIXED = 6
 """Coordinates that the passes share: L (2), the turns of the long axis, the body (2), the ways round the body."""
 HALVINGS, SECANTS = 10, 5
 """Steps to the nutation of a ratio of frequencies: to a thousandth by halving, then to rounding."""
+ROUNDING, NEARBY = 1e-11, 1e-3
+"""Relative error of a ratio that is none, and the first step, rad, from a nutation that is near."""
 EDGE = 1e-4
 """Nutations within this of the ends of a mode, rad, are not tried."""
 
@@ -71,7 +77,7 @@ class Tumble:
         motion = frequencies(
             self.moments, self.moments.new_tensor(self.nutation), self.moments.new_tensor(1 / self.long)
         )
-        return FrequencyPair(self.long, float(motion.polhode), bool(motion.short_axis_mode), 1.0, 0)
+        return FrequencyPair(self.long, float(motion.polhode), bool(motion.short_axis_mode), 1.0)
 
 
 def moments_of(logs: Tensor) -> Tensor:
@@ -89,22 +95,23 @@ def logs_of(moments: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Base:
-    """What the coordinates of a start are about: L, both frequencies, the mode."""
+    """What the coordinates of a start are about: L, both frequencies, the mode, the nutation."""
 
     pole: Tensor
     long: float
     polhode: float
     short_axis_mode: bool
+    nutation: float
 
     @classmethod
     def of(cls, pole: Tensor, long: float, moments: Tensor, nutation: float) -> _Base:
         motion = frequencies(moments, moments.new_tensor(nutation), moments.new_tensor(1 / long))
-        return cls(pole, long, float(motion.polhode), bool(motion.short_axis_mode))
+        return cls(pole, long, float(motion.polhode), bool(motion.short_axis_mode), nutation)
 
 
-def nutation_at(moments: Tensor, ratio: Tensor, short_axis_mode: bool) -> Tensor:
+def nutation_at(moments: Tensor, ratio: Tensor, short_axis_mode: bool, near: float | None = None) -> Tensor:
     """The nutation (B,), rad, of a body (B, 3) in a mode whose ways round the body are ``ratio`` (B,) of the turns of the long
-    axis; that nearest to it where none is."""
+    axis; that nearest to it where none is. Quicker where all are ``near`` one nutation."""
     small, middle, large = torch.sort(moments, dim=-1).values.unbind(-1)
     sine2 = (1 / middle - 1 / large) / (1 / small - 1 / large).clamp(min=1e-12)
     border = torch.asin(torch.sqrt(sine2.clamp(0.0, 1.0)))
@@ -117,20 +124,31 @@ def nutation_at(moments: Tensor, ratio: Tensor, short_axis_mode: bool) -> Tensor
         motion = frequencies(moments, angle, torch.ones_like(angle))
         return motion.polhode / motion.precession_long - ratio
 
+    least, most = torch.minimum(slow, fast), torch.maximum(slow, fast)
+
+    def crossed(a: Tensor, at_a: Tensor, b: Tensor, at_b: Tensor) -> tuple[Tensor, Tensor]:
+        """Secants until nothing moves, within the mode; and what is then left of the ratio."""
+        for _ in range(SECANTS):
+            slope = at_b - at_a
+            moves = slope.abs() > 1e-14
+            new = b - at_b * torch.where(moves, (b - a) / torch.where(moves, slope, 1.0), 0.0)
+            new = torch.minimum(torch.maximum(new, least), most)
+            a, at_a, b, at_b = b, at_b, new, over(new)
+            if bool((at_b.abs() <= ROUNDING * ratio).all()):
+                break
+        return b, at_b
+
+    if near is not None:
+        a = torch.minimum(torch.maximum(torch.full_like(ratio, near), least), most)
+        b = torch.where(a + NEARBY < most, a + NEARBY, a - NEARBY)
+        found, left = crossed(a, over(a), b, over(b))
+        if bool((left.abs() <= ROUNDING * ratio).all()):
+            return found
     for _ in range(HALVINGS):
         trial = (slow + fast) / 2
         above = over(trial) > 0
         slow, fast = torch.where(above, slow, trial), torch.where(above, trial, fast)
-    a, b = slow, fast
-    at_a, at_b = over(a), over(b)
-    for _ in range(SECANTS):
-        slope = at_b - at_a
-        new = b - at_b * torch.where(
-            slope.abs() > 1e-14, (b - a) / torch.where(slope.abs() > 1e-14, slope, 1.0), 0.0
-        )
-        new = torch.minimum(torch.maximum(new, torch.minimum(slow, fast)), torch.maximum(slow, fast))
-        a, at_a, b, at_b = b, at_b, new, over(new)
-    return b
+    return crossed(slow, over(slow), fast, over(fast))[0]
 
 
 class TumbleRefiner:
@@ -175,6 +193,19 @@ class TumbleRefiner:
             found.append((state, best[k].y[0], jacobian.T @ jacobian))
         return sorted(found, key=lambda one: one[0].chi2)
 
+    def settled(self, local: tuple[Tumble, Tensor, Tensor]) -> tuple[Tumble, Tensor, Tensor]:
+        """A solution at the bottom of its valley: bodies and frequencies are exchanged along one that is flat and bent, and phases
+        of other passes are foretold from where it ends."""
+        state, y, _ = local
+        base = _Base.of(state.pole, state.long, state.moments, state.nutation)
+        y = y.clone()
+        y[:3] = y[5] = 0.0  # of the state itself
+        at = self.rows.middle
+        best = self._minimised(y[None], base, at, self.longest, SETTLING, SETTLED)
+        jacobian = best.jacobian[0]
+        bottom = self._state(best.y, base, at, self.longest, float(best.cost[0]))
+        return bottom, best.y[0], jacobian.T @ jacobian
+
     def joined(self, local: tuple[Tumble, Tensor, Tensor]) -> list[Tumble]:
         """One rotation for all passes of a solution, with each of the likeliest counts of turns; best first."""
         state, y, normal = local
@@ -193,7 +224,12 @@ class TumbleRefiner:
         slope = ((self._gaps(y + step, base) - self._gaps(y - step, base)) / 2e-6).T  # (C, P)
         spread = slope @ covariance @ slope.T
         spread.diagonal().add_(2 * PHASE_FLOOR**2)
-        counts, complete = _counts(off, spread, self.symmetric)
+        for widened in WIDENED:
+            counts, complete = _counts(off, widened * spread, self.symmetric)
+            if counts:
+                break
+        else:
+            return []
         found = []
         for _, one in counts[:JOINED]:
             moved = y + covariance @ slope.T @ torch.linalg.solve(spread, one - off)
@@ -210,7 +246,9 @@ class TumbleRefiner:
             )
         return sorted(found, key=lambda one: one.chi2)
 
-    def _minimised(self, start: Tensor, base: _Base, at: Tensor, length: float, iterations: int) -> Minimum:
+    def _minimised(
+        self, start: Tensor, base: _Base, at: Tensor, length: float, iterations: int, tolerance: float = 1e-4
+    ) -> Minimum:
         low, high = torch.full_like(start[0], -math.inf), torch.full_like(start[0], math.inf)
         low[:2], high[:2] = -1.5, 1.5
         low[3:5], high[3:5] = -MOST_LOG, MOST_LOG
@@ -221,7 +259,7 @@ class TumbleRefiner:
         def residual(y: Tensor) -> Tensor:
             return torch.cat([self._light(cut, base, at, length)[0] for cut in y.split(size)])
 
-        return minimise(residual, start, low, high, iterations=iterations, tolerance=1e-4)
+        return minimise(residual, start, low, high, iterations=iterations, tolerance=tolerance)
 
     def _split(self, y: Tensor, base: _Base, length: float) -> tuple[Tensor, ...]:
         """Pole (B, 3), turns of the long axis a second (B,), moments (B, 3), nutation (B,) of coordinates (B, P)."""
@@ -229,7 +267,7 @@ class TumbleRefiner:
         pole = unit(base.pole + y[:, :1] * frame[0] + y[:, 1:2] * frame[1])
         long, moments = base.long + y[:, 2] / length, moments_of(y[:, 3:5])
         ratio = (base.polhode + y[:, 5] / length) / long
-        return pole, long, moments, nutation_at(moments, ratio, base.short_axis_mode)
+        return pole, long, moments, nutation_at(moments, ratio, base.short_axis_mode, base.nutation)
 
     def _light(self, y: Tensor, base: _Base, at: Tensor, length: float) -> tuple[Tensor, Tensor]:
         """Residuals (B, T) and reflectances (B, K)."""

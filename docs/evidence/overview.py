@@ -97,6 +97,19 @@ def overview() -> str:
     ]  # fmt: skip
     visors = [row["probability"] for row in visor["satellites"]]
     rows[4] = (*rows[4][:3], f"{min(visors):.2f} to {max(visors):.2f} a satellite", *rows[4][4:])
+    for page in ("paper_story", "concealed"):
+        for one in read(f"evidence/{page}.json")["overview"]:
+            told = one["probability"]
+            rows.append(
+                (
+                    f"[{one['recording']}]({page}.md)",
+                    one["cause"],
+                    one["named"],
+                    "" if told is None else f"{told:.2f}",
+                    one["right"],
+                    f"`{one['command']}`",
+                )
+            )
     head = ("recording", "documented cause", "named", "probability", "right?", "command")
     return table([head, *rows])
 

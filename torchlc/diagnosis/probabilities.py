@@ -144,8 +144,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
         rows.append(("odd", leader[1], leader[2] + worth))
         leaves = worth > 0
-    least = 1 - (1 - LEAST_TAKEN) ** max(len(leader[1].added), 1)
-    stands_in = leaves and share_taken(search, leader[1]) < least
+    stands_in = leaves and stands_for_something_else(search, leader[1])
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     rows, weight = less_unseen(search, rows, weight)
     nothing = noise = unknown = leftover = 0.0
@@ -201,15 +200,32 @@ def less_unseen(
     return [row[:3] for row in done], [row[3] for row in done]
 
 
+def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
+    """Whether effects that leave structure are no part of the answer: something unknown alone is more likely than they are,
+    or they take too little of the misfit."""
+    if not hypothesis.added:
+        return False
+    alone = [
+        search.log_odds(odd.beside) + odd.log_gain + odd.log_odds
+        for odd in search.odd
+        if not odd.beside.added
+    ]
+    if max(alone, default=-math.inf) > search.log_odds(hypothesis):
+        return True
+    if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
+        return False
+    return share_taken(search, hypothesis) < 1 - (1 - LEAST_TAKEN) ** len(hypothesis.added)
+
+
 def share_taken(search: Search, hypothesis: Hypothesis) -> float:
     """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, of rows that are good under
-    it; of all that is squared where no errors say what excess is."""
+    it."""
     before, after = search.best(), search.visited[hypothesis]
     good = after.outlying() < BAD
     squares = [
         float((one.delta / after.quoted)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
     ]
-    excess = squares[0] - (0 if after.likelihood.fitted_errors else int(good.sum()))
+    excess = squares[0] - int(good.sum())
     return (squares[0] - squares[1]) / excess if excess > 0 else 0.0
 
 

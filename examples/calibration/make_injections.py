@@ -182,11 +182,11 @@ class Observed(NamedTuple):
 def observed(name: str, number: int, seed: int) -> Observed:
     """The case of that name; ``number`` is that of its elements."""
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    return write_composed(name, folder, seed, rng, compose(name, number, rng))
+    return seen(compose(name, number, rng), seed, rng)
 
 
-def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Composed) -> str:
-    """Observes what was composed and writes its three files; returns a line about it."""
+def seen(composed: Composed, seed: int, rng: Rng) -> Observed:
+    """What was composed, observed."""
     setup, concealed, said = composed
     setup = listed(setup, concealed, rng)
     physics = {k: v for k, v in concealed.items() if k not in NOISE}
@@ -204,7 +204,16 @@ def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Compo
 
 def write_case(name: str, folder: Path, number: int, seed: int) -> str:
     """Makes one case; returns a line about it."""
-    case = observed(name, number, seed)
+    return write_observed(name, folder, seed, observed(name, number, seed))
+
+
+def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Composed) -> str:
+    """Observes what was composed and writes its three files; returns a line about it."""
+    return write_observed(name, folder, seed, seen(composed, seed, rng))
+
+
+def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
+    """Writes the three files of a case with what its answer needs to know; returns a line about it."""
     setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted = case
     brought = bool(said.get("nominal"))
     plain, plain_mag = truth_of(setup, {}, seed=seed)

@@ -61,6 +61,7 @@ class ObjectScatter(NoiseKind):
         return super().missing(context)
 
     def noise(self, noise, p, context):
+        assert context.object is not None  # else the effect is missing
         return noise.with_process(Shared(self.name, p["mag"], context.object))
 
     def trials(self, facts):

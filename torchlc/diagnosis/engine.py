@@ -345,7 +345,8 @@ class Search:
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,
         and with each exchanged. A leader whose rows err independently that leaves nothing, by the p-value that ``left``
-        gives, is only asked for what may hide beside it."""
+        gives, is only asked for what may hide beside it; and where something unknown alone is far ahead of all leaders, only the
+        first of them grows."""
         grown: set[frozenset[str]] = set()
         for size in range(1, MOST_EFFECTS):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
@@ -353,7 +354,7 @@ class Search:
             clean = left(self.visited[alike]) > CLEAN_P
             if clean and len(alike.added) < size:
                 break
-            stems = sized[: 1 if clean else BEAM]
+            stems = sized[: 1 if clean or self.stranger_leads else BEAM]
             for number, stem in enumerate(stems):
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
@@ -429,7 +430,7 @@ class Search:
 
     def laws(self) -> None:
         """Other laws of reflection, where the leader leaves structure: the scene's own model and the leading effects."""
-        leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:BEAM]
+        leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:2]
         self.alternatives(self.bench.laws, list(dict.fromkeys([(), *leaders])))
 
     def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
@@ -452,10 +453,22 @@ class Search:
                 self.refit(hypothesis, theta[None], at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:
-        """What the library does not hold, beside nothing and beside the leading set."""
+        """What the library does not hold, beside nothing and beside the leading set, where that was not asked before."""
+        known = {odd.beside for odd in self.odd}
         for added in dict.fromkeys([(), self.leader.added]):
-            chosen = [one for one in self.visited if one.added == added]
-            self.odd += discrepancies(self.visited[self.ranked(chosen)[0]], coordinates, self.bench)
+            best = self.ranked(one for one in self.visited if one.added == added)[0]
+            if best not in known:
+                self.odd += discrepancies(self.visited[best], coordinates, self.bench)
+
+    @property
+    def stranger_leads(self) -> bool:
+        """Whether something unknown alone is beyond the reach of the leader."""
+        alone = [
+            self.log_odds(odd.beside) + odd.log_gain + odd.log_odds
+            for odd in self.odd
+            if not odd.beside.added
+        ]
+        return max(alone, default=-math.inf) > self.log_odds(self.leader) + REACH
 
     def strongest(self) -> Discrepancy | None:
         """The discrepancy of highest odds."""

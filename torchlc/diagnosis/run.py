@@ -98,11 +98,12 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     entries = search.bench.entries
     search.singles(entries)
     search.afresh()
+    search.strangers(found)
     search.sets(entries, lambda at: _gate(at, found, {}, search.seed, level=False).global_p)
     search.afresh()
     if search.bench.laws and search.bench.recording.error is not None:
         leader = search.visited[search.leader]
-        if _gate(leader, found, {}, search.seed).global_p < GROSS_P:
+        if _gate(leader, found, {}, search.seed, level=False).global_p < GROSS_P:
             search.laws()
     search.nominal_sizes()
     search.noise_of_leaders()

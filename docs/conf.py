@@ -16,6 +16,7 @@ from latex2mathml.converter import convert
 import torchlc
 from torchlc.diagnosis import discrepancy, engine, gate, hypotheses, proof, run, where
 from torchlc.diagnosis import probabilities as odds
+from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
 from torchlc.inference import posterior
 from torchlc.report.listing import effects_listing
@@ -38,6 +39,7 @@ myst_substitutions = {
     "gross_p": f"{run.GROSS_P:g}",
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
+    "unseen": f"{UNSEEN:g}",
     "most_effects": hypotheses.MOST_EFFECTS,
     "near": f"{engine.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",

@@ -1,0 +1,176 @@
+"""What of a hypothesis nobody could see, what is left of a model beside bad rows, and what is unknown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+import torchlc
+from torchlc.diagnosis.discrepancy import EVENT, course, discrepancies
+from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
+from torchlc.diagnosis.probabilities import probabilities
+from torchlc.diagnosis.run import _gate
+from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+
+BALL = """
+format = "torchlc-scene/1"
+name = "ball"
+[orbit]
+tle = ["1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999",
+       "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325"]
+[[stations]]
+id = "roof"
+latitude = 48.2
+longitude = 16.37
+height = 210.0
+[attitude]
+mode = "nadir"
+[[components]]
+name = "ball"
+shape = "sphere"
+radius = 1.0
+centre = [0, 0, 0]
+material = "paint"
+[materials.paint]
+model = "lambert"
+albedo = 0.5
+[model]
+effects = []
+[model.parameters]
+band_sun_magnitude = -26.76
+zero_point = { value = 0.0, sigma = 0.02, prior = "normal" }
+"""
+ERROR = 0.02
+ROWS = 120
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A ball whose zero point alone is free: everything is linear."""
+    folder = tmp_path_factory.mktemp("ball")
+    (folder / "scene.toml").write_text(BALL)
+    curve = torchlc.simulate(
+        folder / "scene.toml",
+        start="2026-03-15T19:00:00",
+        hours=5.0,
+        cadence=5 * 3600 / ROWS,
+        noise=ERROR,
+        seed=3,
+    )
+    return torchlc.load(folder / "scene.toml", curve.write(folder / "recording.ecsv"))
+
+
+def changed(ball, added: np.ndarray):
+    scene, recording = ball
+    return scene, replace(recording, observed=recording.observed + added[: len(recording.observed)])
+
+
+def searched(case, *entries: str) -> Search:
+    search = Search(Workbench(*case), Clock(None), 0)
+    search.bench.entries = ["zero_point_drift", "zero_point_step"]
+    search.null()
+    at = search.visited[Hypothesis()]
+    for entry in entries:
+        search.extend(at, entry, None)
+    return search
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.003, 0.02])
+def test_the_unseen_share_of_a_drift_is_that_of_its_normal_posterior(ball, slope) -> None:
+    """A slope in mag/h beside a free zero point: least squares with both priors in numpy, the rest by scipy."""
+    scene, recording = ball
+    hours = (recording.seconds - recording.seconds.mean()) / 3600
+    search = searched(changed(ball, slope * hours), "zero_point_drift")
+    drift = search.visited[Hypothesis(("zero_point_drift",))]
+    # least squares of what is left at the zero point's and the drift's prior means
+    (column,) = [i for i, name in enumerate(drift.names) if "drift" in name]
+    prior = drift.model.parameter_set.free[column].prior
+    sigma = np.array([0.02, prior.quantile(torch.tensor(0.841344746, dtype=torch.float64)).item()])
+    design = np.stack([np.ones_like(hours), hours], 1) / ERROR
+    curve = torchlc.simulate(scene, recording)
+    left = (recording.observed + slope * hours - np.asarray(curve.to_table()["mag"])) / ERROR
+    covariance = np.linalg.inv(design.T @ design + np.diag(sigma**-2.0))
+    mean = covariance @ design.T @ left
+    # of one unit of slope, what the zero point with its prior cannot take up
+    own = design[:, 1]
+    taken = design[:, 0] * (design[:, 0] @ own) / (design[:, 0] @ design[:, 0] + 0.02**-2)
+    seen = math.sqrt(float((own - taken) @ own))
+    sd = math.sqrt(covariance[1, 1])
+    expected = stats.norm.cdf((UNSEEN / seen - mean[1]) / sd) - stats.norm.cdf(
+        (-UNSEEN / seen - mean[1]) / sd
+    )
+    assert unseen_share(drift, search.visited[Hypothesis()], "zero_point_drift") == pytest.approx(
+        expected,
+        abs=0.08,  # 200 draws: two and a half standard deviations at one half
+    )
+
+
+def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:
+    """Whatever is moved, all of it is there; and a clean recording is told as clean."""
+    search = searched(ball, "zero_point_drift")
+    found = probabilities(search, 0.5)
+    assert found.nothing + found.noise + found.unknown + found.some_effect == pytest.approx(1.0)
+    drift = search.visited[Hypothesis(("zero_point_drift",))]
+    share = unseen_share(drift, search.visited[Hypothesis()], "zero_point_drift")
+    assert share > 0.5 and found.nothing > 0.7
+    assert found.effects.get("zero_point_drift", 0.0) <= 1 - share
+
+
+def test_a_run_of_bad_rows_is_no_structure_and_a_slow_wave_beside_it_is(ball) -> None:
+    """A cloud of four rows and two bright ones leave nothing once they are known as bad; a wave of two errors does."""
+    recording = ball[1]
+    added = np.zeros(len(recording.observed))
+    added[40:44], added[[80, 100]] = 0.6, -0.5
+    hours = recording.seconds / 3600
+    p = []
+    for wave in (0.0, 0.04):
+        case = changed(ball, added + wave * np.sin(2 * np.pi * hours / 1.3))
+        search = searched(case)
+        at = max(
+            (one for one in search.visited.values() if "outliers" in one.hypothesis.noise),
+            key=lambda one: one.log_z,
+        )
+        assert (at.outlying() > 0.5)[[40, 41, 42, 43, 80, 100]].all()
+        p.append(_gate(at, {}, {}, 0, level=False).global_p)
+    assert p[0] > 0.01 > p[1]
+
+
+def test_errors_that_are_too_large_leave_no_structure(ball) -> None:
+    """Quoted errors twice the true ones: chi-square says so as quoted, the structure under a fitted level does not."""
+    scene, recording = ball
+    search = searched((scene, replace(recording, error=2 * recording.error)))
+    at = search.visited[Hypothesis()]
+    assert _gate(at, {}, {}, 0).global_p < 1e-3
+    assert _gate(at, {}, {}, 0, level=False).global_p > 0.01
+
+
+def test_an_event_that_comes_quickly_and_goes_slowly_is_found_where_it_is(ball) -> None:
+    """A dip of 0.15 mag that decays within half an hour: its window, and its course, to three bands."""
+    recording = ball[1]
+    order = np.argsort(recording.seconds)
+    minutes = (recording.seconds - recording.seconds[order[50]]) / 60
+    dip = np.where(minutes >= 0, 0.15 * np.exp(-minutes / 15), 0.0)
+    search = searched(changed(ball, dip))
+    null = search.visited[Hypothesis().under(*search.robust)]
+    coordinates = {"time": torch.from_numpy(recording.seconds - recording.seconds.min())}
+    found = {one.coordinate: one for one in discrepancies(null, coordinates, search.bench)}
+    event = found[EVENT]
+    assert event.log_gain > 10  # beyond bad rows, which take the dip row by row
+    strong = torch.from_numpy(dip > 0.05)
+    assert float(event.rows[strong].double().mean()) > 0.8  # windows are half of each apart
+    strong &= event.rows
+    off = (event.curve.abs() - torch.from_numpy(dip)).abs()[strong]
+    assert float((off / event.band[strong]).max()) < 4
+
+
+def test_the_course_of_an_event_has_unit_variance() -> None:
+    columns = course(torch.linspace(0, 100, 2001, dtype=torch.float64))
+    assert float(columns.square().sum(1)[0]) == pytest.approx(1.0)
+    gram = columns.T @ columns / len(columns)
+    assert torch.allclose(gram, torch.diag(torch.diagonal(gram)), atol=2e-3)

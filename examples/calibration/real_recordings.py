@@ -62,6 +62,7 @@ def told(scene_file: Path, recording_file: Path) -> dict[str, Any]:
         "rows": len(recording),
         "curves": len(recording.curve_ids),
         **{key: content[key] for key in keys},
+        "probability": content["probabilities"]["told"],
         "law": found.law,
         "parameters": {
             entry: effect_parameters(found.final, entry)

@@ -222,14 +222,14 @@ def other_law(law: str, words: list[str], at: Mapping[str, Kind], rng: Rng) -> C
 
 def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
     """Truths that no effect of the library describes."""
-    answer = {"verdict": "unexplained", "accepted": ["unexplained"], "note": OUTSIDE}
+    answer = {"verdict": "unexplained", "accepted": ["unexplained", "noise_model"], "note": OUTSIDE}
     if words[0] == "flash":
         flash = {"period_min": draw(rng, 17.0, 40.0), "fraction": 0.8, "width": 0.04}
         return at["wing"](rng), {"flash": flash}, answer
     if words[0] == "cloud":
         setup = at["meo"](rng)
         cloud = {"mag": 0.25, "minutes": 12.0, "time": round(instant(setup, 0.4), 3)}
-        return setup, {"cloud": cloud}, {**answer, "accepted": ["unexplained", "noise_model"]}
+        return setup, {"cloud": cloud}, answer
     if words[0] == "star":
         setup = at["box"](rng)
         star = {"fraction": draw(rng, 0.2, 0.5), "minutes": draw(rng, 8.0, 15.0)}
@@ -241,7 +241,7 @@ def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:
             "tau_min": draw(rng, 15.0, 30.0),
             "seed": int(rng.integers(1000)),
         }
-        return setup, {"cirrus": cirrus}, {**answer, "accepted": ["unexplained", "noise_model"]}
+        return setup, {"cirrus": cirrus}, answer
     if words[0] == "detachment":
         setup = at["box"](rng)
         plate = appendage(rng)(draw(rng, 0.8, 1.5), setup)[1]["appendage"]

@@ -14,13 +14,14 @@ SIZES = ("small", "medium", "large", "as_is")
 WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
 """Effects by how much chi-square the true model gains over the best refit without it."""
 KINDS = (
-    "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "other noise",
-    "scene slightly wrong", "other reflection law", "outside the library",
+    "nothing missing", *(f"one effect, {words}" for words in WORTH.values()), "two effects", "three effects", "other noise",
+    "scene slightly wrong", "other reflection law", "outside the library", "nominal, nothing missing", "nominal, one effect",
+    "nominal, outside the library",
 )  # fmt: skip
 OUTCOMES = {
     "right": "#3f9b5c",
     "in family": "#9cc9a5",
-    "one of two": "#c9dcae",
+    "part of the set": "#c9dcae",
     "extra name": "#e0b23c",
     "missed": "#c9ced6",
     "unexplained": "#8a94a6",
@@ -29,6 +30,9 @@ OUTCOMES = {
     "wrong name": "#c2410c",
 }
 """What may come out, with its colour."""
+GOOD = ("right", "in family")
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Edges of the probabilities of answers that are counted together."""
 
 
 def judged(row: dict[str, Any]) -> str:
@@ -50,13 +54,16 @@ def judged(row: dict[str, Any]) -> str:
     if any(one < named for one in sets):
         return "extra name"
     if any(named < one for one in sets):
-        return "one of two"
+        return "part of the set"
     return "wrong name"
 
 
 def group(row: dict[str, Any]) -> str:
     """The kind of case, by its name."""
     head, _, rest = row["case"].rpartition("/")[2].partition("-")
+    if head == "nominal":
+        inner = {"adequate": "nothing missing", "unexplained": "outside the library"}
+        return "nominal, " + inner.get(row["truth"]["verdict"], "one effect")
     size = rest.partition("-")[0]
     if head.startswith("control"):
         return "nothing missing"
@@ -70,6 +77,7 @@ def group(row: dict[str, Any]) -> str:
         return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)
     known: dict[str, str] = {
         "two": "two effects",
+        "three": "three effects",
         "wrong": "scene slightly wrong",
         "ggx": "other reflection law",
         "beckmann": "other reflection law",
@@ -84,6 +92,34 @@ def ordered(rows: Sequence[dict[str, Any]]) -> list[str]:
     return [kind for kind in KINDS if kind in there] + sorted(there - set(KINDS))
 
 
+def reliability(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Of answers told with a probability: by bins of it their number, its mean and the share that was right; the expected
+    calibration error, which weighs the bins' differences by their numbers; and Brier's score."""
+    told = np.array([row["told"] for row in rows if row.get("told") is not None])
+    right = np.array([judged(row) in GOOD for row in rows if row.get("told") is not None], dtype=float)
+    if not len(told):
+        return {}
+    place = np.clip(np.digitize(told, BINS) - 1, 0, len(BINS) - 2)
+    bins = [
+        {"cases": int(inside.sum()), "told": float(told[inside].mean()), "right": float(right[inside].mean())}
+        for inside in (place == one for one in range(len(BINS) - 1))
+        if inside.any()
+    ]
+    error = sum(one["cases"] * abs(one["told"] - one["right"]) for one in bins) / len(told)
+    return {"bins": bins, "error": float(error), "brier": float(np.mean((told - right) ** 2))}
+
+
+def spent(seconds: Sequence[float]) -> dict[str, float]:
+    """Median, 95th percentile and longest."""
+    if not seconds:
+        return {}
+    return {
+        "median": float(np.median(seconds)),
+        "most": float(np.percentile(seconds, 95)),
+        "longest": max(seconds),
+    }
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Counts of each outcome by kind of case, and the measures over all of them."""
     counts = {
@@ -93,7 +129,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
     clean = [row["global_p"] for row in rows if group(row) == "nothing missing"]
     named = [row for row in rows if row["verdict"] == "missing_physics"]
-    right = [row for row in named if judged(row) in ("right", "in family")]
+    right = [row for row in named if judged(row) in GOOD]
     held = {when: np.sum([row["materials"][when] for row in right], axis=0) for when in ("before", "after")}
     overlaps = [row["overlap"] for row in right if row["overlap"] is not None]
     fitting = [
@@ -106,6 +142,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "cases": len(rows),
         "outcomes": counts,
         "clean_p_uniform_ks_p": float(stats.kstest(clean, "uniform").pvalue) if len(clean) > 4 else None,
+        "reliability": reliability(rows),
         "median_overlap": float(np.median(overlaps)) if overlaps else None,
         "materials_inside_90": {
             when: float(inside / whole) if len(right) and whole else None
@@ -114,7 +151,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         if right
         else {},
         "chi2_within_3_sigma": float(np.mean(np.array(fitting) < 3.0)) if fitting else None,
-        "processor_seconds": {"median": float(np.median(seconds)), "longest": max(seconds)}
-        if seconds
-        else {},
+        "processor_seconds": spent(seconds),
+        "processor_seconds_nominal": spent(
+            [row["cpu_seconds"] for row in rows if group(row).startswith("nominal")]
+        ),
     }

@@ -27,10 +27,11 @@ def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
 
 
 def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """Outcomes by kind of case, how many effects of which size are found, and the global p of clean recordings."""
+    """Outcomes by kind of case, how many effects of which size are found, the global p of clean recordings, and how often an
+    answer told with a probability is right."""
     with plt.rc_context(style(9)):
-        figure, (left, middle, right) = plt.subplots(
-            1, 3, figsize=(11, 3.8), width_ratios=(1.5, 1, 1), layout="constrained"
+        figure, (left, middle, right, last) = plt.subplots(
+            1, 4, figsize=(14, 3.8), width_ratios=(1.5, 1, 1, 1), layout="constrained"
         )
         kinds = ordered(rows)[::-1]
         for place, kind in enumerate(kinds):
@@ -74,12 +75,26 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
         right.plot([0, 1], [0, 1], color=GRID)
         right.step(clean, (np.arange(len(clean)) + 1) / max(len(clean), 1), color=MODEL, where="post")
         right.set(xlabel="global p where nothing is missing", ylabel="share below", xlim=(0, 1), ylim=(0, 1))
+        bins = summary(rows)["reliability"].get("bins", [])
+        last.plot([0, 1], [0, 1], color=GRID)
+        told, share = ([one[key] for one in bins] for key in ("told", "right"))
+        spread = [math.sqrt(max(p * (1 - p), 0.0) / one["cases"]) for p, one in zip(share, bins, strict=True)]
+        last.errorbar(told, share, spread, fmt="o", color=MODEL)
+        for one in bins:
+            last.annotate(
+                str(one["cases"]), (one["told"], one["right"]), (4, -11), textcoords="offset points"
+            )
+        last.set(
+            xlabel="probability of the answer as told", ylabel="share right", xlim=(0, 1.03), ylim=(0, 1.05)
+        )
         figure.savefig(file, dpi=110, facecolor="white")
 
 
 def concealed(row: dict[str, Any]) -> str:
     """What a case conceals, in a few words."""
     kind, words = group(row), row["case"].rpartition("/")[2].split("-")
+    if words[0] == "nominal":
+        words, kind = words[1:], kind.partition(", ")[2]
     if kind == "nothing missing":
         return kind
     if kind == "scene slightly wrong":
@@ -115,7 +130,7 @@ def draw_confusion(rows: Sequence[dict[str, Any]], file: Path) -> None:
             members = [row for row in kept if concealed(row) == label]
             hits = [judged(row) for row in members if name in said(row)]
             if hits:
-                good = sum(one in ("right", "in family", "one of two") for one in hits)
+                good = sum(one in ("right", "in family", "part of the set") for one in hits)
                 place = (across.index(name), labels.index(label))
                 colour = OUTCOMES["right" if good == len(hits) else "in family" if good else "wrong name"]
                 axes.add_patch(Rectangle((place[0] - 0.5, place[1] - 0.5), 1, 1, color=colour))

@@ -53,6 +53,7 @@ def run(case: Path, quick: bool) -> dict[str, Any]:
         "verdict": content["verdict"],
         "named": content["named"],
         "families": content["families"],
+        "told": content["probabilities"]["told"],
         "global_p": content["global_p"],
         "improvement": content["improvement"],
         "remaining_p": content["remaining"]["global_p"],

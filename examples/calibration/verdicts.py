@@ -133,6 +133,7 @@ def main() -> None:
         default=0.0,
         help="fail if fewer than this share are right, or any alarm is false",
     )
+    parser.add_argument("--commit", default="not told", help="state of the code, to publish")
     parser.add_argument("--publish", type=Path, help="folder for verdicts.json and verdicts.png")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -149,7 +150,7 @@ def main() -> None:
             print(f"{name}: {row['verdict']} {row['named']}: {judged(row)}", flush=True)
     print(json.dumps(summary(list(rows.values())), indent=1))
     if options.publish is not None:
-        publish(list(rows.values()), options.publish)
+        publish(list(rows.values()), options.publish, options.commit)
     outcomes = Counter(judged(row) for row in rows.values())
     good = outcomes["right"] + outcomes["in family"]
     if good < options.least * len(rows) or (options.least and outcomes["false alarm"]):

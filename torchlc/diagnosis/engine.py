@@ -57,7 +57,8 @@ GROWN = 8
 BEAM = 3
 MOST_LOOKED = 6
 DRAWS = 500
-DEAR_STEPS = 12
+DEAR_STEPS = 24
+"""Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
 DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all."""
 
@@ -264,7 +265,7 @@ class Search:
         only if that could be the answer and there is time."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        cost = posterior.seconds_each * (1 + len(posterior.model.assembly.geometry_columns)) * DEAR_STEPS
+        cost = posterior.seconds_each * (1 + len(posterior.physical)) * DEAR_STEPS
         if cost < DEAR_FIT_S:
             return True
         if not len(found.scores):

@@ -116,7 +116,11 @@ class Posterior:
         return torch.exp(SCALE_SIGMA * g[..., self.own : self.own + 1]) if self.scaled else 1.0
 
     def residuals(self, g: Tensor) -> Residuals:
-        found = self.likelihood.residuals(self.theta(self._apart(g)))
+        return self.residuals_alike(self._apart(g))
+
+    def residuals_alike(self, g: Tensor) -> Residuals:
+        """Residuals at coordinates (..., P), few of which are of different geometry."""
+        found = self.likelihood.residuals(self.theta(g))
         return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
 
     def _apart(self, g: Tensor) -> Tensor:
@@ -307,13 +311,20 @@ def deviance(law: Law, u: Tensor) -> Tensor:
 
 
 def descend(
-    posterior: Posterior, starts: Tensor, iterations: int, noise: Noise | None = None
+    posterior: Posterior, starts: Tensor, iterations: int, noise: Noise | None = None, *, still: bool = False
 ) -> tuple[Tensor, Tensor]:
     """Levenberg-Marquardt from coordinates (S, P), the noise at that of the first if none is given: points, best first, and
-    their costs."""
+    their costs. ``still`` leaves a geometry that all starts have where it is: then it is worked out once, and not for every
+    start and slope."""
     if not posterior.physical:
         return starts[:1], starts.new_zeros(1)
-    columns = torch.tensor(posterior.physical)
+    chosen = posterior.physical
+    geometry = posterior.model.assembly.geometry_columns
+    still = still and bool(geometry) and bool((starts[:, geometry] == starts[0, geometry]).all())
+    if still:
+        chosen = [column for column in chosen if column not in geometry] or chosen
+    evaluated = posterior.residuals_alike if still else posterior.residuals
+    columns = torch.tensor(chosen)
     stay = starts[0]
     low = torch.full_like(stay[columns], -FARTHEST)
     at = posterior.residuals(stay)
@@ -321,9 +332,9 @@ def descend(
 
     def residual(part: Tensor) -> Tensor:
         whole = stay.repeat(len(part), 1).index_copy(1, columns, part)
-        return torch.cat([rows(posterior.residuals(whole)), part], -1)
+        return torch.cat([rows(evaluated(whole)), part], -1)
 
-    colours = posterior.colours()
+    colours = None if still else posterior.colours()
     reached = minimise(
         residual, starts[:, columns], low, -low, iterations=iterations, tolerance=TOLERANCE, colours=colours
     )
@@ -404,7 +415,7 @@ def fit(
     g = starts
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
-        reached = descend(posterior, starts, FIRST_STEPS, wide)[0]
+        reached = descend(posterior, starts, FIRST_STEPS, wide, still=True)[0]
         g = reached[:1] if posterior.dear else _unlike(reached, 2 * most)
     g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps)
     leading = g[cost < cost[0] + 2 * DEPTH]

@@ -109,7 +109,6 @@ def calibration_of_the_verdict() -> dict[str, str]:
         "verdict_after": percent(numbers["materials_inside_90"]["after"]),
         "verdict_before": percent(numbers["materials_inside_90"]["before"]),
         "verdict_cases": str(numbers["cases"]),
-        "verdict_fitting": percent(numbers["chi2_within_3_sigma"]),
         "verdict_longest": f"{numbers['processor_seconds']['longest']:.0f}",
         "verdict_overlap": f"{numbers['median_overlap']:.2f}",
         "verdict_seconds": f"{numbers['processor_seconds_exact']['median']:.0f}",

@@ -47,7 +47,10 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
         left.set_xlabel("share of cases")
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5)
         one = [
-            row for row in rows if group(row).startswith("one effect") and row["truth"]["gain"] is not None
+            row
+            for row in rows
+            if group(row).startswith(("one effect", "nominal, one effect"))
+            and row["truth"]["gain"] is not None
         ]
         gains = np.array([row["truth"]["gain"] for row in one])
         for words, label, colour in (
@@ -121,6 +124,7 @@ def draw_confusion(rows: Sequence[dict[str, Any]], file: Path) -> None:
         for among in [set(kinds)]
         for label in sorted({concealed(row) for row in kept if group(row) in among})
     ]
+    labels = list(dict.fromkeys(labels))  # a clean scene may be exact or nominal
     names = sorted({one for row in kept if row["verdict"] != "adequate" for one in said(row)})
     across = ["adequate", "unexplained", *(one for one in names if one != "unexplained")]
     with plt.rc_context(style(8)):

@@ -464,16 +464,20 @@ class Search:
     @property
     def stranger_leads(self) -> bool:
         """Whether something unknown alone is beyond the reach of the leader."""
-        alone = [
-            self.log_odds(odd.beside) + odd.log_gain + odd.log_odds
-            for odd in self.odd
-            if not odd.beside.added
-        ]
-        return max(alone, default=-math.inf) > self.log_odds(self.leader) + REACH
+        return self.stranger_alone > self.log_odds(self.leader) + REACH
+
+    @property
+    def stranger_alone(self) -> float:
+        """Log odds of the best of something unknown beside no effect."""
+        return max((self.odd_log_odds(odd) for odd in self.odd if not odd.beside.added), default=-math.inf)
+
+    def odd_log_odds(self, odd: Discrepancy) -> float:
+        """Log odds of a discrepancy with what it stands beside."""
+        return self.log_odds(odd.beside) + odd.log_gain + odd.log_odds
 
     def strongest(self) -> Discrepancy | None:
         """The discrepancy of highest odds."""
-        return max(self.odd, key=lambda one: self.log_odds(one.beside) + one.log_gain, default=None)
+        return max(self.odd, key=self.odd_log_odds, default=None)
 
     def state(self) -> str:
         """The leader with its odds against the second, for a progress bar."""

@@ -135,9 +135,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     rows: list[tuple[str, Hypothesis, float]] = []
     rows += [("", one, search.log_odds(one)) for one in search.visited]
     rows += [("", one, log_odds) for one, log_odds in search.linear.items() if one not in search.visited]
-    rows += [
-        ("odd", odd.beside, search.log_odds(odd.beside) + odd.log_gain + odd.log_odds) for odd in search.odd
-    ]
+    rows += [("odd", odd.beside, search.odd_log_odds(odd)) for odd in search.odd]
     leader = max(rows, key=lambda row: row[2])
     leaves = leader[0] == "odd"
     if not leaves:
@@ -146,11 +144,11 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         leaves = worth > 0
     stands_in = leaves and stands_for_something_else(search, leader[1])
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
-    rows, weight = less_unseen(search, rows, weight)
+    masses = [(kind, hypothesis, p) for (kind, hypothesis, _), p in zip(rows, weight, strict=True)]
     nothing = noise = unknown = leftover = 0.0
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
-    for (kind, hypothesis, _), p in zip(rows, weight, strict=True):
+    for kind, hypothesis, p in less_unseen(search, masses):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
         if (not entries and (kind or hypothesis.law)) or (stands_in and entries):
@@ -181,23 +179,27 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
 
 
 def less_unseen(
-    search: Search, rows: list[tuple[str, Hypothesis, float]], weight: list[float]
-) -> tuple[list[tuple[str, Hypothesis, float]], list[float]]:
+    search: Search, masses: Sequence[tuple[str, Hypothesis, float]]
+) -> list[tuple[str, Hypothesis, float]]:
     """The same mass, where that of values of an effect which nobody could see counts for the set without it."""
-    pending = [(kind, one, log_odds, p) for (kind, one, log_odds), p in zip(rows, weight, strict=True)]
-    done: list[tuple[str, Hypothesis, float, float]] = []
+    shares: dict[tuple[Hypothesis, str], float] = {}  # mass may come to a set from several larger ones
+    pending = list(masses)
+    done: list[tuple[str, Hypothesis, float]] = []
     while pending:
-        kind, one, log_odds, p = pending.pop()
+        kind, one, p = pending.pop()
         if not kind and p > WEIGHED and one in search.visited:
             for entry in one.added:
                 without = search.counterpart(one.without(entry))
                 if without is None:
                     continue
-                unseen = p * unseen_share(search.visited[one], search.visited[without], entry, one.seed)
-                pending.append((kind, without, log_odds, unseen))
+                if (one, entry) not in shares:
+                    fits = search.visited[one], search.visited[without]
+                    shares[one, entry] = unseen_share(*fits, entry, one.seed)
+                unseen = p * shares[one, entry]
+                pending.append((kind, without, unseen))
                 p -= unseen
-        done.append((kind, one, log_odds, p))
-    return [row[:3] for row in done], [row[3] for row in done]
+        done.append((kind, one, p))
+    return done
 
 
 def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
@@ -205,12 +207,7 @@ def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
     or they take too little of the misfit."""
     if not hypothesis.added:
         return False
-    alone = [
-        search.log_odds(odd.beside) + odd.log_gain + odd.log_odds
-        for odd in search.odd
-        if not odd.beside.added
-    ]
-    if max(alone, default=-math.inf) > search.log_odds(hypothesis):
+    if search.stranger_alone > search.log_odds(hypothesis):
         return True
     if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
         return False

@@ -26,6 +26,7 @@ from torchlc.diagnosis.hypotheses import (
     carried,
     effect_columns,
     effect_starts,
+    slopes_of,
 )
 from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.effects import effect_class
@@ -204,11 +205,15 @@ class Search:
     def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
         """A hypothesis under another noise, from its minima."""
         hypothesis = at.hypothesis.under(*noise)
-        parameters = self.bench.likelihood(hypothesis).model.parameter_set
+        posterior = self.posterior(hypothesis)
+        parameters = posterior.model.parameter_set
         begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
+        slopes = torch.stack([slopes_of(posterior, one) for one in at.minima])
         if starts is not None:
-            begin.append(carried(parameters, starts, at.names))
-        return self.refit(hypothesis, torch.cat(begin), at, turns=1)
+            return self.refit(
+                hypothesis, torch.cat([*begin, carried(parameters, starts, at.names)]), at, turns=1
+            )
+        return self.refit(hypothesis, torch.cat(begin), at, turns=1, slopes=slopes)
 
     def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
         """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
@@ -222,11 +227,13 @@ class Search:
         if found is not None and len(found.psi) and columns:
             likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
             psi[: len(likely)] = likely[:places]
-        pool = [carried(parameters, one.theta[None], one.names) for one in (*at.minima[:2], *others)]
-        pool = pool[:1] if posterior.dear else pool
-        starts = torch.cat([one.repeat(len(psi), 1) for one in pool])
+        pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
+        starts = torch.cat(
+            [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
+        )
         starts[:, columns] = psi.repeat(len(pool), 1)
-        new = self.refit(hypothesis, starts, at, turns=1, most=2)
+        slopes = torch.cat([slopes_of(posterior, one).expand(len(psi), -1, -1) for one in pool])
+        new = self.refit(hypothesis, starts, at, turns=1, most=2, slopes=slopes)
         posterior.model.forget()
         return self.rescanned(entry, new)
 

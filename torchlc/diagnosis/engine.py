@@ -26,7 +26,6 @@ from torchlc.diagnosis.hypotheses import (
     carried,
     effect_columns,
     effect_starts,
-    slopes_of,
 )
 from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.effects import effect_class
@@ -184,7 +183,17 @@ class Search:
                 )
                 if name in known:
                     g[:, column] = noise_from.g[known[name]]
-        return self.keep(fit(hypothesis, posterior, g, **options))
+        best = max(map(self.log_odds, self.visited), default=-math.inf)
+        floor = best - REACH - self.bench.log_odds(hypothesis)
+        nominal = self.nominal_columns(posterior)
+        return self.keep(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+
+    def nominal_columns(self, posterior: Posterior) -> list[int]:
+        """Columns of the scene's own geometry, where there are others that leave that as it is."""
+        own = set(self.bench.likelihood(Hypothesis()).model.names)
+        names = posterior.model.names
+        found = [column for column in posterior.model.assembly.geometry_columns if names[column] in own]
+        return found if set(posterior.physical) - set(found) else []
 
     def null(self) -> None:
         """The scene's own model, under the robust noise and under every other."""
@@ -205,15 +214,11 @@ class Search:
     def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
         """A hypothesis under another noise, from its minima."""
         hypothesis = at.hypothesis.under(*noise)
-        posterior = self.posterior(hypothesis)
-        parameters = posterior.model.parameter_set
+        parameters = self.bench.likelihood(hypothesis).model.parameter_set
         begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
-        slopes = torch.stack([slopes_of(posterior, one) for one in at.minima])
         if starts is not None:
-            return self.refit(
-                hypothesis, torch.cat([*begin, carried(parameters, starts, at.names)]), at, turns=1
-            )
-        return self.refit(hypothesis, torch.cat(begin), at, turns=1, slopes=slopes)
+            begin.append(carried(parameters, starts, at.names))
+        return self.refit(hypothesis, torch.cat(begin), at, turns=1)
 
     def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
         """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
@@ -232,8 +237,7 @@ class Search:
             [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
-        slopes = torch.cat([slopes_of(posterior, one).expand(len(psi), -1, -1) for one in pool])
-        new = self.refit(hypothesis, starts, at, turns=1, most=2, slopes=slopes)
+        new = self.refit(hypothesis, starts, at, turns=1, most=2)
         posterior.model.forget()
         return self.rescanned(entry, new)
 

@@ -18,7 +18,6 @@ from torch import Tensor
 from torchlc.diagnosis.alternatives import NOMINAL, under_other_laws, with_free_sizes
 from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.lightcurve.assembly import Assembly, assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
@@ -230,17 +229,6 @@ def carried(parameters: ParameterSet, theta: Tensor, names: Sequence[str]) -> Te
     for column, name in enumerate(parameters.names):
         if name in place:
             found[:, column] = theta[:, place[name]]
-    return found
-
-
-def slopes_of(posterior: Posterior, at: Fitted) -> Tensor:
-    """Slopes (T, P) of residuals by the coordinates that a posterior has in common with that of a fit, as they are there;
-    NaN for the others."""
-    found = at.slopes.new_full((len(at.slopes), posterior.size), torch.nan)
-    place = {name: column for column, name in enumerate(at.names)}
-    for column, name in enumerate(posterior.model.names):
-        if name in place and column in posterior.physical:
-            found[:, column] = at.slopes[:, place[name]]
     return found
 
 

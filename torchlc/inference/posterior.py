@@ -54,6 +54,8 @@ TOLERANCE = 1e-4
 """Share of the cost that a step has to gain: some 0.02 in log density."""
 LEFT = 0.02
 """Log density that a fit may leave to be gained: a fiftieth of what one standard deviation costs twice over."""
+LONGEST = 4.0
+"""How many times what slopes promise a fit is believed to gain at most, on its way from where it was begun."""
 MOST_POLISHED = 2
 NOISE_STEPS = 8
 FIRST_STEPS, STEPS, LAST_STEPS = 6, 25, 8
@@ -82,8 +84,8 @@ class Posterior:
 
     @cached_property
     def seconds_each(self) -> float:
-        """CPU seconds that a new geometry takes; 0 where it is fixed."""
-        if not self.model.geometry_free:
+        """CPU seconds that a new geometry takes; 0 where it is fixed, or of so few facets that it is not worth the watch."""
+        if not self.model.geometry_free or self.model.evaluator.gridded:
             return 0.0
         g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
         with torch.no_grad():
@@ -324,19 +326,18 @@ def descend(
     iterations: int,
     noise: Noise | None = None,
     *,
-    still: bool = False,
+    held: Sequence[int] = (),
     slopes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Levenberg-Marquardt from coordinates (S, P), the noise at that of the first if none is given: points, best first, and
-    their costs. ``still`` leaves a geometry that all starts have where it is: then it is worked out once, and not for every
-    start and slope. ``slopes`` (S, T, P) are d residual / d g about the starts, as far as they are known, NaN elsewhere: they spare those of
+    their costs. Columns ``held`` stay at their values in the first start. ``slopes`` (S, T, P) are d residual / d g about the starts, as far as they are known, NaN elsewhere: they spare those of
     a free geometry."""
     if not posterior.physical:
         return starts[:1], starts.new_zeros(1)
-    chosen = posterior.physical
+    chosen = [column for column in posterior.physical if column not in held]
+    if not chosen:
+        return starts[:1], starts.new_zeros(1)
     geometry = posterior.model.assembly.geometry_columns
-    if still and geometry and bool((starts[:, geometry] == starts[0, geometry]).all()):
-        chosen = [column for column in chosen if column not in geometry] or chosen
     columns = torch.tensor(chosen)
     stay = starts[0]
     low = torch.full_like(stay[columns], -FARTHEST)
@@ -457,23 +458,59 @@ def fit(
     steps: int = STEPS,
     turns: int = 2,
     most: int = MOST_MINIMA,
-    slopes: Tensor | None = None,
+    floor: float = -math.inf,
+    nominal: Sequence[int] = (),
 ) -> Fitted:
     """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others.
-    ``slopes`` (S, T, P) are d residual / d g about the starts, NaN where they are not known."""
-    g = starts
+
+    Columns of a ``nominal`` geometry, of which each value is worked out anew and which the light follows almost in proportion, are first left
+    where each start has them. What their slopes promise from there tells whether the log evidence can come near ``floor``;
+    if not, the fit ends there.
+    """
+    g, known = starts, None
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
-        reached = descend(posterior, starts, FIRST_STEPS, wide, still=True)[0]
-        g = reached[:1] if posterior.dear else _unlike(reached, 2 * most)
-        slopes = None
-    g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps, slopes=slopes)
+        alike = bool((starts[:, nominal] == starts[0, nominal]).all())
+        reached = descend(posterior, starts, FIRST_STEPS, wide, held=nominal if alike else ())[0]
+        reached = torch.cat(
+            [starts[:1], reached]
+        )  # the first is a minimum of a part of this model, which wide errors would leave
+        g = reached[1:2] if posterior.dear else _unlike(reached, 2 * most)
+    if nominal:
+        first = _fits_as_they_stand(hypothesis, posterior, g, nominal, steps, turns)[:most]
+        within = [one for one in first if one.laplace + LONGEST * one.left > floor]
+        if not within:
+            return merged([replace(one, covariance=_covariance(one)) for one in first])
+        g = torch.stack([one.g for one in within])
+        known = torch.stack([one.slopes for one in within])
+    g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps, slopes=known)
     leading = g[cost < cost[0] + 2 * DEPTH]
     chosen: list[Tensor] = []
     for one in leading:
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
     return merged([polished(_sloped(hypothesis, posterior, one), turns) for one in chosen[:most]])
+
+
+def _fits_as_they_stand(
+    hypothesis: Any, posterior: Posterior, starts: Tensor, nominal: Sequence[int], steps: int, turns: int
+) -> list[Fitted]:
+    """Fits from starts (S, P) that leave the ``nominal`` columns of each as they are, noise and the rest in turn; best first,
+    those alike once."""
+    points, costs = [], []
+    for one in torch.unique(starts[:, nominal], dim=0):
+        alike = starts[(starts[:, nominal] == one).all(-1)]
+        reached, cost = descend(posterior, alike, steps, held=nominal)
+        points.append(reached)
+        costs.append(cost)
+    order = torch.argsort(torch.cat(costs))
+    fits = []
+    for g in _unlike(torch.cat(points)[order], MOST_MINIMA):
+        for _ in range(turns if posterior.noise_columns else 0):
+            g = fit_noise(posterior, g, posterior.residuals(g))
+            g = descend(posterior, g[None], steps, held=nominal)[0][0]
+        fits.append(_sloped(hypothesis, posterior, g))
+    return sorted(fits, key=lambda one: -one.peak)
 
 
 def polished(at: Fitted, turns: int) -> Fitted:

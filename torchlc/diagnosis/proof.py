@@ -90,7 +90,8 @@ def _without(at: Fitted, removed: Tensor) -> Fitted | None:
     )
     if likelihood.model.names != at.names:
         return None
-    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1)
+    slopes = at.slopes[torch.as_tensor(kept)][None]
+    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1, slopes=slopes)
 
 
 def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:

@@ -460,14 +460,15 @@ def fit(
     most: int = MOST_MINIMA,
     floor: float = -math.inf,
     nominal: Sequence[int] = (),
+    slopes: Tensor | None = None,
 ) -> Fitted:
     """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others.
 
     Columns of a ``nominal`` geometry, of which each value is worked out anew and which the light follows almost in proportion, are first left
     where each start has them. What their slopes promise from there tells whether the log evidence can come near ``floor``;
-    if not, the fit ends there.
+    if not, the fit ends there. ``slopes`` (S, T, P) are d residual / d g about the starts, if they are known.
     """
-    g, known = starts, None
+    g, known = starts, slopes
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
         alike = bool((starts[:, nominal] == starts[0, nominal]).all())

@@ -187,7 +187,8 @@ class Search:
                 if name in known:
                     g[:, column] = noise_from.g[known[name]]
         best = max(map(self.log_odds, self.visited), default=-math.inf)
-        floor = best - REACH - self.bench.log_odds(hypothesis)
+        # the scene's own model, which all gains are counted from, is fitted to the end
+        floor = best - REACH - self.bench.log_odds(hypothesis) if hypothesis.added else -math.inf
         nominal = self.nominal_columns(posterior)
         return self.keep(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
 

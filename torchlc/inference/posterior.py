@@ -54,6 +54,8 @@ TOLERANCE = 1e-4
 """Share of the cost that a step has to gain: some 0.02 in log density."""
 LEFT = 0.02
 """Log density that a fit may leave to be gained: a fiftieth of what one standard deviation costs twice over."""
+FARTHER = 5.0
+"""How many times DEPTH a fit may lie behind the best as long as the nominal geometry stays where it is."""
 LONGEST = 4.0
 """How many times what slopes promise a fit is believed to gain at most, on its way from where it was begun."""
 MOST_POLISHED = 2
@@ -478,7 +480,7 @@ def fit(
         )  # the first is a minimum of a part of this model, which wide errors would leave
         g = reached[1:2] if posterior.dear else _unlike(reached, 2 * most)
     if nominal:
-        first = _fits_as_they_stand(hypothesis, posterior, g, nominal, steps, turns)[:most]
+        first = _fits_as_they_stand(hypothesis, posterior, g, nominal, turns)[:most]
         within = [one for one in first if one.laplace + LONGEST * one.left > floor]
         if not within:
             return merged([replace(one, covariance=_covariance(one)) for one in first])
@@ -494,22 +496,23 @@ def fit(
 
 
 def _fits_as_they_stand(
-    hypothesis: Any, posterior: Posterior, starts: Tensor, nominal: Sequence[int], steps: int, turns: int
+    hypothesis: Any, posterior: Posterior, starts: Tensor, nominal: Sequence[int], turns: int
 ) -> list[Fitted]:
     """Fits from starts (S, P) that leave the ``nominal`` columns of each as they are, noise and the rest in turn; best first,
     those alike once."""
     points, costs = [], []
     for one in torch.unique(starts[:, nominal], dim=0):
         alike = starts[(starts[:, nominal] == one).all(-1)]
-        reached, cost = descend(posterior, alike, steps, held=nominal)
+        reached, cost = descend(posterior, alike, LAST_STEPS, held=nominal)
         points.append(reached)
         costs.append(cost)
-    order = torch.argsort(torch.cat(costs))
+    cost, order = torch.sort(torch.cat(costs))
+    near = torch.cat(points)[order][cost < cost[0] + 2 * FARTHER * DEPTH]
     fits = []
-    for g in _unlike(torch.cat(points)[order], MOST_MINIMA):
+    for g in _unlike(near, MOST_MINIMA):
         for _ in range(turns if posterior.noise_columns else 0):
             g = fit_noise(posterior, g, posterior.residuals(g))
-            g = descend(posterior, g[None], steps, held=nominal)[0][0]
+            g = descend(posterior, g[None], LAST_STEPS, held=nominal)[0][0]
         fits.append(_sloped(hypothesis, posterior, g))
     return sorted(fits, key=lambda one: -one.peak)
 

@@ -17,9 +17,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import emcee
 import numpy as np
 import torch
 from torch import Tensor
@@ -32,6 +31,9 @@ from torchlc.inference.exchange_move import Redraw
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Progress
 from torchlc.lightcurve.evaluators.expansion import UnsuitableError
+
+if TYPE_CHECKING:
+    import emcee  # loads scipy.stats, for 0.5 s, which only a chain is worth
 
 BLOCK = 20
 """Steps between looks at the clock."""
@@ -194,6 +196,8 @@ def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
 
     No snooker steps: those of emcee up to 3.1.6 shrink a standard normal's variance by a third.
     """
+    import emcee
+
     chosen: list[tuple[emcee.moves.Move, float]] = [
         (emcee.moves.DEMove(), 0.3),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
@@ -226,6 +230,8 @@ def sample(
     ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
     ``resume`` finds a chain of another problem, or one that is damaged.
     """
+    import emcee
+
     likelihood = fit.likelihood
     names = likelihood.model.names
     dimensions = len(names)
@@ -395,6 +401,8 @@ def _resumed(
 
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
+    import emcee
+
     chain = backend.get_chain(discard=backend.iteration // 4)
     with np.errstate(invalid="ignore"):  # a walker that has not moved has no autocorrelation
         tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)

@@ -191,20 +191,33 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
 
 
 def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
-    """Differential evolution, its jumps between clusters (gamma 1), stretches; and where there are reflectances
-    the exchange of one explanation for another.
+    """Differential evolution, its jumps between clusters (gamma 1), stretches; where there are reflectances
+    the exchange of one explanation for another; and where nothing moves the geometry, so that the regression for reflectances is
+    cheap, differential evolution that draws them anew.
 
     No snooker steps: those of emcee up to 3.1.6 shrink a standard normal's variance by a third.
     """
     import emcee
 
-    chosen: list[tuple[emcee.moves.Move, float]] = [
+    from torchlc.inference.evolution_move import CarriedEvolution
+
+    along_all = [
         (emcee.moves.DEMove(), 0.3),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
         (emcee.moves.StretchMove(), 0.25),
     ]
     redraw = Redraw(fit.likelihood, fit.theta)
-    return [*chosen, (emcee.moves.MHMove(redraw), 0.35)] if redraw.linear else chosen
+    if not redraw.linear:
+        return along_all
+    exchange = emcee.moves.MHMove(redraw)
+    if fit.likelihood.model.geometry_free or not redraw.others:
+        return [*along_all, (exchange, 0.35)]
+    return [
+        *((move, 0.4 * weight) for move, weight in along_all),
+        (exchange, 0.25),
+        (CarriedEvolution(redraw), 0.4),
+        (CarriedEvolution(redraw, whole=True), 0.1),
+    ]
 
 
 def sample(

@@ -225,9 +225,10 @@ def _named(curves: list[str]) -> str:
 
 def compiled(likelihood: Likelihood, theta: Tensor) -> Callable[[Tensor], Tensor]:
     """``log_prob`` without gradients by ``torch.compile``, for batches of the size of theta (B, P) and a fixed
-    geometry, several times as fast; the plain one, with a warning, where there is no C++ compiler.
+    geometry, two to three times as fast; the plain one, with a warning, where there is no C++ compiler.
 
-    Compiling costs as much as two thousand calls; another size is compiled anew.
+    For loops of one's own: it pays after 10,000 to 25,000 calls of one size (8 to 26 CPU s against 0.6 to 1.1 ms saved a call,
+    840 rows and 32 to 64 walkers). A fit makes 2,400 in two sizes, so that no verb uses it. Another size is compiled anew.
     """
     plain = torch.no_grad()(likelihood.log_prob)
     if shutil.which(os.environ.get("CXX", "g++")) is None:

@@ -17,9 +17,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import emcee
 import numpy as np
 import torch
 from torch import Tensor
@@ -32,6 +31,9 @@ from torchlc.inference.exchange_move import Redraw
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Progress
 from torchlc.lightcurve.evaluators.expansion import UnsuitableError
+
+if TYPE_CHECKING:
+    import emcee  # loads scipy.stats, for 0.5 s, which only a chain is worth
 
 BLOCK = 20
 """Steps between looks at the clock."""
@@ -189,18 +191,33 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
 
 
 def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
-    """Differential evolution, its jumps between clusters (gamma 1), stretches; and where there are reflectances
-    the exchange of one explanation for another.
+    """Differential evolution, its jumps between clusters (gamma 1), stretches; where there are reflectances
+    the exchange of one explanation for another; and where nothing moves the geometry, so that the regression for reflectances is
+    cheap, differential evolution that draws them anew.
 
     No snooker steps: those of emcee up to 3.1.6 shrink a standard normal's variance by a third.
     """
-    chosen: list[tuple[emcee.moves.Move, float]] = [
+    import emcee
+
+    from torchlc.inference.evolution_move import CarriedEvolution
+
+    along_all = [
         (emcee.moves.DEMove(), 0.3),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
         (emcee.moves.StretchMove(), 0.25),
     ]
     redraw = Redraw(fit.likelihood, fit.theta)
-    return [*chosen, (emcee.moves.MHMove(redraw), 0.35)] if redraw.linear else chosen
+    if not redraw.linear:
+        return along_all
+    exchange = emcee.moves.MHMove(redraw)
+    if fit.likelihood.model.geometry_free or not redraw.others:
+        return [*along_all, (exchange, 0.35)]
+    return [
+        *((move, 0.4 * weight) for move, weight in along_all),
+        (exchange, 0.25),
+        (CarriedEvolution(redraw), 0.4),
+        (CarriedEvolution(redraw, whole=True), 0.1),
+    ]
 
 
 def sample(
@@ -226,6 +243,8 @@ def sample(
     ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
     ``resume`` finds a chain of another problem, or one that is damaged.
     """
+    import emcee
+
     likelihood = fit.likelihood
     names = likelihood.model.names
     dimensions = len(names)
@@ -395,6 +414,8 @@ def _resumed(
 
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
+    import emcee
+
     chain = backend.get_chain(discard=backend.iteration // 4)
     with np.errstate(invalid="ignore"):  # a walker that has not moved has no autocorrelation
         tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)

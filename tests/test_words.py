@@ -144,7 +144,9 @@ def test_coordinates_and_statistics_of_a_diagnosis_are_told_in_words(tmp_path: P
         assert ("5.37 and 264 " in said) == bool(TITLES[name.partition("[")[0]][1])
     assert in_words("shadow_coordinate", 5.366, 264.4).endswith("between 5.37 and 264 radii of the Sun")
     zeros = torch.zeros(1, len(recording), dtype=torch.float64)
-    battery = Battery(zeros[0], torch.zeros(len(recording), dtype=torch.int64), known, {"lobe_tail": zeros}, True)
+    battery = Battery(
+        zeros[0], torch.zeros(len(recording), dtype=torch.int64), known, {"lobe_tail": zeros}, True
+    )
     for name in battery.statistics(zeros + 1, zeros):
         told = statistic(name)
         assert told != name and "'" not in told.replace("Sun's", "").replace("Earth's", "")

@@ -393,7 +393,7 @@ def tumbling(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert lines is not None
     (folder / "tle.txt").write_text("\n".join(lines) + "\n")
     scene.unlink()
-    words = [
+    options = [
         "--tle",
         str(folder / "tle.txt"),
         "--preset",

@@ -22,7 +22,7 @@ from torchlc.diagnosis.plan import Option
 from torchlc.diagnosis.probabilities import TOLD, Probabilities
 from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.diagnosis.words import added_values, lines, probability, statistic
+from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.effects import with_title
 from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
@@ -102,7 +102,7 @@ class Diagnosis:
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
         untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
-        late = [f"{entry} was not examined: {reason}" for entry, reason in self.search.unexamined.items()]
+        late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
         if self.search.clock.stopped:
             warned.append("interrupted: the verdict is that of what had been examined")

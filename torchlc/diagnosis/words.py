@@ -68,7 +68,16 @@ def odds(content: Mapping[str, Any]) -> str:
     told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
     told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
     told.append(("something that is not in the library", p["not_in_library"]))
-    return "Probabilities: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+    among = ", among what was examined" if content["unexamined"] else ""
+    return f"Probabilities{among}: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+
+
+def unexamined(reasons: Mapping[str, str]) -> list[str]:
+    """Candidates that were left out, by entry with the reason: a sentence for each reason."""
+    return [
+        f"not examined, for {reason}: {', '.join(entry for entry, why in reasons.items() if why == reason)}"
+        for reason in dict.fromkeys(reasons.values())
+    ]
 
 
 def bad_rows(content: Mapping[str, Any]) -> str:

@@ -276,6 +276,15 @@ class Assembly:
         names = (quantity.name for quantity in model.quantities)
         return {name: values[given[name] if name in given else given[shared[name]]] for name in names}
 
+    def lobes_at(self, values: Mapping[str, Tensor]) -> dict[str, float]:
+        """The exponent of each material's sharpest lobe at these values."""
+        lobes = {}
+        for name, material in self.scene.materials.items():
+            law, names = MODELS[material.model], self._material_names(name)
+            own = [(law.quantity(key).role, float(values[names[key]])) for key in material.parameters]
+            lobes[name] = max([1.0, *(one for role, number in own if (one := _exponent(role, number)))])
+        return lobes
+
     def has_number(self, material: str, short: str) -> bool:
         """Whether a material has a number of this short name."""
         return short in self._material_names(material)
@@ -407,9 +416,16 @@ def _finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:
                     bounds.append(number)
             elif role == WIDTH:
                 width = number.value if isinstance(number, SceneFree) else number
-                bounds.append(min(2 / max(width, 1e-3) ** 2, sharpest))
+                bounds.append(min(_exponent(role, width) or 1.0, sharpest))
         finest[name] = max(bounds)
     return finest
+
+
+def _exponent(role: str | None, number: float) -> float | None:
+    """The exponent of a lobe that a number of its role makes; None if it makes none."""
+    if role == EXPONENT:
+        return number
+    return 2 / max(number, 1e-3) ** 2 if role == WIDTH else None
 
 
 def _edges_within_lobes(

@@ -350,6 +350,15 @@ def test_red_noise_without_errors_takes_the_best_level_of_white_noise(tmp_path, 
         assert value == pytest.approx(best, abs=0.5)
 
 
+def test_a_level_that_is_not_fitted_is_told(seven):
+    scene = Scene.from_toml(listed('["red_noise"]'), Path())
+    _, rows = seven
+    for error, count in ((None, 1), (np.full(7, 0.05), 0)):
+        model = LightCurve(scene, replace(rows, error=error))
+        told = Likelihood(model).remarks(model.theta())
+        assert sum("the white noise beside red_noise" in text for text in told) == count
+
+
 # ------------------------------------------------------------------ what is refused
 
 

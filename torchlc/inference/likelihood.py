@@ -73,6 +73,12 @@ class Likelihood(Rows):
                     else ""
                 )
             )
+        processes = self.model.noise(theta.detach()).processes if self.fitted_errors else ()
+        if processes:
+            told.append(
+                f"without an error column, the white noise beside {' and '.join(one.name for one in processes)} is as large as the "
+                "steps between rows say and is not fitted: what is not known of it is in no interval"
+            )
         if self.kind == "mag" and not self.fitted_errors:
             told.extend(self._doubtful_law())
         mute = [ids[c] for c in torch.nonzero(self.count == 0)[:, 0].tolist()]

@@ -477,6 +477,32 @@ def test_the_scale_of_photons_beside_a_sky():
             )
 
 
+@pytest.mark.parametrize(("ratio", "told"), [(2, True), (20, False)])
+def test_a_chi_square_cut_by_limits_is_told(tmp_path, ratio, told):
+    """Limits at three errors. The albedo is right to four of its errors, but of a ratio of 2 chi-square's p is below 1e-6."""
+    rows = 2000
+    scene = still(PLATE, FREE)
+    recording = seen_from(scene, tmp_path, np.tile(tilted(20), (rows, 1)), tilted(10, 180))
+    mag = LightCurve(still(PLATE, KNOWN), recording)().detach().numpy()
+    measured = 1 + np.random.default_rng(4).normal(size=rows) / ratio
+    faint_rows = measured < 3 / ratio
+    faint_rows[0] = True
+    shown = np.where(faint_rows, 3 / ratio, measured)
+    shown[0] = 2.0  # a limit that says nothing, for every ratio has one
+    recording = replace(
+        recording,
+        observed=mag - 2.5 * np.log10(shown),
+        error=MAG_PER_LN / ratio / shown,
+        upper_limit=faint_rows,
+    )
+    found = fit_map(Likelihood(LightCurve(scene, recording)), starts=2, adam_steps=20)
+    assert 2.5 * math.log10(float(found.theta) / 0.5) == pytest.approx(
+        0, abs=4 * MAG_PER_LN / ratio / math.sqrt(rows) * 2
+    )
+    assert (found.p_value < 1e-6) == told
+    assert any("bright part of the noise" in text for text in found.likelihood.remarks(found.theta)) == told
+
+
 def test_large_errors_of_an_unclear_law_are_told(tmp_path):
     """Fifty rows at a ratio of 3 with a constant error: magnitudes, which the table of biases says are 0.16 mag too bright."""
     scene, recording, _, _ = faint(tmp_path, 3, 50, 2)

@@ -34,6 +34,9 @@ LEAST_LOG_P = math.log(1e-3)
 WEAK_MAG, LEFT_WEAK_MAG = 0.4, 0.05
 """Errors above which the scale of flux leaves something, and how much: photons alone in a curve that fades from a
 signal-to-noise ratio of 2 to 1. At 3 and better 0.01 mag are left."""
+CUT_MAG = 0.3
+"""Errors of measured rows beside upper limits above which chi-square is told to be cut: p is 1e-29 for clean rows of a
+signal-to-noise ratio of 3 to 1 whose limits are at three errors."""
 DOUBTFUL_SHIFT_MAG = 0.05
 """Bias of magnitudes that is told: a signal-to-noise ratio below 6."""
 CUT_SEEN = 8.0
@@ -72,6 +75,16 @@ class Likelihood(Rows):
                     if faint.any()
                     else ""
                 )
+            )
+        limited = self.by_curve(self.limit.to(self.error))[self.curve] > 0
+        if (
+            self.kind == "mag"
+            and not self.fitted_errors
+            and bool((limited & self.measured & (self.error > CUT_MAG)).any())
+        ):
+            told.append(
+                "faint rows are upper limits, and the measured ones near them the bright part of the noise: chi-square and its p, "
+                "which count these alone, are not those of noise; parameters and their intervals take the limits into account"
             )
         processes = self.model.noise(theta.detach()).processes if self.fitted_errors else ()
         if processes:

@@ -38,6 +38,7 @@ def minimise(
     colours: Colours | None = None,
     dear: Sequence[int] = (),
     known: Tensor | None = None,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Minimum:
     """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to
     (B, R).
@@ -46,7 +47,7 @@ def minimise(
     1999, IMM-REP-1999-05, Technical University of Denmark), projected on the box, and kept only where
     they lower the cost, so every start descends monotonically. Only starts that are at work, and slopes where a step was kept, are
     worked out again. A start has converged when a step gains less
-    than ``tolerance`` of its cost (plus 1).
+    than ``tolerance`` of its cost (plus 1). ``go_on`` is asked before each step, and may end the search.
 
     Slopes along ``dear`` coordinates, to move which takes much longer than to move the others, are followed from step to step
     (Broyden 1965, Math. Comp. 19, 577, for these columns) and worked out anew where a step with followed slopes fails; those
@@ -65,7 +66,7 @@ def minimise(
     cap = torch.where(torch.isfinite(high - low), LARGEST_STEP * (high - low), torch.inf)
     margin = torch.where(torch.isfinite(high - low), 1e-12 * (high - low), 0.0)
     done = 0
-    while done < iterations and not bool(converged.all()):
+    while done < iterations and not bool(converged.all()) and go_on():
         done += 1
         gradient = torch.einsum("srp,sr->sp", jac, torch.nan_to_num(r))
         normal = torch.einsum("srp,srq->spq", jac, jac)

@@ -287,13 +287,14 @@ def _unlike(
     bounds: tuple[float, float],
     count: int,
 ) -> list[Local]:
-    """Solutions with paint of their own for sides half a turn apart, from the best of the plain body at their turns and at twice
-    these: what a plain body repeats twice, or four times, such a body may show once. Reflectances and exponents are means of the halves."""
+    """Solutions with paint of their own for sides half a turn apart, from the best of the plain body, at their turns, halves and
+    doubles of these: light that comes once a turn of such a body comes twice a turn of a plain one, and glints that differ may be taken
+    for one kind. Reflectances and exponents are means of the halves."""
     painted = body.unlike_halves()
     step = 1 / STEPS_A_TURN / float(rows.span.max())
     offsets = step * torch.arange(-3, 4, dtype=torch.float64)
     near = torch.stack([one.pole for one in states[: max(12, count // 4)]])
-    known = [one * part for state in states[:3] for one in state.frequencies for part in (1.0, 0.5)]
+    known = [one * part for state in states[:3] for one in state.frequencies for part in (1.0, 0.5, 2.0)]
     around = (torch.tensor(known, dtype=torch.float64)[:, None] + offsets).reshape(-1)
     around = torch.unique((around / step).round()) * step
     around = around[(around >= bounds[0]) & (around <= bounds[1])]

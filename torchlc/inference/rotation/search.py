@@ -293,12 +293,12 @@ def _unlike(
     painted = body.unlike_halves()
     step = 1 / STEPS_A_TURN / float(rows.span.max())
     offsets = step * torch.arange(-3, 4, dtype=torch.float64)
-    near = torch.stack([one.pole for one in states[: max(12, count // 4)]])
+    poles = torch.stack([one.pole for one in states])  # all: a body of one paint may have liked other poles
     known = [one * part for state in states[:3] for one in state.frequencies for part in (1.0, 0.5, 2.0)]
     around = (torch.tensor(known, dtype=torch.float64)[:, None] + offsets).reshape(-1)
     around = torch.unique((around / step).round()) * step
     around = around[(around >= bounds[0]) & (around <= bounds[1])]
-    starts = pole_grid.search(rows, painted, near, around)[: max(8, count // 4)]
+    starts = pole_grid.search(rows, painted, poles, around)[: max(8, count // 4)]
     still = torch.zeros(3, dtype=torch.float64)
     found = _distinct(Refiner(rows, painted, FLOOR).refined(starts, [still] * len(starts)))
 

@@ -15,6 +15,7 @@ from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.modes import RotationMode, verdict
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
@@ -254,3 +255,22 @@ def test_a_lobe_that_is_dark_at_a_phase_leaves_no_misfit_below_zero() -> None:
     grid = torch.linspace(0.001, 0.02, 20, dtype=torch.float64)
     misfits = [one.misfit for one in search(rows, body, directions(40), grid)]
     assert min(misfits) >= 0 and max(misfits) <= none * (1 + 1e-9)
+
+
+def test_a_free_rotation_is_not_told_from_a_pass_that_holds_no_second_cycle() -> None:
+    """A thin disc (moments 1/2, 1/2, 1), its axis 20 deg from the angular momentum L. In units of L over the largest moment L goes
+    about the axis at cos 20 deg and the axis about L at 2 (Landau and Lifshitz, Mechanics, 33); an axis in the plane of the disc
+    goes about L at the difference. If that takes 30 s, L goes about the body in 33.9 s: a pass of 62 s does not hold two of
+    these, one of 200 s does."""
+    numbers = {
+        "pole_lon": 0.0, "pole_lat": 0.0, "period": 30.0 / 3600, "phase": 0.0, "nutation": 20.0, "polhode_phase": 0.0,
+        "inertia_x": 0.4999, "inertia_y": 0.5001,
+    }  # fmt: skip
+    mode = RotationMode(numbers, {}, 95.0, (), 1.0, None, torch.zeros(0), Scene.from_toml(text(TRUE)))
+    assert mode.rates is not None
+    axis = np.cos(np.radians(20))
+    # moments that differ by 2e-4, so that the axes have an order, change it by less than 1 %
+    assert 1 / float(mode.rates.polhode) == pytest.approx(30 * (2 - axis) / axis, rel=0.01)
+    decided, words = verdict([mode], 100, 1, 62.0)
+    assert not decided and words.startswith("cannot tell")
+    assert verdict([mode], 100, 1, 200.0)[0]

@@ -181,7 +181,7 @@ def search_rotation(
         )
     left = len(rows.flux) - len(modes[0].theta)
     noise = None if rows.noise is None else MAG_PER_LN * rows.noise
-    decided, words = verdict(modes, left, rows.passes, noise)
+    decided, words = verdict(modes, left, rows.passes, float(rows.span.max()), noise)
     order = {tuple(one.pole.tolist()): one.misfit for one in states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
     connected = rows.passes == 1 or modes[0].possible == 1

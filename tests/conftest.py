@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 
 from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene
+
+
+def pytest_configure() -> None:
+    """A shell without job control lets what it starts in the background ignore Ctrl-C, and so would the programs that tests
+    start and interrupt: these inherit what is ignored, not what is handled."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

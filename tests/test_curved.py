@@ -24,8 +24,11 @@ FAINT = 0.02
 """Of the median row of a case: fainter rows are left out, of slivers at grazing light."""
 WITHIN = 2e-3
 """mag rms, which is a tenth of the best photometry's error."""
-KINKED = 5e-3
-"""mag rms where the masking of V-shaped cavities reaches 1 along a line of its own within a wide lobe: 3.4e-3 on a ball, of which the model warns."""
+KINKED = 6e-3
+"""mag rms where the masking of V-shaped cavities reaches 1 along a line of its own within a wide lobe: 5.7e-3 on a ball at n = 3, of which the
+model warns."""
+KINKED_ROW = 0.02
+"""mag in a single row of these, as the warning says."""
 
 
 def body(shape: str) -> str:
@@ -188,17 +191,18 @@ def errors(found, expected):
 def test_light_of_every_sharpness_is_that_of_the_true_surface(tmp_path, shape, law):
     sun, observer = geometries(shape)
     worst = []
-    for n in SHARPNESS:
+    for n in [*SHARPNESS, *([3.0, 100.0] if law == "cook-torrance" else [])]:
         scene = still(body(shape), paint(law, n))
         found = np.asarray(flux(scene, seen_from(scene, tmp_path, sun, observer)))
         expected = np.array([brute(shape, law, n, s, o) for s, o in zip(sun, observer, strict=True)])
         left = errors(found, expected)
         worst.append((n, np.sqrt(np.mean(left**2)), np.abs(left).max(), len(left)))
     print(shape, law, *(f"{n:g}: {a:.1e} {b:.1e} ({c})" for n, a, b, c in worst))
-    for n, rms, _, rows in worst:
+    for n, rms, most, rows in worst:
         assert rows > 10
-        wide = KINKED if law == "cook-torrance" else WITHIN
-        assert rms < (wide if n < 100 else WITHIN), f"n = {n:g}"
+        kinked = law == "cook-torrance" and n < 200
+        assert rms < (KINKED if kinked else WITHIN), f"n = {n:g}"
+        assert not kinked or most < KINKED_ROW, f"n = {n:g}"
 
 
 @pytest.mark.parametrize("shape", ["cylinder", "cone", "sphere"])

@@ -369,7 +369,9 @@ def test_a_budget_that_is_spent_says_what_was_not_examined(demo) -> None:
     found = diagnose(*demo, budget=1e-3, effects=["panel_offset", "background"])
     content = found.to_json()
     assert {row["effect"] for row in content["unexamined"]} == {"panel_offset", "background"}
-    assert all(any(name in text for text in found.warnings) for name in ("panel_offset", "background"))
+    told = [text for text in found.warnings if "not examined" in text]
+    assert len(told) == 1 and all(name in told[0] for name in ("panel_offset", "background"))
+    assert any("Probabilities, among what was examined: " in text for text in found.lines())
 
 
 def changed(refit, u):

@@ -7,11 +7,13 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.run_page import blocks
+from tests.warm import call, server
 
 ROOT = Path(__file__).parent.parent
 NEEDS_SHARED = "<!-- needs ../shared -->"
@@ -24,9 +26,15 @@ PAGES = sorted(
 )
 
 
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    with server(tmp_path_factory.mktemp("warm")) as started:
+        yield started
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
+def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, warm: tuple[str, Path]) -> None:
     if (ROOT.parent / "shared" / "data").is_dir():
         (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
     elif NEEDS_SHARED in page.read_text(encoding="utf-8"):
@@ -35,16 +43,18 @@ def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     here.mkdir()
     for name in ("scene.toml", "recording.ecsv"):
         shutil.copy(ROOT / "torchlc" / "demo" / name, here)
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.run_page", str(page)],
-        cwd=here,
-        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    address, programs = warm
+    path = os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]])
+    said = tmp_path / "said"
+    with said.open("wb") as out, Path(os.devnull).open("rb") as nothing:
+        code = call(
+            address,
+            ["page", str(page)],
+            cwd=here,
+            env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
+            streams=(nothing.fileno(), out.fileno(), out.fileno()),
+        )
+    assert code == 0, said.read_text(encoding="utf-8")[-6000:]
 
 
 def test_pages_read_in_the_repository_as_on_the_site() -> None:

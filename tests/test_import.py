@@ -8,6 +8,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+import torchlc
 
 RUNS = 2
 """The first also fills the caches of files."""
@@ -47,3 +50,19 @@ def test_help_needs_no_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_simulation_loads_no_library_that_only_other_verbs_use(tmp_path: Path) -> None:
+    """Each of these takes as long to load as such a curve takes to compute. (NumPy finds shapes, because PyTorch's
+    ``broadcast_shapes`` loads sympy.)"""
+    demo = Path(torchlc.__file__).parent / "demo"
+    call = (
+        "import sys, torchlc.cli as c; sys.argv[1:] = ['simulate', *sys.argv[1:]]\n"
+        "try: c.main()\nexcept SystemExit as end: assert not end.code\n"
+        "heavy = {'scipy.stats', 'scipy.interpolate', 'sympy', 'emcee', 'arviz', 'matplotlib', 'pandas'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    files = [str(demo / "scene.toml"), str(demo / "recording.ecsv"), "--out", str(tmp_path)]
+    done = subprocess.run([sys.executable, "-c", call, *files], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "curve.ecsv").exists()

@@ -125,14 +125,28 @@ def write_recording(folder: Path, curves: Sequence[str], stations: Sequence[str]
     return path
 
 
-def numbers_of(folder: Path, names: tuple[str, ...], effects: list[str] | None = None):
+def numbers_of(folder: Path, names: tuple[str, ...]):
     """Magnitudes and shares as simulated, the maximum a posteriori of a quick fit, and the model."""
-    scene = Scene.from_toml(scene_text(*names[:4], effects=effects), known_effects=registry())
+    scene = Scene.from_toml(scene_text(*names[:4]), known_effects=registry())
     path = write_recording(folder, names[4:6], names[6:8])
     recording = load_recording(path, scene)
     curve = torchlc.simulate(scene, recording)
     fit = fit_map(Likelihood(LightCurve(scene, recording)), starts=3, adam_steps=8, seed=3)
     return np.stack([curve.mag, *curve.shares.values()]), fit.theta.numpy(), fit.model
+
+
+def density_of(folder: Path, names: tuple[str, ...], effects: list[str]) -> list[np.ndarray]:
+    """What each component gives, the log posterior of a recording, and its gradient: all that a fit goes by."""
+    scene = Scene.from_toml(scene_text(*names[:4], effects=effects), known_effects=registry())
+    recording = load_recording(write_recording(folder, names[4:6], names[6:8]), scene)
+    likelihood = Likelihood(LightCurve(scene, recording))
+    theta = likelihood.model.parameter_set.start().requires_grad_()
+    value = likelihood.log_prob(theta)
+    (gradient,) = torch.autograd.grad(value, theta)
+    with torch.no_grad():
+        seen = likelihood.model.brightness(theta, shares=True)
+    assert seen.shares is not None
+    return [one.detach().numpy() for one in (seen.flux, seen.shares, value, gradient)]
 
 
 PLAIN = ("hull", "cells", "body", "wing", "first", "second", "north", "south")
@@ -173,7 +187,7 @@ def test_no_effect_minds_a_material_or_component_of_its_name(tmp_path_factory, e
     results = []
     for used in (PLAIN, (entry, names[0], names[1], entry, *PLAIN[4:])):
         try:
-            results.append(numbers_of(folder, used, [entry])[:2])
+            results.append(density_of(folder, used, [entry]))
         except InputError as error:
             results.append(str(error))
     if isinstance(results[0], str):

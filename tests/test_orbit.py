@@ -9,6 +9,7 @@ import socket
 import numpy as np
 import pytest
 import torch
+from astropy.utils import iers
 from scipy.integrate import solve_ivp
 
 from tests.paper_orbits import (
@@ -435,6 +436,21 @@ def test_old_elements_are_reported_with_the_likely_error():
     assert "592 days" in warning or "593 days" in warning
     assert "6 to 59 deg" in warning
     assert night(ORBIT_3, "2020-11-08").warnings == ()
+
+
+def test_the_rotation_of_the_earth_is_the_whole_table_as_astropy_reads_it():
+    """Bulletin A, B and predictions, over leap seconds, and beyond both ends, to the last bit."""
+    theirs = iers.IERS_A.open(iers.IERS_A_FILE)
+    first, last = (float(theirs["MJD"][end].value) for end in (0, -1))
+    days = np.concatenate([np.arange(first, last + 1), np.linspace(first - 2, last + 2, 9999)]) + 2400000.5
+    utc = days, np.full(len(days), 0.3)
+    ut1, x, y, known = earth._earth_orientation_parameters(utc)
+    expected, status = theirs.ut1_utc(*utc, return_status=True)
+    inside = status >= 0
+    assert 0 < (~inside).sum() < 20 and not known
+    np.testing.assert_array_equal(ut1, np.where(inside, expected.to_value("s"), 0.0))
+    for ours, pole in zip((x, y), theirs.pm_xy(*utc, return_status=True)[:2], strict=True):
+        np.testing.assert_array_equal(ours, np.where(inside, pole.to_value("rad"), 0.0))
 
 
 def test_times_without_tabulated_rotation_of_the_earth_are_reported():

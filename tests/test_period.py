@@ -144,6 +144,18 @@ def test_half_of_the_turn_of_eros_is_found(tmp_path: Path):
     assert any(alias.relation == "double the period" for alias in best.aliases)
 
 
+def test_a_body_with_two_like_sides_is_told(tmp_path: Path):
+    """The light of a box, |cos| of its turn of 3,000 s: the period found is half of that, and the notes give the turn."""
+    hours = np.sort(np.random.default_rng(1).uniform(0, 6, 400))
+    light = 1 + 2 * np.abs(np.cos(2 * np.pi * hours * 3600 / 3000))
+    found = find_period(recording(tmp_path, hours, 10 - 2.5 * np.log10(light)))
+    assert found.candidates[0].period_s == pytest.approx(1500, rel=1e-3)
+    (said,) = [text for text in found.to_json()["notes"] if "two like sides turns once" in text]
+    number, unit = said.split("turns once in ")[1].split(",")[0].split()
+    assert float(number) * {"min": 60, "s": 1}[unit] == pytest.approx(3000, rel=2e-3)
+    assert said in repr(found)
+
+
 @pytest.mark.parametrize("turns", [2.5, 3.5, 20.3])
 @pytest.mark.parametrize("error", [0.02, None])
 def test_a_trend_of_two_magnitudes_is_taken_off_and_told(tmp_path: Path, turns: float, error: float | None):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,29 @@ def test_starlinks_have_the_published_areas():
         first, second = parts(preset, exact=True).values()
         assert sizes(first)[0] * sizes(first)[1] == pytest.approx(chassis)
         assert sizes(second)[0] * sizes(second)[1] == pytest.approx(array)
+
+
+@pytest.mark.parametrize(
+    ("preset", "engines", "thrust_kn", "pressure_mpa", "area_ratio"),
+    [
+        ("rocket-body-sl-16", 1, 833.6, 16.28, 106.0),  # RD-120
+        ("rocket-body-centaur", 1, 99.2, 4.2, 84.0),  # RL10A-4-2
+        ("rocket-body-falcon-9", 1, 981.0, 9.7, 165.0),  # Merlin 1D Vacuum
+        ("rocket-body-h-2a", 1, 137.2, 3.58, 110.0),  # LE-5B
+        ("rocket-body-ariane-5", 1, 64.8, 3.7, 83.1),  # HM7B
+        ("rocket-body-cz-3b", 2, 78.45, 3.76, 80.0),  # YF-75
+    ],
+)
+def test_nozzles_are_as_wide_as_their_engines_make_them(
+    preset: str, engines: int, thrust_kn: float, pressure_mpa: float, area_ratio: float
+):
+    """Thrust = C_F p A_throat, with C_F of 1.85 to 2.0 in vacuum at such area ratios (Sutton & Biblarz, Rocket Propulsion
+    Elements, fig. 3-6): 4 % of the radius, and a
+    standard deviation of the prior."""
+    throat_m2 = engines * thrust_kn * 1e3 / (1.92 * pressure_mpa * 1e6)
+    radius = (area_ratio * throat_m2 / math.pi) ** 0.5
+    nozzle = parts(preset, exact=True)["nozzle"]["radius"]
+    assert nozzle == pytest.approx(radius, rel=0.04 + PRESETS[preset].percent / 100)
 
 
 def test_parts_do_not_overlap_and_span_what_is_published():

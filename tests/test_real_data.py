@@ -24,14 +24,19 @@ from torchlc.diagnosis.run import diagnose  # noqa: E402
 from torchlc.inference.optimiser import fit_map  # noqa: E402
 
 
+@pytest.fixture(scope="module")
+def eros_table():
+    """What the model leaves of each curve, without and with shadows, and what another program left."""
+    return eros.evaluate()[1]
+
+
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
-def test_eros_without_and_with_shadows_against_another_program():
+def test_eros_without_and_with_shadows_against_another_program(eros_table):
     """Rms of each of the 73 curves within 10 % of the reference, and the medians of the 32 hard ones."""
-    _, table, _ = eros.evaluate()
-    for name, row in table.items():
+    for name, row in eros_table.items():
         for kind in ("plain", "shadowed"):
             assert row[f"our_{kind}"] == pytest.approx(row[kind], rel=0.10), (name, kind)
-    found = eros.summary(table)
+    found = eros.summary(eros_table)
     assert (found["curves"], found["hard_curves"]) == (73, 32)
     assert found["median_plain"] == pytest.approx(4.93, rel=0.10)
     assert found["median_shadowed"] == pytest.approx(3.58, rel=0.10)
@@ -60,11 +65,10 @@ def test_shadows_and_clocks_of_eros_are_found(eros_recording):
 
 
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
-def test_no_shadows_are_claimed_where_they_do_not_help(eros_recording):
+def test_no_shadows_are_claimed_where_they_do_not_help(eros_recording, eros_table):
     """The low curves of Eros, seen over a pole: the reference is no better with shadows on most of them."""
     scene, recording = eros_recording
-    _, table, _ = eros.evaluate()
-    low = [name for name, row in table.items() if row["amplitude"] < 0.3]
+    low = [name for name, row in eros_table.items() if row["amplitude"] < 0.3]
     assert len(low) > 10
     names = np.array(recording.curve_ids)[recording.curve]
     found = diagnose(scene, recording.keep(np.isin(names, low), "another curve"))

@@ -10,10 +10,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import torch
 import typer.main
 
 import torchlc
+from tests.small_case import write_case
 from torchlc.cli.app import app
+from torchlc.diagnosis.coordinates import TITLES, coordinates, in_words
+from torchlc.diagnosis.gate import Battery
+from torchlc.diagnosis.words import statistic
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -122,3 +127,27 @@ def test_help_and_docstrings_have_short_sentences(texts: Callable[[], Iterator[t
     assert {name: long for name, long in found.items() if long} == {}
     pointers = {name: POINTER.findall(re.sub(r"``?[^`]+``?", "", text)) for name, text in texts()}
     assert {name: one for name, one in pointers.items() if one} == {}
+
+
+def test_coordinates_and_statistics_of_a_diagnosis_are_told_in_words(tmp_path: Path):
+    """No name of the program stands in a sentence, and what has a unit says it: of all coordinates that a box-wing in a low
+    orbit has, and of all statistics of the battery."""
+    scene, recording = torchlc.load(*write_case(tmp_path, rows=9))
+    model = torchlc.LightCurve(scene, recording)
+    known = coordinates(model, model.theta())
+    known |= {"shadow_coordinate": known["flux"], "spin_phase": known["flux"]}
+    assert {"sun_lon_body", "obs_lat_body", "glint_angle_deg[body/+X]"} <= set(known)
+    assert {name.partition("[")[0] for name in known} == set(TITLES)
+    for name in known:
+        said = in_words(name, 5.366, 264.4)
+        assert "_" not in said and "[" not in said
+        assert ("5.37 and 264 " in said) == bool(TITLES[name.partition("[")[0]][1])
+    assert in_words("shadow_coordinate", 5.366, 264.4).endswith("between 5.37 and 264 radii of the Sun")
+    zeros = torch.zeros(1, len(recording), dtype=torch.float64)
+    battery = Battery(
+        zeros[0], torch.zeros(len(recording), dtype=torch.int64), known, {"lobe_tail": zeros}, True
+    )
+    for name in battery.statistics(zeros + 1, zeros):
+        told = statistic(name)
+        assert told != name and "'" not in told.replace("Sun's", "").replace("Earth's", "")
+        assert "_" not in told.replace("lobe_tail (", "")

@@ -32,6 +32,7 @@ from torchlc.files.writing import (
     write_whole,
 )
 from torchlc.geometry.orbit import above_horizon, observation_grid
+from torchlc.inference.budget import Budget
 from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
 from torchlc.inference.likelihood import Likelihood
@@ -62,6 +63,8 @@ Columns = str | Mapping[str, Any] | None
 """Which column is what: "time=JD_UTC,mag=V", or a mapping; over the table [recording] of the scene."""
 DOUBTFUL_P = 1e-3
 """Below this probability of chi-square, quoted errors get a jitter added to them."""
+SEARCH_SHARE = 0.4
+"""Of what is left of a budget, for a search; the chain has the rest."""
 MIN_ROWS = 2
 
 
@@ -231,6 +234,7 @@ def fit(
     *,
     steps: int | None = None,
     walkers: int | None = None,
+    budget: float | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     resume: bool = False,
@@ -243,7 +247,8 @@ def fit(
     """Fit the free numbers of a scene to a recording: Adam from many starts, a polish, then emcee.
 
     ``steps`` fixes the length of the chain, else it runs until long against its autocorrelation time;
-    ``walkers`` defaults to 6 a parameter. With ``out`` everything is written there (fit.json, posterior.nc,
+    ``walkers`` defaults to 6 a parameter; ``budget`` is in CPU seconds of search and chain, after which the best so far is the
+    answer, with a warning. With ``out`` everything is written there (fit.json, posterior.nc,
     chain.h5, figures, report.html), in place of what an earlier run wrote, and ``resume`` continues the chain
     found there. Nothing free: the model is evaluated and nothing is sampled.
     """
@@ -264,7 +269,8 @@ def fit(
             directory.check(CHAIN_FILE)
         seconds = {"load": time.monotonic() - began}
         clock = time.monotonic()
-        found, warnings = _search(likelihood, rows, seed, progress)
+        allowed = Budget(budget)
+        found, warnings = _search(likelihood, rows, seed, allowed, progress)
         seconds["search"] = time.monotonic() - clock
         clock = time.monotonic()
         posterior = None
@@ -277,6 +283,7 @@ def fit(
                 chain_file=chain,
                 resume=resume,
                 progress=progress,
+                budget=allowed,
                 write=write_whole if directory is None else directory.write_path,
             )
         seconds["sample"] = time.monotonic() - clock
@@ -542,15 +549,18 @@ def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> 
 
 
 def _search(
-    likelihood: Likelihood, recording: Recording, seed: int, progress: Progress | None
+    likelihood: Likelihood, recording: Recording, seed: int, budget: Budget, progress: Progress | None
 ) -> tuple[Fit, list[str]]:
     """The maximum a posteriori; with the noise that mends it added to the model where chi-square says that the quoted
     errors are too small.
     """
-    found = fit_map(likelihood, seed=seed, progress=progress)
+    found = fit_map(likelihood, seed=seed, progress=progress, budget=budget.part(SEARCH_SHARE))
     effects = [effect.entry for effect in likelihood.model.effects]
     widened = any(isinstance(one, NoiseKind) and one.widens for one in likelihood.model.effects)
-    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened
+    cut = (
+        budget.bounded and not found.converged
+    )  # chi-square was still falling: it says nothing of the errors yet
+    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened and not cut
     if not doubtful:
         return found, []
     said = f"chi2 is {found.chi2:.1f} for {found.dof} degrees of freedom (p = {found.p_value:.1g})"
@@ -560,6 +570,14 @@ def _search(
     remedy = mending_kind().name
     mended = assemble(assembly.scene, recording, [*effects, remedy], base=assembly)
     model = LightCurve(assembly.scene, recording, assembly=mended)
-    found = fit_map(Likelihood(model), seed=seed, progress=progress)
+    allowed = budget.part(SEARCH_SHARE)
+    known = None
+    if budget.bounded:  # there may be no time to come as far again
+        before = dict(zip(found.model.names, found.theta, strict=True))
+        start = model.parameter_set.start()
+        known = torch.stack(
+            [before.get(name, value) for name, value in zip(model.names, start, strict=True)]
+        )[None]
+    found = fit_map(Likelihood(model), seed=seed, extra_starts=known, progress=progress, budget=allowed)
     warning = f"{said}: a {remedy} was added to the errors; torchlc diagnose looks for what the model lacks"
     return found, [warning]

@@ -18,6 +18,7 @@ import torch
 
 from tests.effects.passes import LOW_PASS, TUMBLING, orbiting, rows
 from tests.paper_orbits import LOW
+from tests.test_moving import all_tensors
 from torchlc.effects import STAGES, Effect, registry
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
@@ -168,3 +169,27 @@ def test_the_order_of_the_list_does_not_matter(name: str) -> None:
     assert one.names == other.names
     with torch.no_grad():
         torch.testing.assert_close(one(at(one, "typical")), other(at(other, "typical")), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_moves_to_single_precision_and_to_a_device_without_numbers(name: str) -> None:
+    """The device "meta" has shapes and no numbers: what is left on the CPU, or read as a number, is an error there."""
+    model = with_effect(name)
+    theta = torch.stack([at(model, "typical"), model.theta().detach()])
+    single = LightCurve(*setting(name), assembly=model.assembly).to(torch.float32)
+    with torch.no_grad():
+        expected, found = model(theta), single(theta.float())
+    hours = float(np.ptp(model.recording.seconds)) / 3600
+    turns = abs(model.assembly.context.attitude.spin_rate_at_start) * hours
+    # 6e-8 of a number, some ten times over; of an angle that is whole turns, of all of it
+    within = 2e-6 + 2 * 6e-8 * 2 * math.pi * turns
+    np.testing.assert_allclose(found.double(), expected, rtol=0, atol=within * float(expected.abs().max()))
+    assert found.dtype == torch.float32 and not any(one.dtype == torch.float64 for one in all_tensors(single))
+    model.to("meta")
+    assert all(one.is_meta for one in all_tensors(model))
+    rows, empty = len(model.recording), theta.to("meta")
+    with torch.no_grad():
+        seen, noise = model.brightness(empty, shares=True), model.noise(empty)
+        assert model().shape == (rows,) and model(empty).shape == (2, rows)
+    assert seen.flux.is_meta and seen.shares is not None and seen.shares.is_meta
+    assert noise.variance is None or noise.variance.is_meta

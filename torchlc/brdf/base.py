@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -374,7 +375,7 @@ class Brdf(nn.Module):
         row = angles.flattened()
         values = self.values()
         specular, diffuse = self.parts(self.tabulate(row, weight.reshape(1, -1)), values)
-        batch = torch.broadcast_shapes(*(value.shape for value in values.values()))
+        batch = np.broadcast_shapes(*(value.shape for value in values.values()))
         return (specular + diffuse).reshape((*batch, *weight.shape))
 
 

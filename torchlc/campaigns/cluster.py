@@ -13,10 +13,12 @@ import logging
 import math
 import os
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from torchlc.campaigns.processes import Workers
+from torchlc.campaigns.processes import Tell, Workers, now_and_then
 from torchlc.errors import BusyError, InputError, MissingExtraError, TorchlcError
 
 if TYPE_CHECKING:
@@ -29,6 +31,8 @@ LOOK_EVERY_S = 2.0
 CONNECT_S = 15.0
 
 Task = TypeVar("Task")
+Heard = Callable[[Any, float], None]
+"""What is called with a task and the share of it that is done."""
 
 
 def require_dask() -> None:
@@ -69,12 +73,17 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
 
 
 def spread(
-    client: Client | Workers, function: Callable[[Task], str], tasks: Iterable[Task]
+    client: Client | Workers,
+    function: Callable[..., str],
+    tasks: Iterable[Task],
+    told: Callable[[Task, float], None] | None = None,
 ) -> Iterator[tuple[Task, str | TorchlcError]]:
     """Each task with what ``function`` gives for it, as they finish; an error where its workers died or its
-    directory is held. Tasks are taken from ``tasks`` only as fast as they are worked off.
+    directory is held. Tasks are taken from ``tasks`` only as fast as they are worked off. With ``told`` the function takes a
+    Tell beside its task, and ``told`` hears task and share.
     """
-    running = _OnProcesses(client, function) if isinstance(client, Workers) else _OnCluster(client, function)
+    kind = _OnProcesses if isinstance(client, Workers) else _OnCluster
+    running = kind(cast(Any, client), function, told)
     held: list[Task] = []
 
     def one_more() -> Iterator[tuple[Task, str]]:
@@ -98,8 +107,8 @@ def spread(
 class _OnProcesses:
     """The tasks on processes of our own."""
 
-    def __init__(self, workers: Workers, function: Callable[[Any], str]) -> None:
-        self._workers, self._function = workers, function
+    def __init__(self, workers: Workers, function: Callable[..., str], told: Heard | None) -> None:
+        self._workers, self._function, self._told = workers, function, told
 
     def __len__(self) -> int:
         return len(self._workers)
@@ -109,11 +118,11 @@ class _OnProcesses:
         return len(self) >= self._workers.count
 
     def start(self, task: Any) -> None:
-        self._workers.start(self._function, task)
+        self._workers.start(self._function, task, self._told is not None)
 
     def next(self) -> tuple[Any, str | TorchlcError]:
         """The next task to finish, with its result or why it should be tried again, alone."""
-        task, answer = self._workers.next()
+        task, answer = self._workers.next(self._told)
         if isinstance(answer, BaseException) and type(answer) not in (BusyError, InputError, TorchlcError):
             raise answer
         return task, cast(Any, answer)
@@ -122,10 +131,13 @@ class _OnProcesses:
 class _OnCluster:
     """The tasks on the workers of a cluster, and how many of them there should be."""
 
-    def __init__(self, client: Client, function: Callable[[Any], str]) -> None:
+    def __init__(self, client: Client, function: Callable[..., str], told: Heard | None) -> None:
         from distributed import as_completed
 
-        self._client, self._function = client, function
+        self._client, self._function, self._told = client, function, told
+        self._topic = f"torchlc {uuid.uuid4()}"
+        if told is not None:
+            client.subscribe_topic(self._topic, self._heard)
         self._tasks: dict[Future, Any] = {}
         self._completed: Any = as_completed()
         self._width, self._looked = 0, -math.inf
@@ -141,9 +153,18 @@ class _OnCluster:
         return len(self) >= self._width
 
     def start(self, task: Any) -> None:
-        future = self._client.submit(self._function, task, pure=False)
+        key = f"torchlc-{uuid.uuid4()}"
+        function = self._function if self._told is None else _Telling(self._function, self._topic, key)
+        future = self._client.submit(function, task, pure=False, key=key)
         self._tasks[future] = task
         self._completed.add(future)
+
+    def _heard(self, event: tuple[float, Any]) -> None:
+        """A worker's word, in the thread of the client's loop."""
+        key, share = event[1]
+        for future, task in list(self._tasks.items()):
+            if future.key == key and self._told is not None:
+                self._told(task, share)
 
     def next(self) -> tuple[Any, str | TorchlcError]:
         """The next task to finish, with its result or why it should be tried again, alone."""
@@ -172,6 +193,22 @@ class _OnCluster:
                 f"a worker lacks a package: {error}",
                 "workers and scheduler with the same torchlc as here",
             ) from error
+
+
+@dataclass(frozen=True)
+class _Telling:
+    """A function that tells a topic of the scheduler how far it is."""
+
+    function: Callable[..., str]
+    topic: str
+    key: str
+
+    def __call__(self, task: Any) -> str:
+        from distributed import get_worker
+
+        worker = get_worker()
+        tell: Tell = now_and_then(lambda share: worker.log_event(self.topic, (self.key, share)))
+        return self.function(task, tell)
 
 
 def cores() -> int:

@@ -7,9 +7,10 @@ from __future__ import annotations
 import argparse
 import csv
 import hashlib
+import math
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,6 +19,7 @@ from urllib.parse import quote
 import numpy as np
 
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 from torchlc.files.reading import readable_file
 from torchlc.scene.reading import reading_of
 from torchlc.suggest import did_you_mean
@@ -87,10 +89,14 @@ def check_manifest(path: Path) -> int:
     return len(keys)
 
 
-def read_manifest(path: Path, *, seed: int = 0, threads: int = 1) -> Iterator[Job]:
-    """The objects in the manifest's order; ``seed`` enters that of each object."""
+def read_manifest(
+    path: Path, *, seed: int = 0, threads: int = 1, budget: float | None = None
+) -> Iterator[Job]:
+    """The objects in the manifest's order; ``seed`` enters that of each object, and those whose options say nothing about their
+    time have the ``budget``, CPU s."""
     for _, job in _rows(path, seed, threads):
-        yield job
+        bounded = budget is None or "budget" in job.options or "quick" in job.options
+        yield job if bounded else replace(job, options={**job.options, "budget": budget})
 
 
 def _rows(path: Path, seed: int = 0, threads: int = 1) -> Iterator[tuple[int, Job]]:
@@ -184,6 +190,7 @@ def _parser(task: str) -> argparse.ArgumentParser:
     parser.add_argument("--use", choices=("mag", "flux"))
     parser.add_argument("--columns", type=_columns)
     parser.add_argument("--trust", action="store_true")
+    parser.add_argument("--budget", type=_seconds)
     if task == "fit":
         parser.add_argument("--steps", type=_whole(1))
         parser.add_argument("--walkers", type=_whole(2))
@@ -202,6 +209,16 @@ def _whole(least: int, most: int | None = None) -> Any:
         return value
 
     return read
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = decimal(text)
+    except ValueError:
+        value = math.nan
+    if not 1 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of CPU seconds, 1 or more")
+    return value
 
 
 def _columns(text: str) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,17 @@ SCHEMA = "torchlc-object/1"
 RESULTS = {"fit": "fit.json", "diagnose": "diagnosis.json"}
 MOST_RECORDING_BYTES = 5_000_000_000
 """1,000 for each of the 5,000,000 rows that are read at most; hashed in some 5 s."""
+STAGES = {"Adam": (0.0, 0.3), "emcee": (0.3, 0.9), "report": (0.9, 1.0)}
+"""Shares of a fit's time that its stages begin and end at, roughly; a diagnosis tells its own."""
 MOST_TOLD = 4
 """Parameters that the one line on an object holds."""
 
 
-def run_object(job: Job, folder: Path, campaign: str = "") -> str:
+def run_object(
+    job: Job, folder: Path, campaign: str = "", tell: Callable[[float], None] | None = None
+) -> str:
     """Do one object in ``folder``: "skipped" where its whole result is there from another ``campaign``, else
-    "done" or "failed", with the reason in its record.
+    "done" or "failed", with the reason in its record. ``tell`` is called with the share that is done.
 
     Raises BusyError if a live run holds the directory, and whatever keeps the record itself from being
     written, such as a full disk or a file of that name that torchlc did not write. Files of an earlier result
@@ -47,7 +51,7 @@ def run_object(job: Job, folder: Path, campaign: str = "") -> str:
             directory.set_aside()
             directory.clear([RECORD])
         with quiet_libraries():
-            outcome = _outcome(job, folder, origin)
+            outcome = _outcome(job, folder, origin, tell)
     except BusyError:
         raise
     except TorchlcError as error:
@@ -118,7 +122,9 @@ def _results_in(folder: Path) -> list[str]:
     return [name for name in sorted(read_manifest(folder)) if name != RECORD and (folder / name).is_file()]
 
 
-def _outcome(job: Job, folder: Path, origin: Mapping[str, Any]) -> dict[str, Any]:
+def _outcome(
+    job: Job, folder: Path, origin: Mapping[str, Any], tell: Callable[[float], None] | None
+) -> dict[str, Any]:
     """Run the verb and read back what it wrote. Raises InputError where it read other files than ``origin`` says."""
     import torch
 
@@ -126,7 +132,15 @@ def _outcome(job: Job, folder: Path, origin: Mapping[str, Any]) -> dict[str, Any
 
     torch.set_num_threads(job.threads)
     verb = api.fit if job.task == "fit" else api.diagnose
-    verb(job.scene, job.recording, seed=job.seed, out=folder, command=job.command, **job.options)
+
+    def progress(stage: str, fraction: float) -> None:
+        if tell is not None:
+            start, end = STAGES.get(stage, (0.0, 1.0))
+            tell(start + (end - start) * fraction)
+
+    verb(
+        job.scene, job.recording, seed=job.seed, out=folder, command=job.command, progress=progress, **job.options
+    )  # fmt: skip
     content = json.loads((folder / RESULTS[job.task]).read_text(encoding="utf-8"))
     read = {one["sha256"] for one in content["provenance"]["inputs"].values()}
     if not read <= set(origin["inputs"].values()):

@@ -10,8 +10,10 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -28,6 +30,30 @@ FIRST_TO_GO = "1000"
 """The kernel's highest score: out of memory, it ends a worker and never the campaign (man 5 proc_pid_oom_score_adj)."""
 LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 TERMINATED = 128 + signal.SIGTERM
+TELL_EVERY_S = 0.5
+
+Tell = Callable[[float], None]
+"""What a task calls with the share of it that is done."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A worker's word on how far its task is."""
+
+    share: float
+
+
+def now_and_then(tell: Tell) -> Tell:
+    """``tell``, at most every TELL_EVERY_S."""
+    last = 0.0
+
+    def call(share: float) -> None:
+        nonlocal last
+        if time.monotonic() >= last + TELL_EVERY_S:
+            last = time.monotonic()
+            tell(share)
+
+    return call
 
 
 class Workers:
@@ -60,18 +86,19 @@ class Workers:
         """How many tasks are being done."""
         return len(self._busy)
 
-    def start(self, function: Callable[[Any], str], task: Any) -> None:
-        """Hand a task to an idle worker; one of them must be."""
+    def start(self, function: Callable[..., str], task: Any, telling: bool = False) -> None:
+        """Hand a task to an idle worker; one of them must be. ``telling``: the function takes a Tell as well."""
         if not self._idle:
             with _deaf_children(), _limited(self._threads):
                 self._idle.append(Worker(self._context))
         worker = self._idle.pop()
         self._busy[worker] = task
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it died: next() will find out
-            worker.connection.send((function, task))
+            worker.connection.send((function, task, telling))
 
-    def next(self) -> tuple[Any, str | BaseException]:
-        """The next task to finish, with its answer, or what was raised; a TorchlcError where its worker died."""
+    def next(self, told: Callable[[Any, float], None] | None = None) -> tuple[Any, str | BaseException]:
+        """The next task to finish, with its answer, or what was raised; a TorchlcError where its worker died. ``told`` hears of the
+        shares of tasks that are done until then."""
         while True:
             ready = wait([worker.connection for worker in self._busy])
             worker = next(worker for worker in self._busy if worker.connection in ready)
@@ -80,7 +107,10 @@ class Workers:
             except (EOFError, ConnectionResetError):
                 return self._busy.pop(worker), worker.how_it_died()
             worker.began = True
-            if answer is not None:
+            if isinstance(answer, Told):
+                if told is not None:
+                    told(self._busy[worker], answer.share)
+            elif answer is not None:
                 self._idle.append(worker)
                 return self._busy.pop(worker), answer
 
@@ -125,11 +155,12 @@ def _serve(connection: Connection) -> None:
     connection.send(None)
     while True:
         try:
-            function, task = connection.recv()
+            function, task, telling = connection.recv()
         except (EOFError, ConnectionResetError):
             return
         try:
-            answer: Any = function(task)
+            extra = (now_and_then(lambda share: connection.send(Told(share))),) if telling else ()
+            answer: Any = function(task, *extra)
         except Exception as error:
             answer = error
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from torchlc.campaigns.cluster import connected, require_dask, spread
 from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
 from torchlc.campaigns.objects import record_failure, run_object
+from torchlc.campaigns.processes import Tell
 from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
 from torchlc.errors import BusyError, InputError
 from torchlc.files.reading import kind_of
@@ -86,6 +87,7 @@ def campaign(
     workers: int | None = None,
     threads: int = 1,
     seed: int = 0,
+    budget: float | None = None,
     progress: Callable[[str, float], None] | None = None,
     command: str | None = None,
 ) -> CampaignResult:
@@ -94,7 +96,8 @@ def campaign(
     ``manifest`` is a CSV file with the columns scene, recording, task (fit or diagnose) and, if wanted, id
     and options (as typed after the command). Work is done by ``workers`` processes started here, by default
     one a core, or by those of the ``scheduler`` at an address, which must see the same files; each uses
-    ``threads`` threads. An object that fails is recorded with its reason; those finished from the same
+    ``threads`` threads. ``budget`` bounds the search of each object, in CPU seconds, after which the best so far is its result;
+    an object whose options have --budget or --quick keeps its own. An object that fails is recorded with its reason; those finished from the same
     inputs are not done again. Each has a seed of its own made from ``seed`` and its id, so its result is
     that of :func:`fit` or :func:`diagnose` with that seed, whoever did it. Worker processes import the main
     script: guard it by ``if __name__ == "__main__"``.
@@ -107,7 +110,7 @@ def campaign(
             None, "--workers", "given with --scheduler", "one of the two", "A cluster brings its own"
         )
     objects = check_manifest(manifest)
-    jobs = partial(read_manifest, manifest, seed=seed, threads=threads)
+    jobs = partial(read_manifest, manifest, seed=seed, threads=threads, budget=budget)
     counts: Counter[str] = Counter()
     held: dict[str, str] = {}
     writes = [PARQUET, TABLE, PAGE, SUMMARY]
@@ -118,7 +121,16 @@ def campaign(
                 root, None, kind_of(root.lstat().st_mode), "a directory, or none", "Move it away"
             )
         with connected(scheduler, workers, threads) as client:
-            for job, outcome in spread(client, partial(_run_in, root, started), jobs()):
+            running: dict[str, float] = {}
+
+            def told(job: Job, share: float) -> None:
+                running[job.directory] = max(share, running.get(job.directory, 0.0))
+                if progress is not None:
+                    progress("objects", (counts.total() + sum(list(running.values()))) / objects)
+
+            hearing = None if progress is None else told
+            for job, outcome in spread(client, partial(_run_in, root, started), jobs(), hearing):
+                running.pop(job.directory, None)
                 if isinstance(outcome, BusyError | InputError):
                     held[job.directory] = str(outcome)
                 elif not isinstance(outcome, str):
@@ -128,7 +140,7 @@ def campaign(
                         held[job.directory] = str(error)
                 counts[outcome if isinstance(outcome, str) else "failed"] += 1
                 if progress is not None:
-                    progress("objects", counts.total() / objects)
+                    progress("objects", (counts.total() + sum(list(running.values()))) / objects)
         facts = {
             "objects": objects,
             "done": counts["done"] + counts["skipped"],
@@ -154,12 +166,12 @@ def campaign(
     return result
 
 
-def _run_in(root: Path, campaign: str, job: Job) -> str:
+def _run_in(root: Path, campaign: str, job: Job, tell: Tell | None = None) -> str:
     """One object, on a worker; what its libraries could hand back to the cluster they do where they are."""
     import dask.config
 
     with dask.config.set(scheduler="synchronous"):
-        return run_object(job, root / job.directory, campaign)
+        return run_object(job, root / job.directory, campaign, tell)
 
 
 def _failures(directory: Path) -> tuple[tuple[str, str], ...]:

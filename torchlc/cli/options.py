@@ -83,6 +83,10 @@ Seed = Annotated[int, whole_number("Seed of everything random.", 0, 2**32 - 1)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Threads = Annotated[int | None, whole_number("Threads of the computation.", 1, 1024, show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
+Budget = Annotated[
+    float | None,
+    number("CPU seconds of the search, after which the best so far is the answer.", 1.0, show_default=False),
+]
 Use = Annotated[
     str | None,
     typer.Option(

@@ -11,6 +11,27 @@ from torchlc.stages.effect import View
 
 TIME = "time"
 """The coordinate along which stretches of a recording are told anyway."""
+TITLES = {
+    TIME: ("time", "s"),
+    "phase_angle_deg": ("the phase angle", "deg"),
+    "flux": ("the brightness", ""),
+    "inverse_flux": ("the faintness", ""),
+    "sun_lon_body": ("the longitude of the Sun on the body", "deg"),
+    "sun_lat_body": ("the latitude of the Sun on the body", "deg"),
+    "obs_lon_body": ("the longitude of the observer on the body", "deg"),
+    "obs_lat_body": ("the latitude of the observer on the body", "deg"),
+    "airmass": ("the airmass", ""),
+    "shadow_coordinate": (
+        "the Sun's height above the Earth's limb as the object sees it",
+        "radii of the Sun",
+    ),
+    "spin_phase": ("the phase of the spin", "turns"),
+    "glint_angle_deg": ("the angle from a mirror-like reflection on {}", "deg"),
+    "incidence_deg": ("the angle of incidence on {}", "deg"),
+}
+"""In words, with units, by the name up to a bracket; what a bracket holds is a component and its face."""
+RELATIVE = ("flux", "inverse_flux")
+"""Of which only the order of rows says something: numbers mean nothing to a person."""
 MOST_FACES = 8
 """Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
 name."""
@@ -48,6 +69,16 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
     if phase is not None:
         found["spin_phase"] = phase
     return found | face_angles(model, view, middle)
+
+
+def in_words(name: str, low: float | None = None, high: float | None = None) -> str:
+    """A coordinate as a person says it, with its range if that is given."""
+    kind, _, place = name.partition("[")
+    title, unit = TITLES.get(kind, (name.replace("_", " "), ""))
+    title = title.format(place.rstrip("]").replace("/", ", face "))
+    if low is None or high is None or kind in RELATIVE:
+        return title
+    return f"{title}, between {low:.3g} and {high:.3g}{f' {unit}' if unit else ''}"
 
 
 def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]:

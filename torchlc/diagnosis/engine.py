@@ -9,7 +9,6 @@ every way to err, with its evidence. Nothing is decided here: the odds of all th
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -29,6 +28,7 @@ from torchlc.diagnosis.hypotheses import (
 )
 from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.effects import effect_class
+from torchlc.inference.budget import Budget
 from torchlc.inference.optimiser import find_modes
 from torchlc.inference.posterior import (
     Fitted,
@@ -63,25 +63,20 @@ DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all."""
 
 
-class Clock:
-    """CPU seconds since the start against a budget; None is no bound."""
+class Clock(Budget):
+    """The budget of a search that tells how far it is, and that a person may stop."""
 
     def __init__(self, budget: float | None, progress: Callable[[str, float], None] | None = None) -> None:
-        self.began, self.budget, self.progress = time.process_time(), budget, progress
+        super().__init__(budget)
+        self.progress = progress
         self.stopped = False
 
-    @property
-    def spent(self) -> float:
-        return time.process_time() - self.began
-
     def left(self, share: float = 1.0) -> bool:
-        """Whether less than a share of the budget is spent."""
-        return not self.stopped and (self.budget is None or self.spent < share * self.budget)
+        return not self.stopped and super().left(share)
 
     def affords(self, seconds: float) -> bool:
         """Whether a step of so many seconds is worth it: within half of what is left of the budget, and MOST_FIT_S."""
-        left = math.inf if self.budget is None else self.budget - self.spent
-        return not self.stopped and seconds < min(MOST_FIT_S, 0.5 * left)
+        return not self.stopped and seconds < min(MOST_FIT_S, 0.5 * self.remaining)
 
     def tell(self, text: str, part: float) -> None:
         if self.progress is not None:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
+from torchlc.diagnosis.coordinates import in_words
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
@@ -21,7 +22,7 @@ from torchlc.diagnosis.plan import Option
 from torchlc.diagnosis.probabilities import TOLD, Probabilities
 from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
-from torchlc.diagnosis.words import added_values, lines, probability
+from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.effects import with_title
 from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
@@ -101,7 +102,7 @@ class Diagnosis:
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
         untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
-        late = [f"{entry} was not examined: {reason}" for entry, reason in self.search.unexamined.items()]
+        late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
         if self.search.clock.stopped:
             warned.append("interrupted: the verdict is that of what had been examined")
@@ -424,10 +425,10 @@ class Diagnosis:
             note = f"nothing that the data show: {left}"
         else:
             worst = min(self.final_gate.marginal, key=lambda name: self.final_gate.marginal[name])
-            note = f"structure is left: {left}, strongest in the statistic '{worst}'"
+            note = f"structure is left: {left}, most of all {statistic(worst)}"
             odd = self.search.strongest()
             if odd is not None and odd.log_gain > 0:
-                note += f"; it follows {odd.coordinate}"
+                note += f"; it follows {in_words(odd.coordinate)}"
         if at.hypothesis.noise:
             kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
             note += f"; rows err by {' and '.join(kinds)}"

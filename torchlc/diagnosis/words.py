@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from torchlc.diagnosis.coordinates import TIME
+from torchlc.diagnosis.coordinates import TIME, in_words
 from torchlc.digits import stated
 from torchlc.effects import registry, with_title
 from torchlc.stages.effect import Entry, first_sentence
@@ -16,6 +16,12 @@ MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""
 MOST_ROWS = 12
 """Bad rows that are listed in a sentence."""
+STATISTICS = {
+    "chi2": "chi-square, which is too large",
+    "too_small": "chi-square, which is too small",
+    "window": "a stretch of rows that are too bright or too faint",
+    "window of squares": "a stretch of rows that scatter too much",
+}
 VERDICTS = {
     "adequate": "Nothing is missing that these data could show",
     "missing_physics": "The model lacks {named}",
@@ -62,7 +68,16 @@ def odds(content: Mapping[str, Any]) -> str:
     told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
     told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
     told.append(("something that is not in the library", p["not_in_library"]))
-    return "Probabilities: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+    among = ", among what was examined" if content["unexamined"] else ""
+    return f"Probabilities{among}: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+
+
+def unexamined(reasons: Mapping[str, str]) -> list[str]:
+    """Candidates that were left out, by entry with the reason: a sentence for each reason."""
+    return [
+        f"not examined, for {reason}: {', '.join(entry for entry, why in reasons.items() if why == reason)}"
+        for reason in dict.fromkeys(reasons.values())
+    ]
 
 
 def bad_rows(content: Mapping[str, Any]) -> str:
@@ -85,7 +100,7 @@ def shape(content: Mapping[str, Any]) -> str:
         return ""
     size = max(map(abs, odd["mag"]))
     beside = f" beside {' and '.join(odd['beside'])}" if odd["beside"] else ""
-    return f"What no effect describes{beside} follows {odd['coordinate']}, up to {size:.2g} mag."
+    return f"What no effect describes{beside} follows {in_words(odd['coordinate'])}, up to {size:.2g} mag."
 
 
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
@@ -156,7 +171,7 @@ def _place(where: Mapping[str, Any]) -> str:
         text += f"; {100 * first['share']:.0f} % of it comes from {first['name']}"
     one = where["coordinate"]
     if one and one["name"] != TIME:  # the stretches are of time
-        text += f"; it follows {one['name']} between {one['from']:.4g} and {one['to']:.4g}"
+        text += f"; it follows {in_words(one['name'], one['from'], one['to'])}"
     return text + "."
 
 
@@ -177,6 +192,18 @@ def values_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, st
                 f"root mean square {spread:.3g}{unit}, from {low:.3g} to {high:.3g}{unit}"
             )
     return found
+
+
+def statistic(name: str) -> str:
+    """A statistic of the battery (:class:`~torchlc.diagnosis.gate.Battery`) as a person says it."""
+    kind, _, rest = name.partition(" ")
+    if kind == "along":
+        return f"the residuals along {in_words(rest)}"
+    if kind == "signature":
+        return f"what {with_title(Entry.parse(rest).name)} would leave"
+    if kind == "lag":
+        return f"residuals that are alike {rest} row{'s' if rest != '1' else ''} apart"
+    return STATISTICS.get(name, name)
 
 
 def improvement(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -255,6 +282,7 @@ def candidate(row: Mapping[str, Any]) -> dict[str, str]:
         "effect": row["effect"]
         + (f" [{row['target']}]" if row.get("target") else "")
         + (f" of each {row['per']}" if row.get("per") else ""),
+        "title": registry()[row["effect"]].title if row["effect"] in registry() else "",
         "evidence": _signed(row["delta_log_evidence"]),
         "heldout": _signed(row["heldout_delta_log_likelihood"]),
         "chi2": "" if row["chi2_after"] is None else f"{row['chi2_after']:.0f}",

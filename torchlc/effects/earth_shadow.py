@@ -431,8 +431,8 @@ class EarthShadow(Effect):
             light = seen(place, towards, index[:, :1].expand(-1, len(to_fine)))
             mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
             found.append((index.flatten(), mean.mean(-2)))
-        shape = torch.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])
-        shape = torch.broadcast_shapes(shape, lit.shape[:-1])
+        shape = np.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])
+        shape = np.broadcast_shapes(shape, lit.shape[:-1])
         factor = torch.where(dark, 0.0, p["h0"].new_ones(columns)).expand(*shape, columns)
         if not found:
             return factor

@@ -11,20 +11,44 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.stages.effect import Disc, Effect
+from torchlc.effects.sun_distance import AU_KM
+from torchlc.stages.effect import Context, Disc, Effect
 from torchlc.stages.showing import MIRROR, PANEL_GLINT, Shown
 
 SUN_RADIUS_KM = 695_700.0
 LIMB_DARKENING = 0.6
 
 
+RULES: dict[tuple[int, ...], float] = {
+    (5,): 0.7,
+    (5, 8): 1.9,
+    (5, 8, 10): 3.3,
+    (5, 8, 10, 12): 4.4,
+    (5, 9, 13, 17, 21, 25): 7.4,
+    (6, 12, 18, 24, 30, 36, 42, 48): 10.5,
+}
+"""Points of each ring, from the innermost, and the reach of each rule: the half-width of the disc, seen by the half vector, in
+standard deviations of a lobe, up to which it is within 0.3 % of the peak."""
 SPOKES = (5, 8, 10, 12)
-"""Points of each ring, from the innermost."""
 FEW_SPOKES = (5,)
-"""For meshes of many facets, and surfaces curved about two axes, which spread the disc themselves."""
+"""The least for meshes of many facets, and enough for surfaces curved about two axes, which spread the disc themselves."""
 CURVED_ONCE_SPOKES = (5, 8, 10)
-"""For surfaces curved about one axis, which spread the disc across it only: one ring fewer is 5 % off on the flank of a
+"""The least for surfaces curved about one axis, which spread the disc across it only: one ring fewer is 5 % off on the flank of a
 glint of n = 1e6."""
+
+
+def disc_in_lobes(n: float, phase_angle_deg: float) -> float:
+    """Half-width of the Sun's disc in standard deviations 1 / sqrt(n) of a lobe about the half vector. This turns by half of what
+    the Sun does within the plane of Sun and observer, and by half over the cosine of half the phase angle across it."""
+    across = max(math.cos(math.radians(phase_angle_deg) / 2), 1e-3)
+    return 0.5 * SUN_RADIUS_KM / AU_KM / across * math.sqrt(n)
+
+
+def enough(least: tuple[int, ...], needed: float) -> tuple[int, ...]:
+    """The smallest rule, at least ``least``, whose reach is ``needed``; the largest where none is."""
+    rules = list(RULES)
+    later = rules[rules.index(least) :]
+    return next((rule for rule in later if RULES[rule] >= needed), later[-1])
 
 
 @functools.cache
@@ -56,15 +80,13 @@ def _nodes(each: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 class FiniteSun(Effect):
-    """The limb-darkened disc of the Sun lights the object from 35 directions: a mirror glint is as wide as
-    the Sun.
+    """The limb-darkened disc of the Sun lights the object from 35 directions or more: a mirror glint is as wide as the Sun.
 
-    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. The rule is within 0.2 % up to n = 1e6 at phase angles below
-    100 deg, and up to n = 1e5 at any, to 1e-3 of the peak; at n = 1e6 it is 1.5 % of the peak off at 130 deg and 15 % at
-    150 deg, where the lobe is narrower than the gaps between the directions. A side of a cylinder or cone, which
-    spreads the disc along its arc, gets 23 of its own (0.2 % at n = 1e6). A sphere or dish gets 5, and so do meshes of more than
-    100 facets (0.6 % at n = 1e5). Where the geometry is free, pairs of facet and row far from a glint get as few as one, to
-    1e-4 mag. Neglects the softening of shadow edges, 9 mm at 2 m.
+    Peak loss 0.13 % at n = 1e3, 1.3 % at 1e4, 12 % at 1e5. How many directions there are follows from the sharpest lobe (of a
+    free one the scene's value, at least 1e4) and the largest phase angle of the rows, up to 216: within 0.3 % of the peak up to n = 1e6 and
+    155 deg. A side of a cylinder or cone, which spreads the disc along its arc, gets 23 or more, meshes of more than 100 facets 5 or
+    more, a sphere or dish 5. Where a fit ends at a lobe that is too sharp for them it is told. Where the geometry is free, pairs of
+    facet and row far from a glint get as few as one, to 1e-4 mag. Neglects the softening of shadow edges, 9 mm at 2 m.
     """
 
     name = "finite_sun"
@@ -76,6 +98,7 @@ class FiniteSun(Effect):
     order = 1
     nodes = sum(SPOKES)
     spokes = SPOKES
+    spokes_curved = CURVED_ONCE_SPOKES
 
     def missing(self, context):
         if all(context.models[name].additive for name in context.materials):
@@ -83,17 +106,33 @@ class FiniteSun(Effect):
         return None
 
     def prepared(self, context):
-        if context.many_facets:
-            self.spokes, self.nodes = FEW_SPOKES, sum(FEW_SPOKES)
+        needed = self._needed(context)
+        self.spokes = enough(FEW_SPOKES if context.many_facets else SPOKES, needed)
+        self.spokes_curved = enough(CURVED_ONCE_SPOKES, needed)
+        self.nodes = sum(self.spokes)
         return self
+
+    @staticmethod
+    def _needed(context: Context) -> float:
+        lobes = [n for name, n in context.lobes.items() if not context.models[name].additive]
+        return disc_in_lobes(max(lobes, default=1.0), float(context.track.phase_angle_deg.max()))
+
+    def limits(self, p, context):
+        needed = self._needed(context)
+        if needed <= RULES[self.spokes]:
+            return ()
+        return (
+            f"finite_sun: {self.nodes} directions do for lobes up to n = {(RULES[self.spokes] / needed) ** 2 * max(context.lobes.values()):.2g} "
+            "at these phase angles, and sharper ones are more than 0.3 % off; start the fit there (n = {value = ...}) for more",
+        )
 
     def light(self, lights, view, p, context):
         radius = SUN_RADIUS_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)
-        several = dict.fromkeys((FEW_SPOKES, CURVED_ONCE_SPOKES, self.spokes))
+        several = dict.fromkeys((FEW_SPOKES, self.spokes_curved, self.spokes))
         rules = [disc_nodes(view.to_sun, spokes) for spokes in several]
         disc = Disc(radius, tuple(rules))
         once, twice, plain = (
-            list(several).index(spokes) for spokes in (CURVED_ONCE_SPOKES, FEW_SPOKES, self.spokes)
+            list(several).index(spokes) for spokes in (self.spokes_curved, FEW_SPOKES, self.spokes)
         )
 
         def lit(light):

@@ -103,30 +103,29 @@ class NearField(Effect):
     def prepared(self, context):
         widest = max(context.lobes.values(), default=1.0)
         longest = context.radius * min(ACROSS_RADIUS, ACROSS_LOBE / (CLOSE * math.sqrt(max(widest, 1.0))))
-        self._longest = longest
-        self._pieces = [pieces(own.vertices, longest) for own in context.rest]
-        self._further: dict[int, tuple[torch.Tensor, ...]] = {}
+        self._longest, self._radius = longest, context.radius
+        self._pieces = {
+            (number, material): pieces(
+                own.vertices[[i for i, one in enumerate(part.materials) if one == material]], longest
+            )
+            for number, (part, own) in enumerate(zip(context.shape.parts, context.rest, strict=True))
+            for material in dict.fromkeys(part.materials)
+        }
+        self._further: list[tuple[torch.Tensor, tuple[torch.Tensor, ...]]] = []
         return self
 
     def surface(self, patches, view, p, context):
-        radius = context.radius
-        lamp, camera = (view.every(p[name]) / radius for name in ("lamp", "camera"))
+        lamp, camera = (view.every(p[name]) / self._radius for name in ("lamp", "camera"))
         return tuple(self._cut(patch, lamp, camera) for patch in patches)
 
     def _cut(self, patch: Patch, lamp: torch.Tensor, camera: torch.Tensor) -> Patch:
         """A patch as pieces, each with its place; one that has no place stays at the body's origin."""
         if patch.vertices is not None:
-            key = id(patch.vertices)
-            middle, share, which = self._further.setdefault(key, pieces(patch.vertices, self._longest))
+            middle, share, which = self._of_others(patch.vertices)
         elif patch.part is not None and patch.select is not None:
-            middle, share, parent = self._pieces[patch.part]
-            place = torch.full((int(parent.max()) + 1,), -1)
-            place[patch.select.cpu()] = torch.arange(len(patch.select))
-            held = place[parent] >= 0
-            middle, share, which = middle[held], share[held], place[parent[held]]
+            middle, share, which = self._pieces[patch.part, patch.material]
         else:
             return patch
-        which = which.to(patch.normal.device)
         visible, seen = (None if one is None else one[..., which] for one in (patch.visible, patch.seen))
         return replace(
             patch,
@@ -140,3 +139,11 @@ class NearField(Effect):
             vertices=None,
             near=Near(middle.to(patch.normal), lamp, camera),
         )
+
+    def _of_others(self, vertices: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """`pieces` of a surface that is no part of the object, kept for as long as its corners are the same tensor."""
+        for corners, cut in self._further:
+            if corners is vertices:
+                return cut
+        self._further.append((vertices, pieces(vertices, self._longest)))
+        return self._further[-1][1]

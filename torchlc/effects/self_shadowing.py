@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from torchlc.occlusion import may_meet, visible_fractions
@@ -35,7 +36,7 @@ class SelfShadowing(Effect):
         poses = [pose for pose in view.poses if pose is not None]
         sized = any(own.vertices.ndim > 3 for own in view.facets)
         count = len(view.nodes.offset) // (view.batch if len(view.nodes.offset) > 1 else 1) * view.batch
-        rows = torch.broadcast_shapes(
+        rows = np.broadcast_shapes(
             view.to_sun.shape[:-1],
             view.to_observer.shape[:-1],
             *(pose.shape[:-2] for pose in poses),

@@ -12,9 +12,8 @@ import stat
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import emcee
 import h5py
 import numpy as np
 from astropy.time import Time
@@ -25,6 +24,9 @@ from torchlc.files.writing import write_whole
 from torchlc.inference.likelihood import Likelihood
 from torchlc.readers import Recording
 from torchlc.scene import Scene
+
+if TYPE_CHECKING:
+    import emcee
 
 BACKEND_NAME = "mcmc"
 ORIGIN, SEAL, BLOCKS = "torchlc_origin", "torchlc_seal", "torchlc_blocks"
@@ -79,6 +81,8 @@ def write_chain(
     path: Path, backend: emcee.backends.Backend, origin: Mapping[str, Any], write: Write = write_whole
 ) -> None:
     """The chain so far in emcee's HDF5 layout (straight coordinates), whole or not at all."""
+    import emcee
+
     stream = io.BytesIO()
     steps, log_prob = (getattr(backend, name)[: backend.iteration] for name in ("chain", "log_prob"))
     blocks = _block_hashes(steps, log_prob)

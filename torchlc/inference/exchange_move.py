@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import noise_columns
-from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, linear_light
+from torchlc.inference.reflectances import about, linear_columns, linear_light
 from torchlc.noise.error_law import MAG_PER_LN
 
 WIDER = 1.2
@@ -29,6 +29,11 @@ FLAT_VARIANCE = 1 / 12
 """Of a reflectance about which nothing is known."""
 FAR_LOG_P = -15.0
 """log of a normal probability, 5 standard deviations out, below which a quantile is polished."""
+REWEIGHTED = 1
+"""Times that the regression is done again about its own result. A second time costs a quarter more, and leaves the
+autocorrelation time of the paper's Object 1 where it is, at 19 to 20 steps."""
+KEPT = 6
+"""Times the regressions of one move that are kept, the newest: walkers stay where they are for some moves."""
 KINDS = {
     "one from its prior": 0.3,
     "one by a step": 0.4,
@@ -47,7 +52,8 @@ class Redraw:
         self.likelihood = likelihood
         model = likelihood.model
         short = model.parameter_set.quantities
-        held = set(model.assembly.geometry_columns) | set(noise_columns(likelihood))
+        self.noise = noise_columns(likelihood)
+        held = {*model.assembly.geometry_columns, *self.noise}
         self.linear = [i for i in linear_columns(model) if i not in held]
         self.others = [i for i in range(len(short)) if i not in held and i not in self.linear]
         self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
@@ -60,14 +66,22 @@ class Redraw:
             if likelihood.fitted_errors:
                 sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
             sigma = model.noise(theta).sigma(sigma, found.scale)
-        self._last: tuple[Tensor, Tensor, Tensor] | None = None
+        self._known: dict[bytes, tuple[Tensor, Tensor]] = {}
         self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
 
     def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         old = torch.as_tensor(coords)
-        walkers = len(old)
         with torch.no_grad():
             new, factor = self.change(old, random)
+        return self.with_reflectances(old, new, factor, random)
+
+    def with_reflectances(
+        self, old: Tensor, new: Tensor, factor: Tensor, random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A proposal (W, P), and log q(old) / q(new) (W,) of all of it: the reflectances of ``new`` (W, P) drawn anew
+        from the regression that belongs to its other columns, which were proposed by ``factor`` (W,)."""
+        walkers = len(old)
+        with torch.no_grad():
             within = (new >= self.low) & (new <= self.high)
             factor = torch.where(within[:, self.others].all(-1), factor, -math.inf)
             new[:, self.others] = torch.minimum(torch.maximum(new, self.low), self.high)[:, self.others]
@@ -113,23 +127,18 @@ class Redraw:
 
     def regressions(self, old: Tensor, new: Tensor) -> tuple[Tensor, Tensor]:
         """`regression` of old (W, P) and of new coordinates (W, P), one after the other; that of a walker which
-        has none but other reflectances since the last move is known from there."""
+        has none but other reflectances, or noise, since one of the last moves is known from there."""
         whole = torch.cat([old, new])
         given = whole.clone()
-        given[:, self.linear] = 0.0
-        if self._last is None or len(self._last[0]) != len(given):
-            centre, spread = self.regression(whole)
-        else:
-            before, centre, spread = self._last
-            places = torch.arange(len(old)), torch.arange(len(old), len(given))
-            match = torch.stack([(before[place] == given[: len(old)]).all(-1) for place in places])
-            source = torch.where(match[1], *reversed(places))
-            anew = torch.cat([torch.nonzero(~match.any(0))[:, 0], places[1]])
-            centre, spread = (
-                torch.cat([one[source], one[places[1]]]).index_copy(0, anew, found)
-                for one, found in zip((centre, spread), self.regression(whole[anew]), strict=True)
-            )
-        self._last = given, centre, spread
+        given[:, [*self.linear, *self.noise]] = 0.0
+        keys = [row.tobytes() for row in given.numpy()]
+        missing = {key: i for i, key in enumerate(keys) if key not in self._known}
+        if missing:
+            found = self.regression(whole[list(missing.values())])
+            self._known |= dict(zip(missing, zip(*(one.unbind() for one in found), strict=True), strict=True))
+        centre, spread = (torch.stack(one) for one in zip(*(self._known[key] for key in keys), strict=True))
+        for key in list(self._known)[: -KEPT * len(keys)]:
+            del self._known[key]
         return centre, spread
 
     def regression(self, x: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -98,10 +98,11 @@ def limits(model: LightCurve, theta: Tensor) -> list[str]:
     """
     with torch.no_grad():
         values = model.values(theta)
+        context = replace(model.assembly.context, lobes=model.assembly.lobes_at(values))
         told = [
             text
             for effect in model.effects
-            for text in effect.limits(model.assembly.own(effect, values), model.assembly.context)
+            for text in effect.limits(model.assembly.own(effect, values), context)
         ]
         return told + _exposures(model, theta)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchlc.inference.budget import Budget
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals
@@ -29,6 +30,8 @@ NOISE_VALUES = 10_000_000
 """Elements of the covariances held at once while noise is fitted: 80 MB."""
 LEADERS = 6
 LONG_POLISH = 300
+ADAM_SHARE = 0.4
+"""Of a budget, for the first of the two stages of the search."""
 Progress = Callable[[str, float], None]
 
 
@@ -93,9 +96,11 @@ def find_modes(
     seed: int = 0,
     extra_starts: Tensor | None = None,
     progress: Progress | None = None,
+    budget: Budget | None = None,
 ) -> tuple[list[Mode], list[float], Minimum | None]:
     """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural
-    values added to the scene's own and the prior's draws."""
+    values added to the scene's own and the prior's draws. Where the ``budget`` ends Adam, only the LEADERS of its last and first points are polished."""
+    budget = Budget() if budget is None else budget
     model = likelihood.model
     parameters = model.parameter_set
     if not parameters.names:
@@ -106,23 +111,36 @@ def find_modes(
     points = torch.cat(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
-    theta, history = adam(likelihood, points, adam_steps, progress)
+    theta, history = adam(likelihood, points, adam_steps, progress, budget=budget.part(ADAM_SHARE))
+    if len(history) < adam_steps:
+        with torch.no_grad():
+            known = torch.cat([theta, points])
+            density = likelihood.log_prob(known).nan_to_num(-math.inf)
+        theta = known[torch.argsort(density, descending=True)[: LEADERS if budget.left() else 1]]
     noise = model.noise(parameters.start())
-    best = polish(likelihood, theta, noise)
-    if not bool(best.converged[best.cost.argmin()]):
+    best = polish(likelihood, theta, noise, go_on=budget.left)
+    if not bool(best.converged[best.cost.argmin()]) and budget.left():
         leading = best.y[torch.argsort(best.cost)[:LEADERS]]
-        best = polish(likelihood, parameters.from_flat(leading), noise, iterations=LONG_POLISH)
+        best = polish(
+            likelihood, parameters.from_flat(leading), noise, iterations=LONG_POLISH, go_on=budget.left
+        )
     if model.assembly.stage("noise") or likelihood.fitted_errors or likelihood.selected is not None:
-        best = _noise_in_turn(likelihood, parameters.from_flat(_leaders(best, noise_columns(likelihood))))
+        leaders = parameters.from_flat(_leaders(best, noise_columns(likelihood)))
+        best = _noise_in_turn(likelihood, leaders, budget)
     modes = _distinct(likelihood, best)
     return modes, history, best
 
 
 def adam(
-    likelihood: Likelihood, theta: Tensor, steps: int, progress: Progress | None = None, rate: float = 0.08
+    likelihood: Likelihood,
+    theta: Tensor,
+    steps: int,
+    progress: Progress | None = None,
+    rate: float = 0.08,
+    budget: Budget | None = None,
 ) -> tuple[Tensor, list[float]]:
     """Adam on minus the log posterior in unconstrained coordinates from each row of theta (S, P); returns the
-    last points and the best chi-square at each step. The rate falls to a tenth along a cosine. Kingma and
+    last points and the best chi-square at each step, of which a spent ``budget`` leaves fewer. The rate falls to a tenth along a cosine. Kingma and
     Ba's update, written out: importing ``torch.optim`` costs seconds, for its compiler."""
     parameters = likelihood.model.parameter_set
     z = parameters.to_unconstrained(theta).detach().clone()
@@ -143,6 +161,8 @@ def adam(
         history.append(2 * float(loss.detach().nan_to_num(torch.inf).min()))
         if progress is not None and step % 10 == 0:
             progress("Adam", step / steps)
+        if budget is not None and not budget.left():
+            break
     return parameters.to_natural(z), history
 
 
@@ -154,10 +174,11 @@ def polish(
     level_at: Tensor | None = None,
     iterations: int = 60,
     held: Sequence[int] = (),
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Minimum:
     """Levenberg-Marquardt from natural values theta (S, P) with the noise held, and the columns ``held`` at the
     values of the first row: the noise's covariance whitens the rows, prior rows follow. Noise levels of curves
-    without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay."""
+    without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay. ``go_on`` may end it."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
@@ -177,7 +198,13 @@ def polish(
 
         colours = likelihood.colours(prior_rows=True)
         return minimise(
-            residual, parameters.to_flat(theta), low, high, iterations=iterations, colours=colours
+            residual,
+            parameters.to_flat(theta),
+            low,
+            high,
+            iterations=iterations,
+            colours=colours,
+            go_on=go_on,
         )
 
 
@@ -290,7 +317,7 @@ def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
     return torch.stack(kept)
 
 
-def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
+def _noise_in_turn(likelihood: Likelihood, theta: Tensor, budget: Budget) -> Minimum:
     """Minima from natural values theta (S, P) with noise and all else fitted in turn.
 
     So are rows that are there only if their flux is above 0. Costs are -2 ln of the density, less that of rows of
@@ -305,10 +332,12 @@ def _noise_in_turn(likelihood: Likelihood, theta: Tensor) -> Minimum:
             noisy = torch.stack([fit_noise(likelihood, one, search=turn == 0) for one in theta])
             noises = [likelihood.model.noise(one) for one in noisy]
             found = [
-                polish(likelihood, one[None], noise, level_at=one)
+                polish(likelihood, one[None], noise, level_at=one, go_on=budget.left)
                 for one, noise in zip(noisy, noises, strict=True)
             ]
             theta = torch.cat([parameters.from_flat(one.y) for one in found])
+            if not budget.left():
+                break
         cost = -2 * likelihood.log_likelihood(theta) - likelihood.rows * math.log(2 * math.pi)
         cost = cost + (parameters.prior_residuals(theta) ** 2).sum(-1)
         jacobian = torch.cat([one.jacobian for one in found])
@@ -456,11 +485,21 @@ def fit_map(
     starts: int = 24,
     adam_steps: int = 150,
     seed: int = 0,
+    extra_starts: Tensor | None = None,
     progress: Progress | None = None,
+    budget: Budget | None = None,
 ) -> Fit:
-    """The maximum a posteriori of a likelihood, its modes, and whether the search converged."""
+    """The maximum a posteriori of a likelihood, its modes, and whether the search converged; the best so far where the
+    ``budget`` is spent."""
+    budget = Budget() if budget is None else budget
     modes, history, found = find_modes(
-        likelihood, starts=starts, adam_steps=adam_steps, seed=seed, progress=progress
+        likelihood,
+        starts=starts,
+        adam_steps=adam_steps,
+        seed=seed,
+        extra_starts=extra_starts,
+        progress=progress,
+        budget=budget,
     )
     with torch.no_grad():
         chi2 = float(likelihood.chi2(modes[0].theta))
@@ -475,4 +514,6 @@ def fit_map(
         if converged
         else f"chi-square was still falling after {found.iterations} steps of the polish"
     )
+    if not budget.left():
+        reason += "; the time allowed for the search was spent, and this is the best so far"
     return Fit(likelihood, modes, chi2, converged, reason, history)

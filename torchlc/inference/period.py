@@ -4,8 +4,8 @@ What changes slowly is taken off first: the range (and the Sun's distance) where
 in time, phase angle and airmass, fitted together with two harmonics of the best period so that neither biases the other.
 
 The period is synodic: it is that of the light, whose pattern follows the bisector of Sun and observer. The sidereal period
-differs by up to one turn in the time in which the bisector turns once, and by that if it turns about the body's pole. A body with two like sides shows two maxima a turn: its
-period is twice what the periodogram prefers.
+differs by up to one turn in the time in which the bisector turns once, and by that if it turns about the body's pole. A body with two
+like sides shows two maxima a turn: its period is twice what the periodogram prefers, and the notes say so.
 """
 
 from __future__ import annotations
@@ -142,6 +142,7 @@ class Periodogram:
                 "sampling_s": self.sampling_s,
                 "trend_per_hour": dict(self.trend_per_hour),
                 "candidates": told,
+                "notes": self.notes(),
                 "warnings": list(self.warnings),
             }
         )
@@ -172,6 +173,12 @@ class Periodogram:
             else "periods are synodic, as the light shows them; without vectors of Sun and observer in the recording the "
             "difference to the sidereal period is not known"
         ]
+        if self.candidates:
+            period = self.candidates[0].period_s
+            told.append(
+                f"light alone does not tell a period from a part of a turn: a body with two like sides turns once in {spoken(2 * period)}, "
+                "not in half of that"
+            )
         slopes = [f"{slope:+.3g} {self.unit}/h ({curve})" for curve, slope in self.trend_per_hour.items()]
         return [*told, f"taken off before: a trend of {', '.join(slopes[:4])}"]
 

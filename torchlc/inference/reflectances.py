@@ -11,10 +11,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchlc.inference.likelihood import power_difference
 from torchlc.lightcurve.model import LightCurve
 from torchlc.lightcurve.tables import Tables
-from torchlc.noise.error_law import MAG_PER_LN
+from torchlc.noise.error_law import MAG_PER_LN, power_at, power_difference
 from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE, REFLECTANCE
 
 LINEAR = frozenset({REFLECTANCE, LOBE_REFLECTANCE, FRESNEL})
@@ -108,5 +107,5 @@ def about(
     near = torch.minimum(torch.maximum(predicted, 0.2 * observed), 5.0 * observed)
     if power is None:
         return near * (1.0 + torch.log(observed / near)), near
-    difference, share = power_difference(observed / near, power)
+    difference, share = power_difference(observed / near, power_at(power, near / observed))
     return near * (1.0 + difference / MAG_PER_LN), near * share

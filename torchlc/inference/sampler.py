@@ -17,9 +17,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import emcee
 import numpy as np
 import torch
 from torch import Tensor
@@ -27,11 +26,15 @@ from torch import Tensor
 from torchlc.errors import InputError
 from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import write_whole
+from torchlc.inference.budget import Budget
 from torchlc.inference.chain import Write, chain_origin, check_origin, read_chain, write_chain
 from torchlc.inference.exchange_move import Redraw
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Progress
 from torchlc.lightcurve.evaluators.expansion import UnsuitableError
+
+if TYPE_CHECKING:
+    import emcee  # loads scipy.stats, for 0.5 s, which only a chain is worth
 
 BLOCK = 20
 """Steps between looks at the clock."""
@@ -46,6 +49,8 @@ that is longer by as much."""
 MOST_WEIGHED = 2000
 """Draws that are weighed: more than the 1,200 effective ones of 32 walkers that are just long enough. With all default
 effects an exact density costs some 15 ms."""
+FEW_WEIGHED = 192
+"""The same under a budget: 3 s."""
 AT_ONCE = 64
 """Draws whose exact densities are worked out at once."""
 GOOD_RHAT = 1.03
@@ -189,18 +194,33 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
 
 
 def moves(fit: Fit) -> list[tuple[emcee.moves.Move, float]]:
-    """Differential evolution, its jumps between clusters (gamma 1), stretches; and where there are reflectances
-    the exchange of one explanation for another.
+    """Differential evolution, its jumps between clusters (gamma 1), stretches; where there are reflectances
+    the exchange of one explanation for another; and where nothing moves the geometry, so that the regression for reflectances is
+    cheap, differential evolution that draws them anew.
 
     No snooker steps: those of emcee up to 3.1.6 shrink a standard normal's variance by a third.
     """
-    chosen: list[tuple[emcee.moves.Move, float]] = [
+    import emcee
+
+    from torchlc.inference.evolution_move import CarriedEvolution
+
+    along_all = [
         (emcee.moves.DEMove(), 0.3),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
         (emcee.moves.StretchMove(), 0.25),
     ]
     redraw = Redraw(fit.likelihood, fit.theta)
-    return [*chosen, (emcee.moves.MHMove(redraw), 0.35)] if redraw.linear else chosen
+    if not redraw.linear:
+        return along_all
+    exchange = emcee.moves.MHMove(redraw)
+    if fit.likelihood.model.geometry_free or not redraw.others:
+        return [*along_all, (exchange, 0.35)]
+    return [
+        *((move, 0.4 * weight) for move, weight in along_all),
+        (exchange, 0.25),
+        (CarriedEvolution(redraw), 0.4),
+        (CarriedEvolution(redraw, whole=True), 0.1),
+    ]
 
 
 def sample(
@@ -215,9 +235,10 @@ def sample(
     longest: int = 12_000,
     write: Write = write_whole,
     exactly: bool = False,
+    budget: Budget | None = None,
 ) -> Posterior:
     """Run the ensemble until it is LONG_ENOUGH against its own autocorrelation time and its walkers agree, or for
-    ``steps``.
+    ``steps``, or until the ``budget`` is spent, after one step at least.
 
     Where the geometry is free, the ensemble moves on its expansion about the best fit (:meth:`LightCurve.expanded`) if that
     is possible and not ``exactly``; kept draws are then weighted by their exact densities and drawn again by weight, and
@@ -226,6 +247,9 @@ def sample(
     ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
     ``resume`` finds a chain of another problem, or one that is damaged.
     """
+    import emcee
+
+    budget = Budget() if budget is None else budget
     likelihood = fit.likelihood
     names = likelihood.model.names
     dimensions = len(names)
@@ -239,7 +263,7 @@ def sample(
             f"at least {2 * dimensions + 2} for {dimensions} parameters",
         )
     origin = chain_origin(likelihood, count, seed)
-    moving = likelihood if exactly else expanded(fit)
+    moving = likelihood if exactly or not budget.left() else expanded(fit)
     backend = emcee.backends.Backend()
     density = log_density(moving)
     sampler = emcee.EnsembleSampler(
@@ -265,9 +289,9 @@ def sample(
     if steps is None and backend.iteration == due:
         finished = finished or _progress(likelihood, backend) >= 1
     written, clock = backend.iteration, time.monotonic()
-    share = 0.0
+    share, cut = 0.0, False
     while not finished:
-        block = min(BLOCK, limit - backend.iteration)
+        block = 1 if budget.bounded else min(BLOCK, limit - backend.iteration)
         state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
         finished = backend.iteration >= limit
         if steps is not None:
@@ -276,16 +300,23 @@ def sample(
             share = _progress(likelihood, backend)
             finished = finished or share >= 1
             due = _next_check(backend.iteration + 1)
+        cut = not finished and not budget.left()
+        finished = finished or cut
         if progress is not None:
-            progress("emcee", min(max(share, backend.iteration / limit), 0.99))
+            spent = budget.spent / (budget.spent + budget.remaining)
+            progress("emcee", min(max(share, backend.iteration / limit, spent), 0.99))
         grown = backend.iteration >= written + max(200, written // 4)
         if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
             write_chain(chain_file, backend, origin, write)
             written, clock = backend.iteration, time.monotonic()
     posterior = _posterior(likelihood, backend)
+    if cut:
+        posterior = replace(
+            posterior, note=f"; stopped when the {budget.seconds:.0f} CPU seconds allowed were spent"
+        )
     if moving is likelihood:
         return posterior
-    weighted = reweighted(posterior, moving, likelihood)
+    weighted = reweighted(posterior, moving, likelihood, budget)
     if weighted is not None:
         return weighted
     again = sample(
@@ -298,6 +329,7 @@ def sample(
         longest=longest,
         write=write,
         exactly=True,
+        budget=budget,
     )
     return replace(
         again, note="; exact at every step, for of draws by an expansion of the geometry too few counted"
@@ -321,14 +353,16 @@ def expanded(fit: Fit) -> Likelihood:
         return likelihood
 
 
-def reweighted(posterior: Posterior, moving: Likelihood, likelihood: Likelihood) -> Posterior | None:
+def reweighted(
+    posterior: Posterior, moving: Likelihood, likelihood: Likelihood, budget: Budget
+) -> Posterior | None:
     """Draws of the posterior of ``moving``, drawn again by what the exact densities over its own weigh (systematic
-    resampling, in their order); None where fewer than LEAST_LEFT of them count.
+    resampling, in their order); None where fewer than LEAST_LEFT of them count and the ``budget`` allows to start again.
 
     An error of d mag in rows of error s shifts a log density by about d / s times the root of the rows' number: at 1e-4, 0.02
     and 400 rows by 0.1, which leaves 0.99 of the draws.
     """
-    step = -(-posterior.log_prob.numel() // MOST_WEIGHED)
+    step = -(-posterior.log_prob.numel() // (FEW_WEIGHED if budget.bounded else MOST_WEIGHED))
     posterior = replace(
         posterior,
         theta=posterior.theta[:, ::step],
@@ -343,7 +377,7 @@ def reweighted(posterior: Posterior, moving: Likelihood, likelihood: Likelihood)
     log_weight = torch.where(torch.isfinite(exact), exact, -math.inf) - own
     weight = torch.softmax(log_weight, 0)
     left = float(1 / (len(draws) * weight.square().sum()))
-    if not left >= LEAST_LEFT:
+    if not left >= LEAST_LEFT and (budget.left() or not math.isfinite(left)):
         return None
     share = (torch.arange(len(draws), dtype=weight.dtype) + 0.5) / len(draws)
     chosen = torch.searchsorted(weight.cumsum(0), share).clamp(max=len(draws) - 1)
@@ -351,7 +385,7 @@ def reweighted(posterior: Posterior, moving: Likelihood, likelihood: Likelihood)
         posterior,
         theta=draws[chosen].reshape(posterior.theta.shape),
         log_prob=exact[chosen].reshape(posterior.log_prob.shape),
-        note=f"; the ensemble moved on an expansion of the geometry, and {left:.0%} of its draws count by their exact "
+        note=f"{posterior.note}; the ensemble moved on an expansion of the geometry, and {left:.0%} of its draws count by their exact "
         "densities",
     )
 
@@ -395,6 +429,8 @@ def _resumed(
 
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:
+    import emcee
+
     chain = backend.get_chain(discard=backend.iteration // 4)
     with np.errstate(invalid="ignore"):  # a walker that has not moved has no autocorrelation
         tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchlc.errors import InputError
@@ -126,6 +124,9 @@ def sets(rows: Rows, noise: Noise) -> Tensor:
     groups = _groups(rows, noise)
     if len(groups) == 1:
         return groups[0]
+    from scipy.sparse import coo_matrix  # load for 0.15 s: only where rows err together in several ways
+    from scipy.sparse.csgraph import connected_components
+
     count = rows.rows
     links = np.concatenate([(one + count * (k + 1)).cpu().numpy() for k, one in enumerate(groups)])
     row = np.tile(np.arange(count), len(groups))

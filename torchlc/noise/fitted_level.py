@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -72,7 +73,7 @@ def log_integral(log_density: Callable[[Tensor], Tensor], low: Tensor, high: Ten
     logarithm at nodes (K, ..., C), by the trapezoidal rule; exact to rounding where the density is smooth between
     the last level's nodes."""
     with torch.no_grad():
-        shape = torch.broadcast_shapes(low.shape, high.shape)
+        shape = np.broadcast_shapes(low.shape, high.shape)
         low, high = low.expand(shape), high.expand(shape)
         share = torch.linspace(0, 1, NODES, dtype=low.dtype, device=low.device).reshape(-1, *[1] * low.ndim)
         for _ in range(LEVELS - 1):

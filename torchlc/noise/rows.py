@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.noise.error_law import MAG_PER_LN, error_powers
+from torchlc.noise.error_law import above_zero, error_powers
 from torchlc.readers import Recording
 
 
@@ -21,8 +21,8 @@ class Residuals:
     recording's own unit (mag or relative flux); ``scale`` (..., T) turns a magnitude of noise into that unit;
     ``gain`` (..., number of curves) for flux; ``prediction`` (..., T) of the datum.
 
-    Of a magnitude with a power beta of its curve's errors, ``delta`` is 1.0857 ((F_model / F)^beta - 1) / beta,
-    which is datum minus prediction to first order.
+    Of a magnitude whose error follows the measured flux, ``delta`` is on the scale of
+    :func:`torchlc.noise.error_law.power_difference`, which is datum minus prediction to first order.
     """
 
     delta: Tensor
@@ -120,7 +120,7 @@ class Rows:
         only if their flux is above 0; 100, as good as infinite, in others."""
         assert self.power is not None and self.selected is not None  # asked of such curves only
         power = torch.where(self.selected, self.power, 1.0)
-        return torch.where(self.selected, MAG_PER_LN * found.scale / (power * sigma), 100.0)
+        return torch.where(self.selected, above_zero(found.scale, power) / sigma, 100.0)
 
 
 def _successive(recording: Recording, curves: int) -> Tensor:

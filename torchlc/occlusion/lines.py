@@ -3,6 +3,7 @@ object."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -34,7 +35,7 @@ def planes(part: Part, corners: Tensor) -> tuple[Tensor, Tensor]:
 def blocked(start: Tensor, ahead: Tensor, normal: Tensor, offset: Tensor) -> Tensor:
     """Which lines (R, P) from ``start`` (R, P, 3) over ``ahead`` (R, P, 3), to its end, meet a convex body
     (`planes`)."""
-    shape = torch.broadcast_shapes(start.shape, ahead.shape, (len(normal), 1, 3))[:-1]
+    shape = np.broadcast_shapes(start.shape, ahead.shape, (len(normal), 1, 3))[:-1]
     enter = start.new_full(shape, TOUCHING)
     leave = start.new_full(shape, 1 - TOUCHING)
     for k in range(normal.shape[1]):

@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from scipy.stats import qmc
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf, Incidence, incidence
@@ -155,6 +154,8 @@ def _thrown(cavity: Cavity, facets: Facets, _items: list[int]) -> tuple[Tensor, 
     """Shares (1, P, P) by rays from each patch, even over its area and by the cosine law over directions, and what
     part of a patch is open (1, P)."""
     vertices, normal = facets.vertices.cpu().numpy(), facets.normal.cpu().numpy()
+    from scipy.stats import qmc  # loads for 0.4 s: only where light goes about inside an object
+
     scene = Traced(vertices)
     chosen, patch = cavity.facets.cpu().numpy(), cavity.patch.cpu().numpy()
     owner = np.full(len(vertices), -1)

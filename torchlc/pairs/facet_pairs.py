@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -228,7 +229,7 @@ def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
 def _alike(columns: Sequence[Tensor]) -> list[Tensor]:
     """Columns (G, L, Q, B or 1, T) as (G L Q, B or 1, T): of one shape but for the axis of the batch, along which what is the same
     for all stays one."""
-    shape = torch.broadcast_shapes(*(column.shape for column in columns))
+    shape = np.broadcast_shapes(*(column.shape for column in columns))
     return [column.expand(*shape[:3], -1, shape[4]).flatten(0, 2) for column in columns]
 
 
@@ -303,7 +304,7 @@ def _sides(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]:
         u, _ = _signed(torch.cat([patch.u for patch in alike]))
         planes, member = torch.unique(torch.cat([normal, u], 1), dim=0, return_inverse=True)
         covers = [cover_of(view, patch, primary) for patch in alike]
-        rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
+        rows = np.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
         cover = torch.cat([one.expand(*rows, one.shape[-1]) for one in covers], -1)
         front, back = (
             cover.new_zeros(*rows, len(planes)).index_add(-1, member[side], cover[..., side])

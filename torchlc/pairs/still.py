@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -52,7 +53,7 @@ class StillPairs:
         covers = [cover_of(view, patch, self.surface.sunlit) for patch in patches]
         rows = covers[0].shape[:-1]
         if any(cover.shape[:-1] != rows for cover in covers):
-            rows = torch.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
+            rows = np.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
             covers = [cover.expand(*rows, cover.shape[-1]) for cover in covers]
         by_plane = torch.cat(covers, -1) @ self.facets
         if not rows:

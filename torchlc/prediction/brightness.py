@@ -14,7 +14,7 @@ import torch
 from scipy.special import ndtri
 from torch import Tensor
 
-from torchlc.effects import registry
+from torchlc.effects import object_kind, registry
 from torchlc.geometry.orbit.earth import julian_dates
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
@@ -104,7 +104,7 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
         for entry in listed
         if entry not in kept
         and not (cls := registry()[Entry.parse(entry).name]).spans_exposure
-        and not getattr(cls, "between_objects", False)  # which the scatter of the draws holds
+        and cls is not object_kind()  # which the scatter of the draws holds
     ]
     said = f"left out of the prediction, for it belongs to a recording: {', '.join(lost)}"
     model = scene.model.model_copy(update={"effects": kept})
@@ -143,11 +143,10 @@ def drawn(model: LightCurve, posterior: Posterior | None, count: int, seed: int)
 
 def between_objects(posterior: Posterior | None, count: int, seed: int) -> np.ndarray | None:
     """Standard deviation between objects that a fit has learnt, mag, of each draw (D,) of :func:`drawn`; None without."""
-    learnt = [f"{name}.mag" for name, cls in registry().items() if getattr(cls, "between_objects", False)]
-    columns = [] if posterior is None else [k for k, name in enumerate(posterior.names) if name in learnt]
-    if posterior is None or not columns:
+    learnt = f"{object_kind().name}.mag"
+    if posterior is None or learnt not in posterior.names:
         return None
-    return np.hypot.reduce(posterior.draws[_chosen(posterior, count, seed)][:, columns], axis=1)
+    return np.abs(posterior.draws[_chosen(posterior, count, seed)][:, posterior.names.index(learnt)])
 
 
 def _chosen(posterior: Posterior, count: int, seed: int) -> np.ndarray:

@@ -34,6 +34,7 @@ def minimise(
     iterations: int = 60,
     tolerance: float = 1e-7,
     colours: Colours | None = None,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Minimum:
     """Minimise |residual(y)|^2 from each row of ``start`` (S, P) within the box; ``residual`` maps (B, P) to
     (B, R).
@@ -41,7 +42,7 @@ def minimise(
     Steps are damped by the largest diagonal of J'J seen so far, projected on the box, and kept only where
     they lower the cost, so every start descends monotonically. Only starts that are at work, and slopes where a step was kept, are
     worked out again. A start has converged when a step gains less
-    than ``tolerance`` of its cost (plus 1).
+    than ``tolerance`` of its cost (plus 1). ``go_on`` is asked before each step, and may end the search.
     """
     y = torch.minimum(torch.maximum(start, low), high)
     r = residual(y)
@@ -53,7 +54,7 @@ def minimise(
     cap = torch.where(torch.isfinite(high - low), LARGEST_STEP * (high - low), torch.inf)
     margin = torch.where(torch.isfinite(high - low), 1e-12 * (high - low), 0.0)
     done = 0
-    while done < iterations and not bool(converged.all()):
+    while done < iterations and not bool(converged.all()) and go_on():
         done += 1
         gradient = torch.einsum("srp,sr->sp", jac, torch.nan_to_num(r))
         normal = torch.einsum("srp,srq->spq", jac, jac)

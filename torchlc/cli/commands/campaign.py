@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from torchlc.cli import completion
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Budget,
     Json,
     Out,
     Quiet,
@@ -67,6 +68,7 @@ def campaign(
         int | None,
         whole_number("Processes started here; default: one a core.", 1, 1024, show_default=False),
     ] = None,
+    budget: Budget = None,
     seed: Seed = 0,
     quiet: Quiet = False,
     threads: Annotated[int, whole_number("Threads of each worker.", 1, 1024)] = 1,
@@ -78,7 +80,7 @@ def campaign(
 
     with progress_bar(not (quiet or json)) as progress:
         result = run(
-            manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed,
+            manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed, budget=budget,
             progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:

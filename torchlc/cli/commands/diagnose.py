@@ -9,6 +9,7 @@ import typer
 from torchlc.cli import completion
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Budget,
     Columns,
     Json,
     Out,
@@ -41,14 +42,7 @@ def diagnose(
         ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A budget of 20 s.")] = False,
-    budget: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0,
-            help="CPU seconds, after which the verdict says what was not examined.",
-            show_default=False,
-        ),
-    ] = None,
+    budget: Budget = None,
     use: Use = None,
     columns: Columns = None,
     seed: Seed = 0,

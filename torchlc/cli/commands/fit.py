@@ -8,6 +8,7 @@ import typer
 
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Budget,
     Columns,
     Json,
     Out,
@@ -38,6 +39,7 @@ def fit(
         int | None,
         whole_number("Walkers of the ensemble; default 6 a parameter.", 2, show_default=False),
     ] = None,
+    budget: Budget = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the chain found in DIR.")] = False,
     use: Use = None,
     columns: Columns = None,
@@ -53,7 +55,7 @@ def fit(
 
     with progress_bar(not (quiet or json)) as progress:
         result = api.fit(
-            scene, recording, out=out, steps=steps, walkers=walkers, resume=resume, use=use, columns=columns, seed=seed,
+            scene, recording, out=out, steps=steps, walkers=walkers, budget=budget, resume=resume, use=use, columns=columns, seed=seed,
             trust=trust, progress=progress, command=command_line(context),
         )  # fmt: skip
     show_fit(result, out, quiet=quiet, json=json)

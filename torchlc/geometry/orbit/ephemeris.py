@@ -14,7 +14,6 @@ import torch
 from astropy import units as u
 from astropy.time import Time, TimeDelta
 from erfa import ErfaWarning
-from scipy.interpolate import KroghInterpolator
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimals
@@ -69,6 +68,8 @@ class Segment:
 
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """Positions (T, 3) by Hermite's polynomial through the nearest states; carried on beyond the ends."""
+        from scipy.interpolate import KroghInterpolator  # loads for 0.1 s: only where there is a table
+
         nodes = min(NODES, len(self.seconds))
         first = np.searchsorted(self.seconds, seconds) - nodes // 2
         first = np.clip(first, 0, len(self.seconds) - nodes)

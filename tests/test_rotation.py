@@ -14,8 +14,10 @@ from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
 from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
+from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.modes import RotationMode, verdict
 from torchlc.inference.rotation.passes import Rows
-from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative
+from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
 from torchlc.scene import Scene
 
@@ -230,3 +232,45 @@ def test_poles_are_even_and_their_frames_right_handed() -> None:
     frames = frame_of(poles)
     torch.testing.assert_close(torch.linalg.det(frames), torch.ones(500, dtype=torch.float64))
     torch.testing.assert_close(frames[:, 2], poles)
+
+
+def test_a_lobe_that_is_dark_at_a_phase_leaves_no_misfit_below_zero() -> None:
+    """A narrow lobe of a plate shines at a few phases only; at all others the sums by FFT hold rounding alone. A sum of
+    squares can't be below zero, and no reflectances leave more than none at all, which is the light's own square."""
+    rng = np.random.default_rng(5)
+    seconds = torch.arange(60, dtype=torch.float64)
+    way = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64).expand(60, 3)
+    rows = Rows(
+        torch.arange(60), seconds, way, way, torch.from_numpy(rng.lognormal(0.0, 1.0, 60)),
+        torch.full((60,), 0.1, dtype=torch.float64), torch.zeros(60, dtype=torch.long),
+        seconds.mean()[None], torch.tensor([59.0], dtype=torch.float64), False,
+    )  # fmt: skip
+    azimuth = torch.arange(4, dtype=torch.float64) * (np.pi / 2)
+    normal = torch.stack([torch.cos(azimuth), torch.sin(azimuth), 0 * azimuth], -1)
+    body = FacetLight(
+        normal, torch.eye(4, dtype=torch.float64), ("a", "b", "c", "d"), (True,) * 4, (False,) * 4
+    )
+    weight = 1 / spread(rows.flux, rows.error)
+    none = float((rows.flux * weight).square().sum())
+    grid = torch.linspace(0.001, 0.02, 20, dtype=torch.float64)
+    misfits = [one.misfit for one in search(rows, body, directions(40), grid)]
+    assert min(misfits) >= 0 and max(misfits) <= none * (1 + 1e-9)
+
+
+def test_a_free_rotation_is_not_told_from_a_pass_that_holds_no_second_cycle() -> None:
+    """A thin disc (moments 1/2, 1/2, 1), its axis 20 deg from the angular momentum L. In units of L over the largest moment L goes
+    about the axis at cos 20 deg and the axis about L at 2 (Landau and Lifshitz, Mechanics, 33); an axis in the plane of the disc
+    goes about L at the difference. If that takes 30 s, L goes about the body in 33.9 s: a pass of 62 s does not hold two of
+    these, one of 200 s does."""
+    numbers = {
+        "pole_lon": 0.0, "pole_lat": 0.0, "period": 30.0 / 3600, "phase": 0.0, "nutation": 20.0, "polhode_phase": 0.0,
+        "inertia_x": 0.4999, "inertia_y": 0.5001,
+    }  # fmt: skip
+    mode = RotationMode(numbers, {}, 95.0, (), 1.0, None, torch.zeros(0), Scene.from_toml(text(TRUE)))
+    assert mode.rates is not None
+    axis = np.cos(np.radians(20))
+    # moments that differ by 2e-4, so that the axes have an order, change it by less than 1 %
+    assert 1 / float(mode.rates.polhode) == pytest.approx(30 * (2 - axis) / axis, rel=0.01)
+    decided, words = verdict([mode], 100, 1, 62.0)
+    assert not decided and words.startswith("cannot tell")
+    assert verdict([mode], 100, 1, 200.0)[0]

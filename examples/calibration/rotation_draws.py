@@ -378,7 +378,12 @@ def _compared(truth: dict[str, Any], mode: dict[str, Any]) -> dict[str, Any]:
     if "periods_s" not in truth:
         ratio = mode["period_s"] / truth["period_s"]
         right = pole < BARS["pole_deg"] and abs(ratio - 1) < BARS["period"] and mode["periods_s"] is None
-        return {"right": right, "pole_deg": pole, "period_ratio": ratio, "multiple": abs(ratio - 1) < 0.02}
+        return {
+            "right": bool(right),
+            "pole_deg": pole,
+            "period_ratio": ratio,
+            "multiple": bool(abs(ratio - 1) < 0.02),
+        }
     if mode["periods_s"] is None:
         return {
             "right": False,
@@ -394,7 +399,7 @@ def _compared(truth: dict[str, Any], mode: dict[str, Any]) -> dict[str, Any]:
     right = pole < BARS["axis_deg"] and inertia < BARS["inertia"]
     right = right and all(abs(one - 1) < BARS["periods"] for one in ratios.values())
     return {
-        "right": right,
+        "right": bool(right),
         "pole_deg": pole,
         "inertia": inertia,
         **{f"{key}_ratio": one for key, one in ratios.items()},

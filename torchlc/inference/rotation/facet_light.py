@@ -72,6 +72,15 @@ class FacetLight:
         """The body turned by a rotation (3, 3)."""
         return replace(self, normal=self.normal @ rotation.T)
 
+    def unlike_halves(self) -> FacetLight:
+        """The body with paint of its own for what faces each way along body z's turn: a material is one where the normal's
+        azimuth from x towards y is from -45 to 135 deg, and another half a turn from there. Names of materials come twice."""
+        azimuth = torch.atan2(self.normal[:, 1], self.normal[:, 0])
+        level = self.normal[:, :2].norm(dim=-1) < SAME_WAY
+        first = level | ((azimuth >= -math.pi / 4) & (azimuth < 3 * math.pi / 4))
+        area = torch.cat([self.area * first[:, None], self.area * ~first[:, None]], -1)
+        return replace(self, area=area, names=self.names * 2, lobed=self.lobed * 2, coupled=self.coupled * 2)
+
     @property
     def columns(self) -> int:
         """Reflectances: diffuse ones, then those of the lobes."""

@@ -22,6 +22,9 @@ SAME_PERIOD = 1e-3
 CHANGED = 16.0
 """Fall of chi-square that a change of the period has to bring."""
 ALIKE_DEG = 12.0
+LEAST_CYCLES = 2.0
+"""Of the longer period of a free rotation that a pass has to hold for the light to have repeated: less is one stretch without
+a second to hold it against."""
 NOISY = 1.3
 """Rms over the noise of successive rows up to which a rotation fits rows without errors."""
 
@@ -170,19 +173,23 @@ def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:
 
 
 def verdict(
-    modes: Sequence[RotationMode], dof: int, passes: int, noise: float | None = None
+    modes: Sequence[RotationMode], dof: int, passes: int, longest_s: float, noise: float | None = None
 ) -> tuple[bool, str]:
-    """Whether the data decide, and what they say. ``noise``: that of successive rows, mag, where errors are not given."""
+    """Whether the data decide, and what they say. ``longest_s``: of the longest pass; ``noise``: that of successive rows, mag, where
+    errors are not given."""
     best = modes[0]
     fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1)) if noise is None else best.rms < NOISY * noise
     poles = [mode for mode in modes if mode.probability > 0.01]
     period = f"one turn in {best.period_s:.6g} s"
+    slowest_s = 0.0
     if best.tumbling:
         rates = best.rates
         assert rates is not None
+        way_s = 1 / float(rates.polhode)
+        slowest_s = max(best.period_s, way_s)
         period = (
             f"not about one axis: the long axis turns about the angular momentum in {best.period_s:.6g} s, and the latter "
-            f"about the body in {1 / float(rates.polhode):.6g} s"
+            f"about the body in {way_s:.6g} s"
         )
     if not fits:
         return False, (
@@ -193,6 +200,11 @@ def verdict(
                 else f"{best.rms:.2f} mag rms where successive rows differ by {noise:.2f} mag"
             )
             + "; shape, materials or the kind of rotation are not those of the scene"
+        )
+    if longest_s < LEAST_CYCLES * slowest_s:
+        return False, (
+            f"cannot tell: {period}, fits, but the longest pass, of {longest_s:.4g} s, does not hold {LEAST_CYCLES:g} of the longer of "
+            "these: a body of another shape or paint that turns about one axis may shine alike"
         )
     if len(poles) > 1:
         return False, (

@@ -28,7 +28,11 @@ FLOOR = 0.15
 TYPICAL = 0.1
 SWEEPS = 25
 PARALLEL = 1e-12
+ROUNDING = 1e-12
+"""Share of the largest sum below which a correlation by FFT, which errs by 1e-16 to 1e-15 of it, says nothing."""
 """Square of the sine between two columns below which they are one."""
+DARK = 1e-200
+"""Square of a column that holds no light."""
 POLES_AT_ONCE = 8
 DRIFT_SD = 2.0
 """Standard deviations by which the frequency of a pass may differ from that of the longest."""
@@ -182,7 +186,10 @@ def _normal_equations(
     binned = binned.unflatten(-1, (len(place), STEPS))
     phase = torch.arange(0, STEPS // symmetry, 2)
     first, second = torch.triu_indices(table.shape[-1], table.shape[-1])
-    squares = _correlated(table[..., first] * table[..., second], binned[0])[:, :, phase]
+    squares = _correlated(table[..., first] * table[..., second], binned[0])
+    # a column that is dark at a phase keeps the rounding of the correlation, which is of its brightest phase
+    least = ROUNDING * squares.amax(2, keepdim=True)
+    squares = torch.where(squares > least, squares, 0.0)[:, :, phase]
     products = squares.new_empty(*squares.shape[:-1], table.shape[-1], table.shape[-1])
     products[..., first, second] = products[..., second, first] = squares
     return products, _correlated(table, binned[1])[:, :, phase], float((target**2).sum())
@@ -232,24 +239,25 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
     diagonal = torch.diagonal(products, dim1=-2, dim2=-1)
     if targets.shape[-1] == 2:
         return _two(diagonal, products[..., 0, 1], targets)
-    safe = diagonal.clamp(min=1e-30)
+    present = diagonal > DARK
+    share = torch.where(present, 1 / torch.where(present, diagonal, 1.0), 0.0)  # no light, no reflectance
     found = torch.zeros_like(targets)
     for _ in range(SWEEPS):
         for k in range(targets.shape[-1]):
             slope = targets[..., k] - (products[..., k, :] * found).sum(-1)
-            found[..., k] = (found[..., k] + slope / safe[..., k]).clamp(min=0.0)
+            found[..., k] = (found[..., k] + slope * share[..., k]).clamp(min=0.0)
     return found
 
 
 def _two(diagonal: Tensor, cross: Tensor, targets: Tensor) -> Tensor:
     """Least squares (..., 2) without negative numbers: both columns where neither comes out negative, else the better one alone."""
-    safe = diagonal.clamp(min=1e-30)
+    safe = diagonal.clamp(min=DARK)
     determinant = safe[..., 0] * safe[..., 1] - cross**2
     solvable = determinant > PARALLEL * safe[..., 0] * safe[..., 1]
     pair = (safe.flip(-1) * targets - cross[..., None] * targets.flip(-1)) / torch.where(
         solvable, determinant, 1.0
     )[..., None]
-    alone = targets.clamp(min=0) / safe
+    alone = torch.where(diagonal > DARK, targets.clamp(min=0) / safe, 0.0)
     first = alone[..., 0] * targets[..., 0] >= alone[..., 1] * targets[..., 1]
     single = torch.where(torch.stack([first, ~first], -1), alone, 0.0)
     return torch.where((solvable & (pair > 0).all(-1))[..., None], pair, single)

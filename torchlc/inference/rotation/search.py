@@ -25,6 +25,7 @@ from torchlc.inference.rotation.model_fit import Candidate, Trial, fitted, stead
 from torchlc.inference.rotation.modes import (
     CHANGED,
     KEPT_CHI2,
+    NOISY,
     SAME_DEG,
     RotationSearch,
     apart_deg,
@@ -146,15 +147,27 @@ def search_rotation(
         slanted = kept.of("tilted", Local, lambda: _tilted(rows, body, poles, grid, states, count, axis))
         if slanted and slanted[0].chi2 < locals_[0].chi2 - CHANGED:
             locals_, tilted, symmetry = slanted, True, 1
+    steady = locals_[0].chi2  # the best that a turn about one axis does
+    if steady / dof > STRUCTURE and body.symmetry(axis) > 1:
+        say("unlike sides", 0.0)
+        unlike = kept.of("unlike", Local, lambda: _unlike(rows, body, states, (low, high), count))
+        if unlike and unlike[0].chi2 < steady - CHANGED * sum(body.unlike_halves().lobed):
+            warnings.append(
+                f"sides half a turn apart shine unlike: with paint of their own a turn in {1 / unlike[0].frequency:.6g} s leaves "
+                f"chi-square {unlike[0].chi2:.0f} where the scene's materials leave {steady:.0f}; give such faces materials of "
+                "their own (sectors and face_materials of a cylinder, face_materials of a box)"
+            )
+            locals_, steady, symmetry = unlike, unlike[0].chi2, 1
+            tilted = "tilt" in scene.attitude.model_fields_set
     tumbles: list[Tumble] = []
-    if scene.attitude.mode == "rigid-body" or locals_[0].chi2 / dof > STRUCTURE:
-        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, locals_[0].chi2, say))
+    if scene.attitude.mode == "rigid-body" or steady / dof > STRUCTURE:
+        tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, steady, say))
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
-        tumbles = [one for one in tumbles if one.chi2 < locals_[0].chi2 - CHANGED]
+        tumbles = [one for one in tumbles if one.chi2 < steady - CHANGED]
     say("model", 0.0)
     found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
-    if not found or min(one.chi2 for one in found) > 2 * len(rows.flux):
+    if not any(_explains(one, rows) for one in found):
         more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), say)
         found += more
         warnings += told
@@ -168,7 +181,7 @@ def search_rotation(
         )
     left = len(rows.flux) - len(modes[0].theta)
     noise = None if rows.noise is None else MAG_PER_LN * rows.noise
-    decided, words = verdict(modes, left, rows.passes, noise)
+    decided, words = verdict(modes, left, rows.passes, float(rows.span.max()), noise)
     order = {tuple(one.pole.tolist()): one.misfit for one in states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
     connected = rows.passes == 1 or modes[0].possible == 1
@@ -176,6 +189,14 @@ def search_rotation(
         modes, len(rows.flux), left, rows.passes, symmetry, (1 / high, 1 / low), frequency, power,
         (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)),
     )  # fmt: skip
+
+
+def _explains(one: Candidate, rows: Rows) -> bool:
+    """Whether a fit leaves little enough that no other kind of rotation is asked for. Errors that are fitted bring chi-square to
+    the count of rows whatever is left, so there the rms is held against the noise of successive rows."""
+    if rows.noise is None:
+        return one.chi2 <= 2 * len(rows.flux)
+    return one.rms <= NOISY * MAG_PER_LN * rows.noise
 
 
 def _whole_steps(symmetry: int) -> int:
@@ -257,6 +278,42 @@ def _tilted(
     return _distinct(
         Refiner(rows, body, FLOOR, tilted=free_tilts(body)).refined(starts, turned, iterations=40)
     )
+
+
+def _unlike(
+    rows: Rows,
+    body: FacetLight,
+    states: Sequence[GridState],
+    bounds: tuple[float, float],
+    count: int,
+) -> list[Local]:
+    """Solutions with paint of their own for sides half a turn apart, from the best of the plain body, at their turns, halves and
+    doubles of these: light that comes once a turn of such a body comes twice a turn of a plain one, and glints that differ may be taken
+    for one kind. Reflectances and exponents are means of the halves."""
+    painted = body.unlike_halves()
+    step = 1 / STEPS_A_TURN / float(rows.span.max())
+    offsets = step * torch.arange(-3, 4, dtype=torch.float64)
+    poles = torch.stack([one.pole for one in states])  # all: a body of one paint may have liked other poles
+    known = [one * part for state in states[:3] for one in state.frequencies for part in (1.0, 0.5, 2.0)]
+    around = (torch.tensor(known, dtype=torch.float64)[:, None] + offsets).reshape(-1)
+    around = torch.unique((around / step).round()) * step
+    around = around[(around >= bounds[0]) & (around <= bounds[1])]
+    starts = pole_grid.search(rows, painted, poles, around)[: max(8, count // 4)]
+    still = torch.zeros(3, dtype=torch.float64)
+    found = _distinct(Refiner(rows, painted, FLOOR).refined(starts, [still] * len(starts)))
+
+    def mean(values: Tensor) -> Tensor:
+        return values.reshape(2, -1).mean(0)
+
+    diffuse = len(painted.names)
+    return [
+        replace(
+            one,
+            exponents=mean(one.exponents),
+            weights=torch.cat([mean(one.weights[:diffuse]), mean(one.weights[diffuse:])]),
+        )
+        for one in found
+    ]
 
 
 def _distinct(found: Sequence[Local]) -> list[Local]:

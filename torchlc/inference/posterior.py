@@ -44,6 +44,8 @@ DEAR_S = 4e-3
 WIDE_MAG = 0.1
 """Standard deviation, mag, that errors are given on the way from a start, where residuals are of the order of a
 magnitude: at the quoted errors every row would be an outlier there, and pull at nothing."""
+BAD_ROW = 0.5
+"""Probability above which a row is taken as, and told to be, an outlier."""
 APART = 2.0
 """Standard deviations between minima that count as two."""
 UNLIKE = 0.5
@@ -473,11 +475,10 @@ def fit(
     g, known = starts, slopes
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
-        alike = bool((starts[:, nominal] == starts[0, nominal]).all())
-        reached = descend(posterior, starts, FIRST_STEPS, wide, held=nominal if alike else ())[0]
-        reached = torch.cat(
-            [starts[:1], reached]
-        )  # the first is a minimum of a part of this model, which wide errors would leave
+        held = _common(posterior, starts, nominal)
+        reached = descend(posterior, starts, FIRST_STEPS, wide, held=held)[0]
+        # the first start is a minimum of a part of this model, which wide errors may leave for good
+        reached = torch.cat([starts[:1], reached])
         g = reached[1:2] if posterior.dear else _unlike(reached, 2 * most)
     if nominal:
         first = _fits_as_they_stand(hypothesis, posterior, g, nominal, turns)[:most]
@@ -493,6 +494,16 @@ def fit(
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
     return merged([polished(_sloped(hypothesis, posterior, one), turns) for one in chosen[:most]])
+
+
+def _common(posterior: Posterior, starts: Tensor, nominal: Sequence[int]) -> Sequence[int]:
+    """The columns of the geometry, or of the ``nominal`` one, if all starts (S, P) have it in common: left there, it is worked out
+    once for all of them."""
+    geometry = posterior.model.assembly.geometry_columns
+    for held in (geometry, nominal):
+        if set(posterior.physical) - set(held) and bool((starts[:, held] == starts[0, held]).all()):
+            return held
+    return ()
 
 
 def _fits_as_they_stand(

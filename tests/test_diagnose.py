@@ -22,6 +22,7 @@ from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
+from torchlc.files.steps import Steps
 from torchlc.inference.posterior import Posterior, fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
@@ -279,6 +280,49 @@ def test_unseen_rows_have_the_density_of_the_dense_normal(demo_search) -> None:
     seconds, curve = at.model.assembly.context.seconds, at.likelihood.curve
     blocks = make_blocks(seconds, curve)
     assert torch.equal(torch.sort(torch.cat([one for one, _ in blocks])).values, torch.arange(len(seconds)))
+
+
+def test_a_search_goes_on_from_what_it_had_finished(demo, tmp_path: Path) -> None:
+    """Of all steps none is done again, and of half of them, as a kill leaves them, the other half is; the answer is that of
+    the run left alone, to the rounding of a refit that is read instead of made. Steps of another search are not known."""
+    file = tmp_path / "search.pt"
+
+    def run(steps: Steps):
+        found = diagnose(*demo, effects=["panel_offset", "saturation"], steps=steps).to_json()
+        return found["verdict"], found["named"], found["probabilities"], found["materials"]
+
+    alone = run(Steps("one", file, lambda fill: fill(file)))
+    stored = torch.load(file, weights_only=True)
+    names = list(stored["steps"])
+    assert len(names) > 6
+    made: list[str] = []
+
+    class Watched(Steps):
+        def of(self, name, kind, make):
+            return super().of(name, kind, lambda: (made.append(name), make())[1])
+
+    assert_close(run(Watched("one", file)), alone)
+    assert not made
+    stored["steps"] = {name: stored["steps"][name] for name in names[: len(names) // 2]}
+    torch.save(stored, file)
+    assert_close(run(Watched("one", file)), alone)
+    assert made == names[len(names) // 2 :]
+    assert not Steps("another", file).resumed
+
+
+def assert_close(found, expected) -> None:
+    """Equal, numbers to a millionth."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        found, expected = list(found.values()), list(expected.values())
+    if isinstance(expected, (list, tuple)):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_close(one, other)
+    elif isinstance(expected, float):
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    else:
+        assert found == expected
 
 
 def test_outlying_rows_are_found_and_the_rest_is_fitted(demo) -> None:

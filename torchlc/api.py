@@ -22,11 +22,13 @@ from torchlc.effects import mending_kind
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.files.reading import sha256_of
+from torchlc.files.steps import EVERY_S, Steps
 from torchlc.files.writing import (
     CHAIN_FILE,
     DIAGNOSIS_FILES,
     FIT_FILES,
     ROTATION_FILES,
+    STEPS_FILE,
     OutputDirectory,
     resources,
     write_whole,
@@ -333,7 +335,7 @@ def diagnose(
 
     ``effects`` limits the candidates (noise is always among them); ``budget`` is in CPU seconds, after which the verdict
     says what was not examined; ``quick`` is a budget of 20 s. With ``out`` diagnosis.json, figures and report.html are
-    written there.
+    written there, and a run that was killed goes on from what it had finished.
     """
     from torchlc.diagnosis.candidates import check_candidates
     from torchlc.diagnosis.run import diagnose as run
@@ -343,11 +345,22 @@ def diagnose(
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
-        result = run(scene, rows, quick=quick, effects=effects, seed=seed, budget=budget, progress=progress)
+        steps = _steps(directory, scene, rows, repr((effects, seed)))
+        result = run(
+            scene,
+            rows,
+            quick=quick,
+            effects=effects,
+            seed=seed,
+            budget=budget,
+            progress=progress,
+            steps=steps,
+        )
         if directory is not None:
             from torchlc.report.diagnosis_page import write_diagnosis
 
             write_diagnosis(result, provenance(scene, rows, seed, command), directory)
+            directory.clear([STEPS_FILE])
     return result
 
 
@@ -371,7 +384,6 @@ def rotation(
     goes on from the last stage that it had finished.
     """
     from torchlc.inference.rotation.search import search_rotation
-    from torchlc.inference.rotation.steps import Steps
     from torchlc.readers.joining import joined
     from torchlc.results.rotation_result import RotationResult
 
@@ -390,16 +402,7 @@ def rotation(
             ]
             directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
         stack.enter_context(resources(None if out is None else Path(out)))
-        kept = Steps()
-        if directory is not None:
-            numbers = (
-                rows.seconds.tobytes(),
-                rows.observed.tobytes(),
-                repr((shortest, longest, __version__)).encode(),
-            )
-            key = hashlib.sha256(b"".join((scene.to_toml().encode(), *numbers))).hexdigest()
-            name, room = "search.pt", directory
-            kept = Steps(key, directory.path / name, lambda fill: room.write(name, fill))
+        kept = _steps(directory, scene, rows, repr((shortest, longest)))
         search = search_rotation(
             scene, rows, shortest_s=shortest, longest_s=longest, progress=progress, steps=kept
         )
@@ -412,7 +415,7 @@ def rotation(
         result = RotationResult(search, seed, time.monotonic() - began, made)
         if directory is not None:
             result.write(directory)
-            directory.clear(["search.pt"])
+            directory.clear([STEPS_FILE])
     return result
 
 
@@ -442,6 +445,23 @@ def demo(
         directory.write_json("diagnosis.json", found.to_json() | made)
         report.write_fit(result, directory, progress, context(found))
     return found, result
+
+
+def _steps(directory: OutputDirectory | None, scene: Scene, rows: Recording, settings: str) -> Steps:
+    """What a search in a directory has finished; what is there of another scene, recording, setting or version is not known."""
+    if directory is None:
+        return Steps()
+    numbers = [rows.seconds, rows.observed, *([] if rows.error is None else [rows.error]), rows.upper_limit]
+    content = [
+        scene.to_toml().encode(),
+        *(one.tobytes() for one in numbers),
+        settings.encode(),
+        __version__.encode(),
+    ]
+    key = hashlib.sha256(b"".join(content)).hexdigest()
+    return Steps(
+        key, directory.path / STEPS_FILE, lambda fill: directory.write(STEPS_FILE, fill), every_s=EVERY_S
+    )
 
 
 def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None) -> Recording:

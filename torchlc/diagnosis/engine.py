@@ -8,6 +8,7 @@ every way to err, with its evidence. Nothing is decided here: the odds of all th
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +29,9 @@ from torchlc.diagnosis.hypotheses import (
 )
 from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
 from torchlc.effects import effect_class
+from torchlc.files.steps import Steps
 from torchlc.inference.budget import Budget
+from torchlc.inference.evidence import Evidence
 from torchlc.inference.optimiser import find_modes
 from torchlc.inference.posterior import (
     UNLIKE,
@@ -36,6 +39,7 @@ from torchlc.inference.posterior import (
     Linear,
     Posterior,
     fit,
+    fitted_at,
     integrated,
     material_starts,
     merged,
@@ -86,6 +90,13 @@ class Clock(Budget):
             self.progress(text, part)
 
 
+@dataclass(frozen=True)
+class Minimum:
+    """Coordinates of a minimum, (P,)."""
+
+    g: Tensor
+
+
 @dataclass
 class Search:
     """What has been visited: every hypothesis at its minima, the probes of candidates, what was left out and why."""
@@ -102,6 +113,8 @@ class Search:
     """Log odds of what was judged by its linear form alone."""
     invisible: set[str] = field(default_factory=set)
     """Candidates that would leave no trace in these data, whatever their numbers."""
+    steps: Steps = field(default_factory=Steps)
+    """Refits and evidences as they are finished, those of an earlier run that was killed among them."""
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
     _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
@@ -185,7 +198,17 @@ class Search:
         # the scene's own model, which all gains are counted from, is fitted to the end
         floor = best - REACH - self.bench.log_odds(hypothesis) if hypothesis.added else -math.inf
         nominal = self.nominal_columns(posterior)
-        return self.keep(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+        made: list[Fitted] = []
+
+        def minima() -> list[Minimum]:
+            made.append(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+            return [Minimum(one.g) for one in made[0].minima]
+
+        name = f"{hypothesis} from {hashlib.sha256(g.numpy().tobytes()).hexdigest()} {options}"
+        found = self.steps.of(name, Minimum, minima)
+        return self.keep(
+            made[0] if made else merged([fitted_at(hypothesis, posterior, one.g) for one in found])
+        )
 
     def nominal_columns(self, posterior: Posterior) -> list[int]:
         """Columns of the scene's own geometry, where there are others that leave that as it is."""
@@ -442,7 +465,18 @@ class Search:
                     break
                 if self.visited[one].evidence is None:
                     draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
-                    self.visited[one] = integrated(self.visited[one], draws, one.seed + self.seed)
+                    self.visited[one] = self.weighed(self.visited[one], draws)
+
+    def weighed(self, at: Fitted, draws: int) -> Fitted:
+        """A fit with its evidence by ``draws``."""
+
+        def evidence() -> list[Evidence]:
+            found = integrated(at, draws, at.hypothesis.seed + self.seed).evidence
+            return [] if found is None else [found]
+
+        place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
+        found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}", Evidence, evidence)
+        return replace(at, evidence=found[0]) if found else at
 
     def nominal_sizes(self) -> None:
         """Sizes that are only nominal in the place of the area that the leading set adds."""

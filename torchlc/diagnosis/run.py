@@ -19,6 +19,7 @@ from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
+from torchlc.files.steps import Steps
 from torchlc.inference.posterior import Fitted, fitted_at
 from torchlc.readers import Recording
 from torchlc.scene import Scene
@@ -39,13 +40,15 @@ def diagnose(
     seed: int = 0,
     budget: float | None = None,
     progress: Callable[[str, float], None] | None = None,
+    steps: Steps | None = None,
 ) -> Diagnosis:
     """What the scene's model leaves out of a recording.
 
     ``effects`` restricts the candidates (noise is always considered), each as :func:`check_candidates` takes it;
     ``budget`` is in CPU seconds, after which the verdict says what was not examined; ``quick`` is one of QUICK_S. An
     interruption ends the search as a budget does, once the scene's own model is fitted. Upper limits are left out, and
-    counted as dropped. Raises InputError for an unknown effect name.
+    counted as dropped. ``steps`` keeps what is finished, and knows what an earlier run had. Raises InputError for an unknown
+    effect name.
     """
     recording = recording.keep(~recording.upper_limit, "upper limit, which a diagnosis does not use")
     clock = Clock(QUICK_S if quick and budget is None else budget, progress)
@@ -57,8 +60,8 @@ def diagnose(
         entry for entry in possible if not bench.likelihood(Hypothesis((entry,))).model.unaffordable
     ]
     untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
-    search = Search(bench, clock, seed)
-    clock.tell("baseline", 0.02)
+    search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
+    clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
     found = coordinates(search.best().model, search.best().theta)
     try:

@@ -38,9 +38,11 @@ LONGEST_LOCK = 200
 CHAIN_FILE = "chain.h5"
 SAMPLED_FILES = frozenset({CHAIN_FILE, "posterior.nc", "corner.png", "traces.png"})
 FIT_FILES = SAMPLED_FILES | {"fit.json", "report.html", "curve.png", "shares.png", "object.png"}
-DIAGNOSIS_FILES = frozenset({"diagnosis.json", "report.html", "curve.png", "object.png"})
+STEPS_FILE = "search.pt"
+"""What a search has finished, as long as it runs."""
+DIAGNOSIS_FILES = frozenset({"diagnosis.json", "report.html", "curve.png", "object.png", STEPS_FILE})
 ROTATION_FILES = frozenset(
-    {"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png", "search.pt"}
+    {"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png", STEPS_FILE}
 )
 RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""

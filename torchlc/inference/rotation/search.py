@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchlc.errors import InputError
+from torchlc.files.steps import Steps
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid, tumble_grid
@@ -36,7 +37,6 @@ from torchlc.inference.rotation.modes import RotationMode as RotationMode
 from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import GridState
 from torchlc.inference.rotation.refine import Local, Refiner, free_tilts
-from torchlc.inference.rotation.steps import Steps
 from torchlc.inference.rotation.tumble_grid import TumbleState
 from torchlc.inference.rotation.tumble_refine import Tumble, TumbleRefiner
 from torchlc.inference.rotation.two_frequencies import frequency_pairs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -10,19 +11,22 @@ from typing import TypeVar
 import torch
 
 T = TypeVar("T")
+EVERY_S = 5.0
+"""Seconds between writings of what is new: a kill costs no more than these."""
 
 
 class Steps:
     """Results of the stages of one search, by name. ``path``: the file of an earlier run, read if it is of the same ``key``;
-    ``write`` puts a new one in place, given what fills it; without them nothing is kept."""
+    ``write`` puts a new one in place, given what fills it, at most every ``every_s`` seconds; without them nothing is kept."""
 
     def __init__(
         self,
         key: str = "",
         path: Path | None = None,
         write: Callable[[Callable[[Path], object]], object] | None = None,
+        every_s: float = 0.0,
     ) -> None:
-        self._key, self._write = key, write
+        self._key, self._write, self._every_s, self._written = key, write, every_s, time.monotonic()
         self._known: dict[str, list[dict[str, object]]] = {}
         if path is None or not path.exists():
             return
@@ -43,7 +47,8 @@ class Steps:
         if name not in self._known:
             made = list(make())
             self._known[name] = [dict(vars(one)) for one in made]
-            if self._write is not None:
+            if self._write is not None and time.monotonic() >= self._written + self._every_s:
+                self._written = time.monotonic()
                 self._write(lambda path: torch.save({"key": self._key, "steps": self._known}, path))
             return made
         return [kind(**one) for one in self._known[name]]

@@ -11,6 +11,7 @@ import torch
 
 from tests.effects.passes import BODY, CELLS, TUMBLING, WINGS, orbiting, rows
 from tests.test_gradients import FREE_FOIL, SIZED, check, tumbling
+from torchlc.inference.budget import Budget
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, fit_map
 from torchlc.inference.sampler import reweighted, sample
@@ -155,8 +156,8 @@ def test_draws_that_do_not_count_are_not_kept(fit):
     recording = fit.model.recording
     narrow = replace(recording, error=0.2 * recording.error)
     other = Likelihood(LightCurve(fit.model.scene, narrow, effects=["panel_offset"]))
-    assert reweighted(posterior, other, fit.likelihood) is None
-    kept = reweighted(posterior, fit.likelihood, fit.likelihood)
+    assert reweighted(posterior, other, fit.likelihood, Budget()) is None
+    kept = reweighted(posterior, fit.likelihood, fit.likelihood, Budget())
     assert kept is not None
     assert "100%" in kept.note
     every = kept.thin // posterior.thin  # no more are weighed than MOST_WEIGHED

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy import special
 
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
-from torchlc.diagnosis.plan import next_nights
+from torchlc.diagnosis.plan import Forecast, next_nights, told_by
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
 from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import diagnose
@@ -187,10 +188,35 @@ def test_nights_are_planned_with_the_exposures_of_the_recording(demo_search) -> 
     posterior = demo_search.posterior(rival)
     g = torch.zeros(posterior.size, dtype=torch.float64)
     g[[posterior.model.names.index(name) for name in plain.names]] = plain.g
-    g[posterior.model.names.index("background.fraction")] = 1.0  # a tenth of the median flux
-    nights = next_nights(plain, fitted_at(rival, posterior, g))
+    g[posterior.model.names.index("background.fraction")] = 0.03  # 0.3 % of the median flux
+    nights = next_nights([(plain, 0.5), (fitted_at(rival, posterior, g), 0.5)])
     assert "exposure_smearing" in [effect.name for effect in demo_search.bench.base.effects]
-    assert nights and nights[0].margin > nights[-1].margin > 0
+    assert nights and nights[0].information > nights[-1].information >= 0
+    assert all(night.information < math.log(2) + 1e-9 for night in nights)
+
+
+def test_information_of_a_night_is_that_of_two_normal_hypotheses() -> None:
+    """Two forecasts 2 d sigma apart in one direction: the mutual information of a sign and a normal variable, by an integral;
+    none where the forecasts are alike, all of it where they are far apart. What a free number takes up tells nothing."""
+    rows, sigma = 20, torch.full((20,), 0.1, dtype=torch.float64)
+    unit = torch.ones(rows, dtype=torch.float64) / math.sqrt(rows)
+    nothing = torch.zeros(rows, 1, dtype=torch.float64), torch.eye(1, dtype=torch.float64)
+
+    def told(d: float, slopes=nothing):
+        pair = [Forecast(sign * d * 0.1 * unit, *slopes) for sign in (1, -1)]
+        found = told_by(pair, torch.tensor([0.5, 0.5], dtype=torch.float64), sigma, 0)
+        assert found is not None
+        return found
+
+    for d in (0.0, 0.5, 1.0, 2.0, 6.0):
+        x = np.linspace(-12, 12, 4001) + d
+        density = np.exp(-0.5 * (x - d) ** 2) / math.sqrt(2 * math.pi)
+        after = 1 / (1 + np.exp(-2 * d * x))
+        left = -np.trapezoid(density * (special.xlogy(after, after) + special.xlogy(1 - after, 1 - after)), x)
+        assert told(d)[0] == pytest.approx(math.log(2) - left, abs=0.04), d  # 400 draws
+    assert told(6.0)[1] > 0.99 and told(0.0)[1] == 0.0
+    absorbed = unit[:, None] * 100.0, torch.eye(1, dtype=torch.float64)
+    assert told(2.0, absorbed)[0] < 0.01
 
 
 @pytest.mark.parametrize("offsets", [(-10.0, 10.0, -10.0), (0.0, 0.0)])

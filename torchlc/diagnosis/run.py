@@ -13,7 +13,7 @@ from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
-from torchlc.diagnosis.plan import next_nights, sentence
+from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
 from torchlc.diagnosis.probabilities import Probabilities, probabilities
 from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
@@ -23,7 +23,6 @@ from torchlc.files.steps import Steps
 from torchlc.inference.posterior import Fitted, fitted_at
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import Entry
 
 QUICK_S = 20.0
 GROSS_P = 1e-6
@@ -77,7 +76,7 @@ def diagnose(
     if final is not leader:
         final_gate = _gate(final, found, {}, seed, level=False)
     proof = _proof(search, odds, null, final)
-    nights, advice = _next(search, odds, final, clock)
+    nights, advice = _next(search, odds, clock)
     return Diagnosis(
         search=search,
         odds=odds,
@@ -198,16 +197,12 @@ def fitted_bare(search: Search, final: Fitted) -> Fitted:
     return fitted_at(hypothesis, bare, bare.coordinates(theta))
 
 
-def _next(search: Search, odds: Probabilities, final: Fitted, clock: Clock):
-    """Candidate nights for the first tied family, and the advice in a sentence."""
-    tied = next((family for family in odds.families if len(family) > 1), None)
-    if tied is None or odds.verdict != "missing_physics" or not clock.left():
+def _next(search: Search, odds: Probabilities, clock: Clock):
+    """Candidate nights for the sets that the data leave possible, and the advice in a sentence."""
+    every = sorted([((), odds.nothing + odds.noise), *odds.sets], key=lambda one: -one[1])
+    possible = [(entries, p) for entries, p in every if p >= LEAST_P][:MOST_SETS]
+    if len(possible) < 2 or possible[0][1] >= TOLD or odds.spare <= 0 or not clock.left():
         return [], ""
-    others = {entry for entry in odds.best if Entry.parse(entry).name != tied[0]}
-    rivals = [
-        one
-        for one in search.ranked()
-        if others <= set(one.plain) and len(one.added) == len(odds.best) and tied[1] in one.names
-    ]
-    options = next_nights(final, search.visited[rivals[0]])
-    return options, sentence(options, tied[0], tied[1], search.bench.scene.orbit.known)
+    options = next_nights([(search.best(*entries), p) for entries, p in possible], search.seed)
+    names = [" with ".join(entries) or "nothing missing" for entries, _ in possible]
+    return options, sentence(options, names, search.bench.scene.orbit.known)

@@ -43,10 +43,12 @@ EVENT = "time, for a while"
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A change of the light that follows ``coordinate``, beside a hypothesis: what it gains in log evidence, with prior odds;
+    """A change of the light that follows ``coordinate``, beside a hypothesis, whose log evidence was ``log_z``: what it gains of that,
+    with prior odds;
     ``curve`` (T,) and its standard deviation ``band`` (T,), mag; ``rows`` (T,) where an event is."""
 
     beside: Hypothesis
+    log_z: float
     coordinate: str
     log_gain: float
     log_odds: float
@@ -99,7 +101,8 @@ def gains(u: Tensor, tangent: Tensor, mean: Tensor, columns: Tensor) -> Tensor:
 
 
 def _along(at: Fitted, name: str, value: Tensor, plain: float, log_odds: float) -> Discrepancy:
-    sizes = at.sigma.median()
+    # of magnitudes that are compared in flux to a power the unit of a row depends on its datum, and the curve must not
+    sizes = at.sigma.median() * (at.scale[:, None] if at.likelihood.kind == "mag" else 1.0)
     bases = torch.stack([process(value, length) * a * sizes for length in LENGTHS for a in AMPLITUDES])
     gain = gains(at.delta / at.sigma, at.tangent[: len(at.delta)], at.g, bases / at.sigma[:, None])
     best = int(gain.argmax())
@@ -178,9 +181,11 @@ def _refitted(
         (fit(at.hypothesis, posterior, one[None]) for one in (start, other)), key=lambda one: one.laplace
     )
     own = slice(posterior.first, posterior.size)
-    unit = at.scale if at.likelihood.kind != "mag" else torch.ones_like(at.scale)
+    unit = at.scale
     curve = basis @ found.g[own] / unit
     band = (
         torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
     )
-    return Discrepancy(at.hypothesis, name, found.laplace - plain + spread, log_odds, curve, band, rows)
+    return Discrepancy(
+        at.hypothesis, at.log_z, name, found.laplace - plain + spread, log_odds, curve, band, rows
+    )

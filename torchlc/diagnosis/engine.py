@@ -58,6 +58,8 @@ CLEAN_P = 0.05
 LEAST_SCORE = 6.0
 """Twice what a signature has to promise in log density, that an effect is added to a set for it: probed values lie apart, and
 the best may reach half as much again, the 9 below which an effect counts as not seen."""
+BETTER = 0.5
+"""Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 GROWN = 8
 BEAM = 3
 MOST_LOOKED = 6
@@ -509,7 +511,9 @@ class Search:
                 self.refit(hypothesis, theta[None], at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:
-        """What the library does not hold, beside nothing and beside the leading set, where that was not asked before."""
+        """What the library does not hold, beside nothing and beside the leading set, where that was not asked before, or where a
+        better minimum was found since."""
+        self.odd = [odd for odd in self.odd if self.visited[odd.beside].log_z < odd.log_z + BETTER]
         known = {odd.beside for odd in self.odd}
         for added in dict.fromkeys([(), self.leader.added]):
             best = self.ranked(one for one in self.visited if one.added == added)[0]
@@ -528,7 +532,7 @@ class Search:
 
     def odd_log_odds(self, odd: Discrepancy) -> float:
         """Log odds of a discrepancy with what it stands beside."""
-        return self.log_odds(odd.beside) + odd.log_gain + odd.log_odds
+        return odd.log_z + self.bench.log_odds(odd.beside) + odd.log_gain + odd.log_odds
 
     def strongest(self) -> Discrepancy | None:
         """The discrepancy of highest odds."""

@@ -150,6 +150,33 @@ def test_errors_that_are_too_large_leave_no_structure(ball) -> None:
     assert _gate(at, {}, {}, 0, level=False).global_p > 0.01
 
 
+def test_counted_photons_follow_no_curve(ball) -> None:
+    """Magnitudes of 10 to 40 photons a row, errors from what was counted, so that rows are compared in a power of the flux: what
+    moves with the datum there is no curve of time, which would explain the noise itself."""
+    scene, recording = ball
+    rng = np.random.default_rng(5)
+    expected = np.linspace(10, 40, len(recording))
+    counted = rng.poisson(expected).clip(1)
+    photons = replace(
+        recording,
+        observed=recording.observed - 2.5 * np.log10(counted / expected),
+        error=2.5 / math.log(10) / np.sqrt(counted),
+    )
+    search = searched((scene, photons))
+    null = search.visited[Hypothesis().under(*search.robust)]
+    assert null.likelihood.power is not None and float(null.scale.std()) > 0.05
+    coordinates = {"time": torch.from_numpy(recording.seconds - recording.seconds.min())}
+    assert max(one.log_gain for one in discrepancies(null, coordinates, search.bench)) < 3
+
+
+def test_what_was_judged_by_its_linear_form_is_not_named(ball) -> None:
+    """A set whose linear form is far ahead, and which was not fitted: the answer is among what was."""
+    search = searched(ball)
+    search.linear[Hypothesis(("background",))] = search.log_odds(search.leader) + 30.0
+    odds = probabilities(search, 0.5)
+    assert odds.verdict in ("adequate", "noise_model") and not odds.effects
+
+
 def test_an_event_that_comes_quickly_and_goes_slowly_is_found_where_it_is(ball) -> None:
     """A dip of 0.15 mag that decays within half an hour: its window, and its course, to three bands."""
     recording = ball[1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchlc.diagnosis.engine import Search
+from torchlc.diagnosis.engine import NEAR, Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
@@ -130,10 +130,13 @@ def worth_of_p(p: float) -> float:
 
 
 def probabilities(search: Search, p_left: float) -> Probabilities:
-    """What was visited, weighed; ``p_left`` is the p-value of what the leader leaves."""
+    """What was visited, weighed; ``p_left`` is the p-value of what the leader leaves. What was judged by its linear form alone counts
+    as long as that is out of reach of the leader; what is within it is told as not examined."""
     rows: list[tuple[str, Hypothesis, float]] = []
     rows += [("", one, search.log_odds(one)) for one in search.visited]
-    rows += [("", one, log_odds) for one, log_odds in search.linear.items() if one not in search.visited]
+    far = search.log_odds(search.leader) - NEAR
+    judged = {one: odds for one, odds in search.linear.items() if one not in search.visited and odds < far}
+    rows += [("", one, odds) for one, odds in judged.items()]
     rows += [("odd", odd.beside, search.odd_log_odds(odd)) for odd in search.odd]
     leader = max(rows, key=lambda row: row[2])
     leaves = leader[0] == "odd"

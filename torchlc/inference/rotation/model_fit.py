@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
-from torchlc.geometry.rotation.attitude import epoch_seconds
+from torchlc.geometry.rotation.attitude import epochs_seconds
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
 from torchlc.inference.optimiser import laplace, polish
 from torchlc.inference.rotation.connect import Connection, differences
@@ -123,9 +123,10 @@ def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
 
 
 def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
-    """Epoch of the states and its seconds from row 0: the scene's, if it is within a day of the rows, else the first row."""
-    seconds = epoch_seconds(scene, recording, "epoch")
-    if -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
+    """Epoch of the states and its seconds from row 0: the scene's, if it is one and within a day of the rows, else the first
+    row."""
+    seconds, *others = epochs_seconds(scene, recording, "epoch")
+    if not others and -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
         return scene.attitude.epoch, seconds
     return iso_times(recording)[0], 0.0
 

@@ -117,11 +117,13 @@ def main() -> None:
     )
     parser.add_argument("scene", type=Path)
     parser.add_argument("recordings", type=Path, nargs="+")
-    parser.add_argument(
-        "--free", default="phase", help="what is free of the unseen night: phase, or phase,period"
-    )
     given = parser.parse_args()
     scene = torchlc.load(given.scene)
+    phase = scene.attitude.phase
+    if not isinstance(phase, Free) or phase.per != "night":
+        raise SystemExit(
+            f"{given.scene}: attitude.phase is one for all nights; torchlc rotation writes one for each"
+        )
     recording = joined([usable(scene, path) for path in given.recordings])
     for night in recording.night_ids:
         one = unseen(scene, recording, night)

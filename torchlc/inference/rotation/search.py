@@ -184,7 +184,7 @@ def search_rotation(
         warnings += told
     found = [one for one in found if math.isfinite(one.chi2)]
     modes, loose = merged(found, rows), []
-    if len(recording.night_ids) > 1 and _unjoined(found, rows):
+    if len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows):
         apart = _apart(scene, recording, rows, locals_, found, tilted, say)
         loose = merged(apart, rows)
         if loose and _one_rate_fails(apart, found, rows):

@@ -31,6 +31,8 @@ html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_substitutions = {
     "blocks": proof.BLOCKS,
+    "runs": proof.RUNS,
+    "longest": posterior.LONGEST,
     "clean_p": f"{engine.CLEAN_P:g}",
     "dear": f"{engine.DEAR_FIT_S:g}",
     "draws": gate.DRAWS,

@@ -31,6 +31,7 @@ from torchlc.effects import effect_class
 from torchlc.inference.budget import Budget
 from torchlc.inference.optimiser import find_modes
 from torchlc.inference.posterior import (
+    UNLIKE,
     Fitted,
     Linear,
     Posterior,
@@ -57,6 +58,8 @@ GROWN = 8
 BEAM = 3
 MOST_LOOKED = 6
 DRAWS = 500
+RIVALS_SHARE = 2
+"""What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
 DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
@@ -178,7 +181,18 @@ class Search:
                 )
                 if name in known:
                     g[:, column] = noise_from.g[known[name]]
-        return self.keep(fit(hypothesis, posterior, g, **options))
+        best = max(map(self.log_odds, self.visited), default=-math.inf)
+        # the scene's own model, which all gains are counted from, is fitted to the end
+        floor = best - REACH - self.bench.log_odds(hypothesis) if hypothesis.added else -math.inf
+        nominal = self.nominal_columns(posterior)
+        return self.keep(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+
+    def nominal_columns(self, posterior: Posterior) -> list[int]:
+        """Columns of the scene's own geometry, where there are others that leave that as it is."""
+        own = set(self.bench.likelihood(Hypothesis()).model.names)
+        names = posterior.model.names
+        found = [column for column in posterior.model.assembly.geometry_columns if names[column] in own]
+        return found if set(posterior.physical) - set(found) else []
 
     def null(self) -> None:
         """The scene's own model, under the robust noise and under every other."""
@@ -217,9 +231,10 @@ class Search:
         if found is not None and len(found.psi) and columns:
             likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
             psi[: len(likely)] = likely[:places]
-        pool = [carried(parameters, one.theta[None], one.names) for one in (*at.minima[:2], *others)]
-        pool = pool[:1] if posterior.dear else pool
-        starts = torch.cat([one.repeat(len(psi), 1) for one in pool])
+        pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
+        starts = torch.cat(
+            [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
+        )
         starts[:, columns] = psi.repeat(len(pool), 1)
         new = self.refit(hypothesis, starts, at, turns=1, most=2)
         posterior.model.forget()
@@ -281,11 +296,13 @@ class Search:
         return False
 
     def singles(self, entries: Sequence[str]) -> None:
-        """Every candidate alone, first what its signature promises most; then from the leaders' materials."""
+        """Every candidate alone, first those that are fitted fast, and of these what its signature promises most: they set the mark
+        that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
         self.probes = self.probe_all(at, entries)
-        order = sorted(self.probes, key=lambda entry: -self.probes[entry].score)
+        geometry = {entry: bool(self.moved_by(entry)) for entry in self.probes}
+        order = sorted(self.probes, key=lambda entry: (geometry[entry], -self.probes[entry].score))
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 break
@@ -295,6 +312,11 @@ class Search:
                 self.extend(at, entry, self.probes[entry])
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
+
+    def moved_by(self, entry: str) -> set[int]:
+        """Columns of an effect's own parameters that move the geometry, which takes longest to fit."""
+        model = self.posterior(self.best().hypothesis.under(*self.robust).with_effect(entry)).model
+        return set(model.assembly.geometry_columns) & set(effect_columns(model.parameter_set, entry))
 
     def tell_unexamined(self) -> None:
         """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""
@@ -314,14 +336,18 @@ class Search:
             at = self.visited[one]
             if not self.clock.left(0.7) or at.posterior.dear or not at.posterior.physical:
                 continue
+            parameters = at.model.parameter_set
+            materials = [k for k, free in enumerate(parameters.free) if free.origin.role == "materials"]
+            known = [other.g[materials] for other in at.minima]
             starts = []
             for leader in leaders:
-                if leader.hypothesis == one:
-                    continue
-                theta = carried(at.model.parameter_set, leader.theta[None], leader.names)
-                columns = [c for entry in one.added for c in effect_columns(at.model.parameter_set, entry)]
+                theta = carried(parameters, leader.theta[None], leader.names)
+                columns = [c for entry in one.added for c in effect_columns(parameters, entry)]
                 theta[:, columns] = at.theta[columns]
-                starts.append(theta)
+                g = at.posterior.coordinates(theta)[0, materials]
+                if materials and all(float((g - other).abs().max()) > UNLIKE for other in known):
+                    known.append(g)
+                    starts.append(theta)
             if starts:
                 self.refit(one, torch.cat(starts), at, turns=1, most=1)
 
@@ -356,9 +382,8 @@ class Search:
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
                 break
-            for entry in (
-                best[0].added if self.log_odds(best[0]) > self.log_odds(sized[0]) - REACH else ()
-            ):  # shrink, then swap
+            close = not clean and self.log_odds(best[0]) > self.log_odds(sized[0]) - REACH
+            for entry in best[0].added if close else ():  # shrink, then swap
                 fewer = best[0].without(entry)
                 at = self.visited[best[0]]
                 theta = carried(self.bench.likelihood(fewer).model.parameter_set, at.theta[None], at.names)
@@ -416,7 +441,8 @@ class Search:
                 if self.log_odds(one) < top - NEAR or not self.clock.left(0.95):
                     break
                 if self.visited[one].evidence is None:
-                    self.visited[one] = integrated(self.visited[one], DRAWS, one.seed + self.seed)
+                    draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
+                    self.visited[one] = integrated(self.visited[one], draws, one.seed + self.seed)
 
     def nominal_sizes(self) -> None:
         """Sizes that are only nominal in the place of the area that the leading set adds."""

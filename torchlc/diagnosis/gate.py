@@ -16,7 +16,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchlc.inference.posterior import Fitted
+from torchlc.inference.posterior import BAD_ROW, Fitted
 
 DRAWS = 2000
 LAGS = (1, 2, 4, 8)
@@ -153,7 +153,7 @@ def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gat
     generator = torch.Generator().manual_seed(seed)
     z = torch.randn(draws, len(basis), generator=generator, dtype=at.delta.dtype)
     z = z - (z @ basis) @ basis.T
-    good = (at.outlying() < 0.5).to(z)
+    good = (at.outlying() < BAD_ROW).to(z)
     u, null_u = normal_scores(at)[None] * good, z[:, :rows] * good
     prior, null_prior = at.g[None, [index - rows for index in peaked]], z[:, peaked]
     if at.likelihood.fitted_errors:

@@ -12,6 +12,7 @@ from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
+from torchlc.inference.posterior import BAD_ROW
 from torchlc.stages.effect import Entry
 
 UNKNOWN_ODDS = 0.02
@@ -23,8 +24,6 @@ LEAST_TAKEN, FAR = 0.5, 6.0
 that the others leave, of which a row counts for FAR errors at most: several bend a model to much that is none of them."""
 WEIGHED = 1e-3
 """Probability below which it makes no difference what of a hypothesis could be seen."""
-BAD = 0.5
-"""Probability above which a row is taken as bad."""
 TOLD = 0.5
 """Probability above which something is named."""
 
@@ -218,7 +217,7 @@ def share_taken(search: Search, hypothesis: Hypothesis) -> float:
     """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, of rows that are good under
     it."""
     before, after = search.best(), search.visited[hypothesis]
-    good = after.outlying() < BAD
+    good = after.outlying() < BAD_ROW
     squares = [
         float((one.delta / after.quoted)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
     ]

@@ -25,8 +25,11 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.noise import HALF_LOG_2PI, Law
 
 BLOCKS = 5
+RUNS, SHORTEST_RUN = 3, 10
+"""Runs of rows that a block is made of, where they have at least so many rows: one run of a fifth of the recording may hold all that is
+known of a material, such as the only glint, and then tells how far a fit extrapolates, not what it leaves out."""
 GAP = 0.025
-"""Of the rows, left out on either side of a block that is a run of rows, so that noise that rows share is forgotten."""
+"""Of the rows, left out on either side of a run of rows, so that noise that rows share is forgotten."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Unseen:
 
 def make_blocks(seconds: Tensor, group: Tensor, count: int = BLOCKS) -> list[tuple[Tensor, Tensor]]:
     """Rows of each block, and the rows left out with it: whole groups (curves or nights) if there are at least four, dealt
-    into at most ``count`` blocks; else runs of rows of equal number, with a gap on either side."""
+    into at most ``count`` blocks; else runs of rows of equal number, up to RUNS a block, with a gap on either side of each."""
     ids = torch.unique(group)
     if len(ids) >= 4:
         folds = min(count, len(ids))
@@ -52,9 +55,16 @@ def make_blocks(seconds: Tensor, group: Tensor, count: int = BLOCKS) -> list[tup
     order = torch.argsort(seconds)
     total = len(order)
     folds = min(count, max(2, total // 4))
-    edges = [round(total * k / folds) for k in range(folds + 1)]
-    gap = max(1, round(GAP * total))
-    return [(order[a:b], order[max(0, a - gap) : min(total, b + gap)]) for a, b in pairwise(edges)]
+    runs = folds * max(1, min(RUNS, total // (folds * SHORTEST_RUN)))
+    edges = [round(total * k / runs) for k in range(runs + 1)]
+    gap = max(1, round(GAP * total / (runs // folds)))
+    spans = list(pairwise(edges))
+    rows = [torch.cat([order[a:b] for a, b in spans[fold::folds]]) for fold in range(folds)]
+    removed = [
+        torch.unique(torch.cat([order[max(0, a - gap) : min(total, b + gap)] for a, b in spans[fold::folds]]))
+        for fold in range(folds)
+    ]
+    return list(zip(rows, removed, strict=True))
 
 
 def difference(first: Unseen, second: Unseen) -> tuple[float, float]:
@@ -90,7 +100,8 @@ def _without(at: Fitted, removed: Tensor) -> Fitted | None:
     )
     if likelihood.model.names != at.names:
         return None
-    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1)
+    slopes = at.slopes[torch.as_tensor(kept)][None]
+    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1, slopes=slopes)
 
 
 def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from torchlc.diagnosis.words import added_values, lines, probability, statistic,
 from torchlc.effects import with_title
 from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
-from torchlc.inference.posterior import Fitted
+from torchlc.inference.posterior import BAD_ROW, Fitted
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 SCHEMA = "torchlc-diagnosis/2"
 DRAWS = 4000
 MOST_SETS = 12
-BAD_ROW = 0.5
-"""Probability above which a row is told to be an outlier."""
 CURVE_POINTS = 64
 
 

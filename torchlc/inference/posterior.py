@@ -41,19 +41,26 @@ AT_ONCE = 256
 """Draws that are worked out together."""
 DEAR_S = 4e-3
 """CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
-SPREAD = 1e-13
-"""Of a coordinate: a ten-millionth of the step by which slopes are taken."""
 WIDE_MAG = 0.1
 """Standard deviation, mag, that errors are given on the way from a start, where residuals are of the order of a
 magnitude: at the quoted errors every row would be an outlier there, and pull at nothing."""
+BAD_ROW = 0.5
+"""Probability above which a row is taken as, and told to be, an outlier."""
 APART = 2.0
 """Standard deviations between minima that count as two."""
 UNLIKE = 0.5
 """Standard deviations of the prior between points on their way that count as two."""
 DEPTH = 8.0
 """Log density below the best within which a minimum is kept: 1/3000 of the mass, if it is as wide."""
-TOLERANCE = 1e-5
-"""Share of the cost that a step has to gain: some 0.002 in log density."""
+TOLERANCE = 1e-4
+"""Share of the cost that a step has to gain: some 0.02 in log density."""
+LEFT = 0.02
+"""Log density that a fit may leave to be gained: a fiftieth of what one standard deviation costs twice over."""
+FARTHER = 5.0
+"""How many times DEPTH a fit may lie behind the best as long as the nominal geometry stays where it is."""
+LONGEST = 4.0
+"""How many times what slopes promise a fit is believed to gain at most, on its way from where it was begun."""
+MOST_POLISHED = 2
 NOISE_STEPS = 8
 FIRST_STEPS, STEPS, LAST_STEPS = 6, 25, 8
 MOST_MINIMA = 4
@@ -81,8 +88,8 @@ class Posterior:
 
     @cached_property
     def seconds_each(self) -> float:
-        """CPU seconds that a new geometry takes; 0 where it is fixed."""
-        if not self.model.geometry_free:
+        """CPU seconds that a new geometry takes; 0 where it is fixed, or of so few facets that it is not worth the watch."""
+        if not self.model.geometry_free or self.model.evaluator.gridded:
             return 0.0
         g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
         with torch.no_grad():
@@ -116,21 +123,15 @@ class Posterior:
         return torch.exp(SCALE_SIGMA * g[..., self.own : self.own + 1]) if self.scaled else 1.0
 
     def residuals(self, g: Tensor) -> Residuals:
-        return self.residuals_alike(self._apart(g))
-
-    def residuals_alike(self, g: Tensor) -> Residuals:
-        """Residuals at coordinates (..., P), few of which are of different geometry."""
+        """Residuals at coordinates (..., P)."""
         found = self.likelihood.residuals(self.theta(g))
         return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
 
-    def _apart(self, g: Tensor) -> Tensor:
-        """Coordinates (..., P) of a batch, the geometry of each its own by SPREAD: a batch of geometries is worked out in one
-        vectorised call where few are alike, and those that are would each be worked out alone."""
-        columns = self.model.assembly.geometry_columns
-        if g.ndim < 2 or len(g) < 2 or not columns or self.model.parts_meet or torch.is_grad_enabled():
-            return g
-        offset = SPREAD * torch.arange(len(g), dtype=g.dtype)
-        return g.index_add(1, torch.tensor(columns[:1]), offset[:, None])
+    def under(self, found: Residuals, g: Tensor, new: Tensor) -> Residuals:
+        """Residuals found at g (P,) as they are at new coordinates (P,) that differ in the noise alone."""
+        return (
+            replace(found, sigma=found.sigma * (self.factor(new) / self.factor(g))) if self.scaled else found
+        )
 
     def noise(self, g: Tensor) -> Noise:
         return self.model.noise(self.theta(g))
@@ -256,6 +257,19 @@ class Fitted:
     def minima(self) -> tuple[Fitted, ...]:
         return (self, *self.others)
 
+    @property
+    def left(self) -> float:
+        """What a step to where the slopes point would gain in log density; inf where they do not say, for want of a law of
+        errors whose weights they have."""
+        index = torch.tensor(self.posterior.physical, dtype=torch.long)
+        if not len(index):
+            return 0.0
+        tangent = self.tangent[:, index]
+        u = torch.cat([self.whitened(self.delta[:, None])[:, 0], self.g])
+        free = (self.g[index].abs() < FARTHEST).to(u)
+        gradient = free * (tangent.T @ u)
+        return float(0.5 * gradient @ torch.linalg.solve(tangent.T @ tangent, gradient))
+
     def whitened(self, columns: Tensor) -> Tensor:
         """Columns (T, n) divided by the root of the noise's covariance about this minimum."""
         if not self.noise.processes:
@@ -311,19 +325,23 @@ def deviance(law: Law, u: Tensor) -> Tensor:
 
 
 def descend(
-    posterior: Posterior, starts: Tensor, iterations: int, noise: Noise | None = None, *, still: bool = False
+    posterior: Posterior,
+    starts: Tensor,
+    iterations: int,
+    noise: Noise | None = None,
+    *,
+    held: Sequence[int] = (),
+    slopes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Levenberg-Marquardt from coordinates (S, P), the noise at that of the first if none is given: points, best first, and
-    their costs. ``still`` leaves a geometry that all starts have where it is: then it is worked out once, and not for every
-    start and slope."""
+    their costs. Columns ``held`` stay at their values in the first start. ``slopes`` (S, T, P) are d residual / d g about the starts, as far as they are known, NaN elsewhere: they spare those of
+    a free geometry."""
     if not posterior.physical:
         return starts[:1], starts.new_zeros(1)
-    chosen = posterior.physical
+    chosen = [column for column in posterior.physical if column not in held]
+    if not chosen:
+        return starts[:1], starts.new_zeros(1)
     geometry = posterior.model.assembly.geometry_columns
-    still = still and bool(geometry) and bool((starts[:, geometry] == starts[0, geometry]).all())
-    if still:
-        chosen = [column for column in chosen if column not in geometry] or chosen
-    evaluated = posterior.residuals_alike if still else posterior.residuals
     columns = torch.tensor(chosen)
     stay = starts[0]
     low = torch.full_like(stay[columns], -FARTHEST)
@@ -332,23 +350,58 @@ def descend(
 
     def residual(part: Tensor) -> Tensor:
         whole = stay.repeat(len(part), 1).index_copy(1, columns, part)
-        return torch.cat([rows(evaluated(whole)), part], -1)
+        return torch.cat([rows(posterior.residuals(whole)), part], -1)
 
-    colours = None if still else posterior.colours()
+    dear = [place for place, column in enumerate(chosen) if column in geometry]
+    known = None
+    if dear and slopes is not None:
+        known = _row_slopes(rows, posterior.residuals(starts), slopes[..., columns])
     reached = minimise(
-        residual, starts[:, columns], low, -low, iterations=iterations, tolerance=TOLERANCE, colours=colours
+        residual,
+        starts[:, columns],
+        low,
+        -low,
+        iterations=iterations,
+        tolerance=TOLERANCE,
+        colours=posterior.colours() if chosen == posterior.physical else None,
+        dear=dear,
+        known=known,
     )
     order = torch.argsort(reached.cost)
     points = stay.repeat(len(order), 1).index_copy(1, columns, reached.y[order])
     return points, reached.cost[order]
 
 
-def fit_noise(posterior: Posterior, g: Tensor) -> Tensor:
-    """g (P,) with the noise's coordinates at their best for the residuals of the others, by Newton's method."""
+def _row_slopes(rows: Callable[[Residuals], Tensor], found: Residuals, slopes: Tensor) -> Tensor:
+    """Slopes (S, T + K, K) of rows and of the prior's rows at residuals (S, T) whose own are (S, T, K), some NaN."""
+    starts, _, count = slopes.shape
+    shape = (starts, count, slopes.shape[1])
+
+    def each(one: Tensor) -> Tensor:
+        return one.expand(found.delta.shape)[:, None].expand(shape).flatten(0, 1)
+
+    step = torch.nan_to_num(slopes).transpose(1, 2).reshape(-1, shape[-1])
+    held = replace(
+        found,
+        delta=each(found.delta),
+        sigma=each(found.sigma),
+        scale=each(found.scale),
+        prediction=each(found.prediction),
+    )
+    size = 1e-6 / step.abs().amax(-1, keepdim=True).clamp(min=1.0)
+    change = (rows(replace(held, delta=held.delta + size * step)) - rows(held)) / size
+    change = change.reshape(*shape[:2], -1).transpose(1, 2)
+    own = torch.eye(count, dtype=slopes.dtype).expand(starts, -1, -1)
+    whole = torch.cat([change, own], 1)
+    return torch.where(torch.isfinite(slopes).all(1)[:, None], whole, torch.nan)
+
+
+def fit_noise(posterior: Posterior, g: Tensor, found: Residuals) -> Tensor:
+    """g (P,) with the noise's coordinates at their best for the residuals ``found`` there, by Newton's method."""
     index = posterior.noise_columns
     if not index:
         return g
-    objective = _noise_objective(posterior, g)
+    objective = _noise_objective(posterior, g, found)
     part = g[index]
     value, damping = float(objective(part[None])[0]), 1e-2
     for _ in range(NOISE_STEPS):
@@ -384,9 +437,8 @@ def material_starts(posterior: Posterior, theta: Tensor, count: int, generator: 
         )
 
 
-def _noise_objective(posterior: Posterior, g: Tensor) -> Callable[[Tensor], Tensor]:
-    """Minus the log density (B,) at noise coordinates (B, k), the residuals held at those of g (P,)."""
-    found = posterior.residuals(g)
+def _noise_objective(posterior: Posterior, g: Tensor, found: Residuals) -> Callable[[Tensor], Tensor]:
+    """Minus the log density (B,) at noise coordinates (B, k), the residuals held at those ``found`` at g (P,)."""
     index = torch.tensor(posterior.noise_columns)
     plain = found.sigma / posterior.factor(g)
 
@@ -410,26 +462,95 @@ def fit(
     steps: int = STEPS,
     turns: int = 2,
     most: int = MOST_MINIMA,
+    floor: float = -math.inf,
+    nominal: Sequence[int] = (),
+    slopes: Tensor | None = None,
 ) -> Fitted:
-    """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others."""
-    g = starts
+    """The minima that starts (S, P), the first of which gives the noise, lead to: the one of most mass with the others.
+
+    Columns of a ``nominal`` geometry, of which each value is worked out anew and which the light follows almost in proportion, are first left
+    where each start has them. What their slopes promise from there tells whether the log evidence can come near ``floor``;
+    if not, the fit ends there. ``slopes`` (S, T, P) are d residual / d g about the starts, if they are known.
+    """
+    g, known = starts, slopes
     if len(starts) > most:
         wide = Noise().wider(starts.new_tensor([WIDE_MAG]))
-        reached = descend(posterior, starts, FIRST_STEPS, wide, still=True)[0]
-        g = reached[:1] if posterior.dear else _unlike(reached, 2 * most)
-    g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps)
+        held = _common(posterior, starts, nominal)
+        reached = descend(posterior, starts, FIRST_STEPS, wide, held=held)[0]
+        # the first start is a minimum of a part of this model, which wide errors may leave for good
+        reached = torch.cat([starts[:1], reached])
+        g = reached[1:2] if posterior.dear else _unlike(reached, 2 * most)
+    if nominal:
+        first = _fits_as_they_stand(hypothesis, posterior, g, nominal, turns)[:most]
+        within = [one for one in first if one.laplace + LONGEST * one.left > floor]
+        if not within:
+            return merged([replace(one, covariance=_covariance(one)) for one in first])
+        g = torch.stack([one.g for one in within])
+        known = torch.stack([one.slopes for one in within])
+    g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps, slopes=known)
     leading = g[cost < cost[0] + 2 * DEPTH]
     chosen: list[Tensor] = []
     for one in leading:
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
-    minima = []
-    for one in chosen[:most]:
-        for _ in range(turns if posterior.noise_columns or posterior.likelihood.fitted_errors else 0):
-            one = fit_noise(posterior, one)
-            one = descend(posterior, one[None], LAST_STEPS)[0][0]
-        minima.append(fitted_at(hypothesis, posterior, one))
-    return merged(minima)
+    return merged([polished(_sloped(hypothesis, posterior, one), turns) for one in chosen[:most]])
+
+
+def _common(posterior: Posterior, starts: Tensor, nominal: Sequence[int]) -> Sequence[int]:
+    """The columns of the geometry, or of the ``nominal`` one, if all starts (S, P) have it in common: left there, it is worked out
+    once for all of them."""
+    geometry = posterior.model.assembly.geometry_columns
+    for held in (geometry, nominal):
+        if set(posterior.physical) - set(held) and bool((starts[:, held] == starts[0, held]).all()):
+            return held
+    return ()
+
+
+def _fits_as_they_stand(
+    hypothesis: Any, posterior: Posterior, starts: Tensor, nominal: Sequence[int], turns: int
+) -> list[Fitted]:
+    """Fits from starts (S, P) that leave the ``nominal`` columns of each as they are, noise and the rest in turn; best first,
+    those alike once."""
+    points, costs = [], []
+    for one in torch.unique(starts[:, nominal], dim=0):
+        alike = starts[(starts[:, nominal] == one).all(-1)]
+        reached, cost = descend(posterior, alike, LAST_STEPS, held=nominal)
+        points.append(reached)
+        costs.append(cost)
+    cost, order = torch.sort(torch.cat(costs))
+    near = torch.cat(points)[order][cost < cost[0] + 2 * FARTHER * DEPTH]
+    fits = []
+    for g in _unlike(near, MOST_MINIMA):
+        for _ in range(turns if posterior.noise_columns else 0):
+            g = fit_noise(posterior, g, posterior.residuals(g))
+            g = descend(posterior, g[None], LAST_STEPS, held=nominal)[0][0]
+        fits.append(_sloped(hypothesis, posterior, g))
+    return sorted(fits, key=lambda one: -one.peak)
+
+
+def polished(at: Fitted, turns: int) -> Fitted:
+    """A fit with noise and the rest fitted in turn, then until the slopes there promise no more than LEFT in log density."""
+    posterior = at.posterior
+    levels = posterior.likelihood.fitted_errors
+    turns = turns if posterior.noise_columns or levels else 0
+    for turn in range(turns + MOST_POLISHED):
+        if turn < turns:
+            g = fit_noise(posterior, at.g, at.found)
+            at = _at(at.hypothesis, posterior, g, posterior.under(at.found, at.g, g), at.slopes)
+        if at.left > LEFT or (levels and turn < turns):
+            new = _moved(at)
+            gain, at = new.peak - at.peak, max(at, new, key=lambda one: one.peak)
+            if gain < LEFT and turn >= turns:
+                break
+        elif turn >= turns:
+            break
+    return replace(at, covariance=_covariance(at))
+
+
+def _moved(at: Fitted) -> Fitted:
+    """A fit after a few steps from where it is."""
+    g = descend(at.posterior, at.g[None], LAST_STEPS, slopes=at.slopes[None])[0][0]
+    return _sloped(at.hypothesis, at.posterior, g)
 
 
 def _unlike(points: Tensor, count: int) -> Tensor:
@@ -466,10 +587,15 @@ def _distance(first: Fitted, second: Fitted) -> float:
 @torch.no_grad()
 def fitted_at(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
     """Residuals, slopes and curvature at coordinates g (P,)."""
+    at = _sloped(hypothesis, posterior, g)
+    return replace(at, covariance=_covariance(at))
+
+
+def _sloped(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
+    """Residuals and slopes at coordinates g (P,), as yet without their curvature."""
     found = posterior.residuals(g)
     shape = found.delta.shape
     found = replace(found, sigma=found.sigma.expand(shape), scale=found.scale.expand(shape))
-    noise = posterior.noise(g)
     columns = torch.tensor(posterior.physical, dtype=torch.long)
     far = torch.full_like(g[columns], FARTHEST + 1.0)
     colours = posterior.colours()
@@ -481,10 +607,18 @@ def fitted_at(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
 
     slopes = found.delta.new_zeros(len(found.delta), posterior.size)
     if posterior.physical:
-        slopes[:, columns] = differences(delta, g[None, columns], -far, far, found.delta[None], colours)[0]
+        geometry = posterior.model.assembly.geometry_columns
+        dear = [place for place, column in enumerate(posterior.physical) if column in geometry]
+        slopes[:, columns] = differences(
+            delta, g[None, columns], -far, far, found.delta[None], colours, dear
+        )[0]
+    return _at(hypothesis, posterior, g, found, slopes)
+
+
+def _at(hypothesis: Any, posterior: Posterior, g: Tensor, found: Residuals, slopes: Tensor) -> Fitted:
     peak = float(posterior.held_density(found, g))
-    result = Fitted(hypothesis, posterior, g, found, noise, slopes, peak, torch.eye(len(g), dtype=g.dtype))
-    return replace(result, covariance=_covariance(result))
+    unknown = torch.eye(len(g), dtype=g.dtype)
+    return Fitted(hypothesis, posterior, g, found, posterior.noise(g), slopes, peak, unknown)
 
 
 def _covariance(at: Fitted) -> Tensor:
@@ -492,7 +626,7 @@ def _covariance(at: Fitted) -> Tensor:
     posterior, index = at.posterior, at.posterior.noise_columns
     hessian = at.tangent.T @ at.tangent
     if index:
-        objective = _noise_objective(posterior, at.g)
+        objective = _noise_objective(posterior, at.g, at.found)
         block = second_differences(objective, at.g[index], 1e-3)[1]
         hessian[torch.tensor(index)[:, None], torch.tensor(index)] = block
         if not at.noise.processes:

@@ -15,9 +15,9 @@ from torch import Tensor
 from torchlc.occlusion.batched_rows import picked
 from torchlc.occlusion.outline import Joints, cuts, extent, facing, outline
 from torchlc.occlusion.polygon_union import covered_area, settled
-from torchlc.shapes import Part
+from torchlc.occlusion.reach import overlapping
+from torchlc.shapes import Hull, Part
 from torchlc.shapes.part import like
-from torchlc.tensors.vectors import dot
 
 GRAZING = 1e-9  # cosine of incidence or view below which a facet gives no light worth the division
 TOUCHING = 1e-9  # of the facet's size: a part that rises less above the plane only touches it
@@ -100,26 +100,61 @@ def polygon_fractions(parts: Sequence[Part], *tensors: Tensor) -> tuple[Tensor, 
 def _rows_fractions(
     parts: Sequence[Part], to_sun: Tensor, to_observer: Tensor, *tensors: Tensor
 ) -> list[Tensor]:
+    """Fractions (N, F) of each part; only rows in which the outlines of two parts overlap are worked out."""
+    given = [tensors[k : k + TENSORS_PER_PART] for k in range(0, len(tensors), TENSORS_PER_PART)]
+    corners = [_posed(part, one[0], one[-1]) for part, one in zip(parts, given, strict=True)]
+    joints = [Joints.of(_hull(part), to_sun.device) for part in parts]
     directions = torch.stack([to_sun, to_observer], dim=1)
+    overlap = _overlaps(corners, joints, directions)
+    whole = [to_sun.new_ones(len(to_sun), len(part.faces)) for part in parts]
+    (some,) = torch.stack(list(overlap.values())).any(0).any(-1).nonzero(as_tuple=True)
+    if not len(some):
+        return whole
+    directions = directions[some]
+    overlap = {pair: one[some] for pair, one in overlap.items()}
     posed = []
-    for k, part in enumerate(parts):
-        pose, vertices, normal, u, corners = tensors[TENSORS_PER_PART * k : TENSORS_PER_PART * (k + 1)]
-        pivot = like(part.pivot, pose)
-        assert part.hull is not None
-        joints = Joints.of(part.hull, pose.device)
-        corners = (corners - pivot) @ pose.mT + pivot
-        faces = facing(corners.detach(), joints, directions.detach())
-        posed.append(Posed(part, joints, pose, vertices, normal, u, corners, faces))
-    return [_part_fractions(own, [other for other in posed if other is not own], directions) for own in posed]
+    for part, one, hull, own in zip(parts, given, joints, corners, strict=True):
+        pose, vertices, normal, u, own = (x[some] if len(x) > 1 else x for x in (*one[:-1], own))
+        faces = facing(own.detach(), hull, directions.detach())
+        posed.append(Posed(part, hull, pose, vertices, normal, u, own, faces))
+    for k, own in enumerate(posed):
+        others = [other for other in range(len(posed)) if other != k]
+        reach = torch.cat([overlap[min(k, other), max(k, other)] for other in others], dim=-1)
+        fractions = _part_fractions(own, [posed[other] for other in others], reach, directions)
+        whole[k] = whole[k].index_copy(0, some, fractions)
+    return whole
 
 
-def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) -> Tensor:
-    """Fractions (N, F) of one part; directions (N, 2, 3), to the Sun and to the observer."""
+def _hull(part: Part) -> Hull:
+    assert part.hull is not None
+    return part.hull
+
+
+def _posed(part: Part, pose: Tensor, corners: Tensor) -> Tensor:
+    pivot = like(part.pivot, pose)
+    return (corners - pivot) @ pose.mT + pivot
+
+
+def _overlaps(
+    corners: Sequence[Tensor], joints: Sequence[Joints], directions: Tensor
+) -> dict[tuple[int, int], Tensor]:
+    """Along which of the directions (N, 2) two parts, by their numbers, may hide each other."""
+    hulls = [(one.detach(), hull.edges) for one, hull in zip(corners, joints, strict=True)]
+    return {
+        (k, other): overlapping(hulls[k], hulls[other], directions.detach())
+        for other in range(len(hulls))
+        for k in range(other)
+    }
+
+
+def _part_fractions(target: Posed, others: Sequence[Posed], overlap: Tensor, directions: Tensor) -> Tensor:
+    """Fractions (N, F) of one part; directions (N, 2, 3), to the Sun and to the observer. Others (N, 2 others) that may hide the
+    Sun (even) or observer (odd) are those whose outlines ``overlap`` with its own."""
     normal = (target.normal @ target.pose.mT).detach()
     upright = (normal @ directions.detach().mT > GRAZING).all(dim=-1)
     fractions = normal.new_ones(upright.shape)
     row, facet = upright.nonzero(as_tuple=True)
-    reach = _in_reach(target, others, row, facet, directions)
+    reach = overlap[row]
     close = reach.any(dim=-1)
     row, facet, reach = row[close], facet[close], reach[close]
     if not len(row):
@@ -155,34 +190,6 @@ def _part_fractions(target: Posed, others: Sequence[Posed], directions: Tensor) 
         covered = (covered / whole).clamp(0.0, 1.0)
         fractions = fractions.index_put((row[alike], facet[alike]), 1.0 - covered)
     return fractions
-
-
-@torch.no_grad()
-def _in_reach(
-    target: Posed, others: Sequence[Posed], row: Tensor, facet: Tensor, directions: Tensor
-) -> Tensor:
-    """Which others (P, 2 others) may hide the Sun (even) or observer (odd) from P facets turned to both.
-
-    The bounding sphere of a facet, moved along the direction, has to meet that of the other.
-    """
-    pivot = like(target.part.pivot, directions)
-    at_rest = target.vertices.mean(dim=2)
-    apart = target.vertices - at_rest[:, :, None]
-    radius = torch.sqrt(dot(apart, apart).amax(dim=-1))
-    middle = ((at_rest - pivot) @ target.pose.mT + pivot).expand(len(directions), -1, -1)[row, facet]
-    radius = radius.expand(len(directions), -1)[row, facet]
-    reach = []
-    for other in others:
-        centre = other.corners.mean(dim=1)
-        apart = other.corners - centre[:, None]
-        size = torch.sqrt(dot(apart, apart).amax(dim=-1))
-        offset = picked(centre, row) - middle
-        squared = dot(offset, offset)
-        both = picked(size, row) + radius
-        for side in range(2):
-            along = dot(offset, directions[row, side])
-            reach.append((squared - along**2 < both**2) & (along > -both))
-    return torch.stack(reach, dim=-1)
 
 
 def _outlines(planes: Planes, reach: Tensor, others: Sequence[Posed]) -> tuple[Tensor, Tensor, Tensor]:

@@ -388,6 +388,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._kept: dict[bytes, Sequence[Tensor]] = {}
+        self._bytes = 0
 
     def recall(
         self, inputs: Sequence[Sequence[Tensor]], compute: Callable[[list[int]], Sequence[Tensor]]
@@ -399,14 +400,17 @@ class Memory:
         keys = [_digest(item) for item in inputs]
         new = {key: k for k, key in enumerate(keys) if key not in self._kept}
         found = compute(list(new.values())) if new else ()
-        self._kept |= {key: [one[place].clone() for one in found] for place, key in enumerate(new)}
+        made = {key: [one[place].clone() for one in found] for place, key in enumerate(new)}
+        self._kept |= made
+        self._bytes += sum(map(_size, made.values()))
         whole = [torch.stack(column) for column in zip(*(self._kept[key] for key in keys), strict=True)]
-        while len(self._kept) > 1 and self._size() > LARGEST_MEMORY:
-            self._kept.pop(next(iter(self._kept)))
+        while len(self._kept) > 1 and self._bytes > LARGEST_MEMORY:
+            self._bytes -= _size(self._kept.pop(next(iter(self._kept))))
         return whole
 
-    def _size(self) -> int:
-        return sum(one.numel() * one.element_size() for kept in self._kept.values() for one in kept)
+
+def _size(tensors: Sequence[Tensor]) -> int:
+    return sum(one.numel() * one.element_size() for one in tensors)
 
 
 def _digest(tensors: Sequence[Tensor]) -> bytes:

@@ -38,6 +38,8 @@ class Evaluator(ABC):
 
     way: ClassVar[str]
     own_error_mag: float = 0.0
+    gridded: bool = False
+    """True if geometries of a batch are worked out together, on one grid of a few facets."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import torch
@@ -24,7 +25,7 @@ from torchlc.stages.effect import Brightness, Patch, Surface, View
 from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48
-"""Compact tables of past geometries that are kept."""
+"""Tables of past geometries that are kept."""
 MOST_GRIDDED = 64
 """Facets and instants together up to which a batch of geometries is worked out on one grid of all pairs, and
 beyond which only the pairs that are lit and seen are."""
@@ -89,13 +90,34 @@ class ExactGeometry(Evaluator):
             distinct, member = rows, None
             if not torch.is_grad_enabled() and readable(rows):
                 distinct, member = self._geometries(rows)
-            view = self.pipeline.view(self.values(distinct), len(distinct), whole_discs=True)
             still = self.still_surfaces(detail)
-            tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
+            tables = self._on_grid(distinct, detail, still)
             if member is not None and len(distinct) > 1:
                 tables = members(tables, member, still.values())
             pieces.append(self.shone(tables, rows, shares))
         return self.joined(pieces, flat)
+
+    def _on_grid(
+        self, distinct: Tensor, detail: bool, still: dict[Key, Surface | StillPairs | None]
+    ) -> Tables:
+        """Tables of geometries (D, P). That of one alone is kept: a descent that leaves the geometry as it is asks for it again."""
+
+        def make() -> Tables:
+            view = self.pipeline.view(self.values(distinct), len(distinct), whole_discs=True)
+            return self.pipeline.make_tables(view, detail, compact=False, still=still)
+
+        if len(distinct) > 1 or torch.is_grad_enabled() or not readable(distinct):
+            return make()
+        return self._remembered(detail, distinct[0], make)
+
+    def _remembered(self, detail: bool, one: Tensor, make: Callable[[], Tables]) -> Tables:
+        """Tables of the geometry of theta (P,) as they were made before, or now; the last RECENT_TABLES are kept."""
+        key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
+        if key not in self._recent:
+            self._recent[key] = make()
+            if len(self._recent) > RECENT_TABLES:
+                self._recent.pop(next(iter(self._recent)))
+        return self._recent[key]
 
     def _geometries(self, rows: Tensor) -> tuple[Tensor, Tensor | None]:
         """Rows of theta (D, P) with different geometries, and which of them each of ``rows`` (B, P) shares, (B,);
@@ -124,15 +146,11 @@ class ExactGeometry(Evaluator):
         kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
         for index, one in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
-            key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
-            if key not in self._recent:
-                values = self.values(one)
-                self._recent[key] = self.pipeline.make_tables(
-                    self.pipeline.view(values), detail, compact=True
-                )
-                if len(self._recent) > RECENT_TABLES:
-                    self._recent.pop(next(iter(self._recent)))
-            piece = self.chunked(flat[rows], self._recent[key], shares)
+
+            def make(one: Tensor = one) -> Tables:
+                return self.pipeline.make_tables(self.pipeline.view(self.values(one)), detail, compact=True)
+
+            piece = self.chunked(flat[rows], self._remembered(detail, one, make), shares)
             flux[rows] = piece.flux
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares

@@ -116,6 +116,17 @@ def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_pat
         found["modes"][0]["period_s"] / 3600, rel=1e-12
     )
     assert len(result.to_table()) == len(found["modes"])
+    # several counts of turns fit: the leading poles also with a phase for each night, of which no count is taken for granted
+    loose = found["phase_per_pass"][0]
+    assert found["modes"][0]["counts_possible"] > 1 and loose["per_night"] == ["phase"]
+    assert loose["turns_between_passes"] == [] and loose["period_s"] == pytest.approx(PERIOD_S, rel=2e-3)
+    assert any("phase per pass" in line for line in result.lines())
+    apart = torchlc.load(tmp_path / "out" / "scene_per_pass.toml")
+    nights = apart.attitude.phase.values
+    assert list(nights) == [one["night"] for one in loose["nights"]]
+    assert [one % 360 for one in nights.values()] == pytest.approx(
+        [one["phase_deg"] for one in loose["nights"]]
+    )
 
 
 def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,10 +122,10 @@ def shadow_coordinate(view: View, middle: int) -> Tensor:
 def spin_phase(model: LightCurve, values: dict[str, Tensor]) -> Tensor | None:
     """Turns since the spin's epoch modulo 1, (T,); None for an object that does not spin."""
     seconds = model.assembly.context.seconds
-    rate = values.get("attitude.spin_rate")
-    period = values.get("attitude.period")
-    if period is not None:
-        return torch.remainder(seconds / 3600 / period, 1.0)
-    if rate is not None and float(rate) != 0.0:
-        return torch.remainder(seconds / 3600 * rate, 1.0)
+    numbers = model.assembly.scene.attitude.numbers()
+    if "period" in numbers:
+        return torch.remainder(seconds / 3600 / model.assembly.rows(values, "attitude.period"), 1.0)
+    if "spin_rate" in numbers:
+        rate = model.assembly.rows(values, "attitude.spin_rate")
+        return torch.remainder(seconds / 3600 * rate, 1.0) if bool((rate != 0).any()) else None
     return None

@@ -15,7 +15,8 @@ CONTROLS = ("Cc", "Cs", "Zl", "Zp")
 """Unicode's categories of control characters, surrogates and separators of lines."""
 FIXED, FREE = "#fixed", "#free"
 WHOLE, SIDES = "#whole", "#sides"
-"""Tags of the two forms of a number, and of a mesh's directions; they never reach a person."""
+SINGLE, SEVERAL = "#single", "#several"
+"""Tags of the two forms of a number, of a mesh's directions, and of epochs; they never reach a person."""
 
 LARGEST, SMALLEST = 1e30, 1e-30
 """Of a number, and of a standard deviation: their squares are still numbers."""
@@ -53,6 +54,9 @@ class Free(Table):
     lognormal one with median ``value``, or the scale of a halfnormal one. ``low`` and ``high`` truncate it; a
     bound that the scene leaves open is the physical one where there is one. An isotropic prior is for the latitude
     of a direction, deg, from pole to pole unless bounds are given.
+
+    ``per`` divides the number: a value for each curve, station, night or object. ``values`` says by its name where each of
+    these starts, and is centred, in place of ``value``; without bounds and sigma they are fixed there.
     """
 
     value: Real
@@ -61,6 +65,22 @@ class Free(Table):
     sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
     prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal"] = "uniform"
     per: Literal["curve", "station", "night", "object"] | None = None
+    values: dict[str, Real] | None = None
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it is a value for each of ``per``, none of which is free."""
+        return self.values is not None and self.sigma is self.low is self.high is None
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """Every value that it may start at."""
+        return (self.value, *(self.values or {}).values())
+
+    def of(self, member: str) -> Free:
+        """The number of one of ``per``, by its name."""
+        value = (self.values or {}).get(member, self.value)
+        return self.model_copy(update={"value": value, "values": None, "per": None})
 
     @model_validator(mode="before")
     @classmethod
@@ -73,6 +93,10 @@ class Free(Table):
 
     @model_validator(mode="after")
     def _is_a_prior(self) -> Free:
+        if self.values is not None and self.per is None:
+            raise problem("values without per", 'per = "night", say, of which each has its value', "values")
+        if self.fixed and self.model_fields_set.isdisjoint({"prior", "low", "high", "sigma"}):
+            return self
         both = self.low is not None and self.high is not None
         if self.sigma is None and not both:
             raise problem(
@@ -95,14 +119,26 @@ class Free(Table):
                     raise problem(f"{bound:g}", "-90 to 90, a latitude, for an isotropic prior", key)
         if self.prior == "loguniform" and not self.low > 0:  # type: ignore[operator]
             raise problem(f"{self.low:g}", "> 0 for a loguniform prior", "low")
-        if self.prior == "lognormal" and not (self.value > 0 and (self.low is None or self.low >= 0)):
-            raise problem(f"{self.value:g}", "> 0, with low >= 0, for a lognormal prior", "value")
-        if self.prior == "halfnormal" and not self.value >= max(0.0, self.low or 0.0):
-            raise problem(f"{self.value:g}", ">= 0 for a halfnormal prior", "value")
-        low, high = -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
-        if not low <= self.value <= high:
-            raise problem(f"{self.value:g}", f"between low {low:g} and high {high:g}", "value")
+        for key, value in _starts(self):
+            self._may_start_at(key, value)
         return self
+
+    def _may_start_at(self, key: str, value: float) -> None:
+        if self.prior == "lognormal" and not (value > 0 and (self.low is None or self.low >= 0)):
+            raise problem(f"{value:g}", "> 0, with low >= 0, for a lognormal prior", key)
+        if self.prior == "halfnormal" and not value >= max(0.0, self.low or 0.0):
+            raise problem(f"{value:g}", ">= 0 for a halfnormal prior", key)
+        low, high = -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+        if not low <= value <= high:
+            raise problem(f"{value:g}", f"between low {low:g} and high {high:g}", key)
+
+
+def _starts(number: Free) -> list[tuple[str, float]]:
+    """Where a number may start, by the key that says so."""
+    return [
+        ("value", number.value),
+        *((f'values."{name}"', one) for name, one in (number.values or {}).items()),
+    ]
 
 
 def _fixed_or_free(data: Any) -> str:
@@ -122,10 +158,10 @@ def value_of(number: float | Free) -> float:
 def within(number: float | Free, low: float, high: float, *, above: bool = False) -> float | Free:
     """``number`` if it cannot leave [low, high], open bounds filled in; ``above``: its value is not low."""
     expected = (f"> {low:g}" if above else f">= {low:g}") if high == math.inf else f"{low:g} to {high:g}"
-    value = value_of(number)
-    if not low <= value <= high or (above and value == low):
-        raise problem(f"{value:g}", expected, "value" if isinstance(number, Free) else "")
-    if not isinstance(number, Free):
+    for key, value in _starts(number) if isinstance(number, Free) else [("", number)]:
+        if not low <= value <= high or (above and value == low):
+            raise problem(f"{value:g}", expected, key)
+    if not isinstance(number, Free) or number.fixed:
         return number
     for key, bound in (("low", number.low), ("high", number.high)):
         if bound is not None and not low <= bound <= high:

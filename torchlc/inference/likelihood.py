@@ -182,7 +182,8 @@ class Likelihood(Rows):
         if prior_rows:
             peaked = [i for i, free in enumerate(self.model.parameter_set.free) if free.prior.peaked]
             own = torch.tensor(
-                [[i == column or column not in grouped for i in peaked] for column in range(len(names))]
+                [[i == column or column not in grouped for i in peaked] for column in range(len(names))],
+                dtype=torch.bool,
             )
             rows = torch.cat([rows, own.reshape(len(names), len(peaked))], 1)
         return Colours(tuple(every), rows)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -570,8 +571,9 @@ def _prepared(
         if name in pinned:
             bounds[name] = (pinned[name], pinned[name])
         elif isinstance(number, SceneFree):
-            prior = _prior(number, quantity)
-            bounds[name] = (_end(prior, -1.0), _end(prior, 1.0))
+            several = [number.of(member) for member in number.values or ()]
+            ends = [_ends(one, quantity) for one in (number, *several)]
+            bounds[name] = (min(low for low, _ in ends), max(high for _, high in ends))
         elif number is not None:
             bounds[name] = (float(number), float(number))
         elif quantity.unless_set is not None:
@@ -593,6 +595,14 @@ def _prepared(
     context = replace(context, effects=others)
     ready = tuple(effect.prepared(context) if effect.spans_exposure else effect for effect in others)
     return ready, replace(context, effects=ready)
+
+
+def _ends(number: SceneFree, quantity: Quantity) -> tuple[float, float]:
+    """Between what a number lies: itself where it is fixed."""
+    if number.sigma is number.low is number.high is None:
+        return number.value, number.value
+    prior = _prior(number, quantity)
+    return _end(prior, -1.0), _end(prior, 1.0)
 
 
 def _end(prior: Prior, side: float) -> float:
@@ -664,10 +674,10 @@ def _given_number(effect: Effect, quantity: Quantity, scene: Scene) -> Number | 
     if key is None:
         return None
     number = given[key]
-    value = number.value if isinstance(number, SceneFree) else float(number)
-    if not quantity.low <= value <= quantity.high:
-        place = f'model.parameters."{key}"' + (".value" if isinstance(number, SceneFree) else "")
-        raise InputError(scene.source, place, f"{value:g}", _range(quantity))
+    for value in number.starts if isinstance(number, SceneFree) else [float(number)]:
+        if not quantity.low <= value <= quantity.high:
+            place = f'model.parameters."{key}"' + (".value" if isinstance(number, SceneFree) else "")
+            raise InputError(scene.source, place, f"{value:g}", _range(quantity))
     return number
 
 
@@ -768,28 +778,33 @@ def _parameters(
                     f"{name} has a prior uniform in degrees, which favours directions near the poles; "
                     'prior = "isotropic" is uniform on the sphere'
                 )
-            divide(name, origin, _prior(number, quantity), number.value, quantity, number.per)
+            divide(name, origin, number, quantity)
         else:
             fixed[name] = float(number)
 
-    def divide(
-        name: str, origin: Origin, prior: Prior, start: float, quantity: Quantity, division: str | None
-    ) -> None:
-        """One free number, or one for each member of a division."""
-        members = [(name, origin)]
+    def divide(name: str, origin: Origin, number: SceneFree, quantity: Quantity) -> None:
+        """One free number, or one for each member of a division, free or fixed."""
+        division = number.per
+        members = [(name, origin, number)]
         if division is not None:
             if division not in row_index:
                 found, expected = f'per = "{division}"', f"a column {division}, which the recording lacks"
                 raise InputError(scene.source, name, found, expected)
             divided[name] = division
             ids = row_index[division][1]
-            members = [(f"{name}[{member}]", origin.of(division, member)) for member in ids]
-        for full, whose in members:
+            members = [(f"{name}[{one}]", origin.of(division, one), number.of(one)) for one in ids]
+            warnings.extend(_unmet(name, number, ids))
+        for full, whose, own in members:
             origins[full] = whose
             if full in pinned:
                 fixed[full] = pinned[full]
+            elif number.fixed:
+                fixed[full] = own.value
             else:
-                free.append(Free(full, prior, start, quantity.unit, quantity.meaning, whose, quantity.role))
+                prior = _prior(own, quantity)
+                free.append(
+                    Free(full, prior, own.value, quantity.unit, quantity.meaning, whose, quantity.role)
+                )
 
     numbers = scene.numbers()
     for name, origin in scene.origins().items():
@@ -805,17 +820,20 @@ def _parameters(
         add(name, origin, numbers[name], quantity)
     zero_point = scene.model.parameters.get("zero_point", 0.0)
     if isinstance(zero_point, SceneFree) and _from_population(scene):
+        if zero_point.values is not None:
+            expected = "no values: the offsets of objects are integrated out"
+            raise InputError(scene.source, "model.parameters.zero_point.values", "a table", expected)
         zero_point = zero_point.model_copy(update={"per": None})  # that of the population
     add("zero_point", Origin("calibration", "", "zero_point"), zero_point, ZERO_POINT)
     for effect in effects:
         for quantity in effect.quantities:
             name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
             if effect.by is not None:
-                centre = quantity.off or 0.0
-                prior = Prior(
-                    "normal", quantity.low, quantity.high, centre, effect.width or quantity.sigma or 1.0
+                sigma = effect.width or quantity.sigma or 1.0
+                offset = SceneFree(
+                    value=quantity.off or 0.0, sigma=sigma, prior="normal", per=cast(Any, effect.by)
                 )
-                divide(name, origin, prior, centre, quantity, effect.by)
+                divide(name, origin, offset, quantity)
                 continue
             number = _given_number(effect, quantity, scene)
             if isinstance(number, SceneFree):
@@ -838,6 +856,22 @@ def _parameters(
         for a, b in zip(effect.simplex, effect.simplex[1:], strict=False)
     ]
     return ParameterSet(free, fixed, simplex), divided, origins
+
+
+def _unmet(name: str, number: SceneFree, members: Sequence[str]) -> list[str]:
+    """What has to be said where the values of a number and the nights, say, of the recording are not the same."""
+    if number.values is None:
+        return []
+    lacking = [one for one in members if one not in number.values]
+    spare = [one for one in number.values if one not in members]
+    told = []
+    if lacking:
+        told.append(
+            f"{name} has no value for the {number.per} {', '.join(lacking)}: {number.value:g} is taken"
+        )
+    if spare:
+        told.append(f"{name} has values for no {number.per} of the recording: {', '.join(spare)}")
+    return told
 
 
 def _prior(number: SceneFree, quantity: Quantity) -> Prior:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import torch
 
 from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
+from torchlc.geometry.rotation.attitude import epochs_seconds, since_nearest
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.lightcurve.model import LightCurve
@@ -71,7 +72,7 @@ class RotationResult:
             "axis_mode": None if rates is None else "short" if bool(rates.short_axis_mode) else "long",
             "period_rate_ms_per_day": numbers.get("period_rate", 0.0 if "period_rate" in sd else None),
             "period_rate_sd_ms_per_day": sd.get("period_rate"),
-            "epoch": str(mode.scene.attitude.epoch),
+            "epoch": _told_epoch(mode.scene),
             "phase_deg": numbers["phase"] % 360,
             "phase_sd_deg": sd.get("phase"),
             "polhode_phase_deg": numbers["polhode_phase"] % 360 if mode.tumbling else None,
@@ -87,6 +88,17 @@ class RotationResult:
             "above_best": mode.above,
             "rms_mag": mode.rms,
             "passes": [{"period_s": period, "period_sd_s": sd_} for period, sd_ in mode.periods],
+            "per_night": list(mode.apart),
+            "nights": [
+                {
+                    "night": night,
+                    "period_s": 3600 * _of_night(numbers, "period", night),
+                    "period_sd_s": 3600 * _of_night(sd, "period", night),
+                    "phase_deg": numbers[f"phase[{night}]"] % 360,
+                    "phase_sd_deg": sd[f"phase[{night}]"],
+                }
+                for night in mode.nights
+            ],
             "probability": mode.probability,
             "turns_between_passes": list(mode.counts),
             "counts_possible": mode.possible,
@@ -104,6 +116,7 @@ class RotationResult:
                 "verdict": search.verdict,
                 "decided": search.decided,
                 "modes": [self.told(mode) for mode in search.modes],
+                "phase_per_pass": [self.told(mode) for mode in search.loose],
                 "dof": search.dof,
                 "rows": search.rows,
                 "passes": search.passes,
@@ -128,8 +141,15 @@ class RotationResult:
 
     def lines(self) -> list[str]:
         """What a person reads."""
-        lines = [self.search.verdict]
-        for number, mode in enumerate(self.search.modes):
+        lines = [self.search.verdict, *self._mode_lines(self.search.modes)]
+        if self.search.loose:
+            lines.append("with a phase for each night, no count of turns taken for granted:")
+            lines += self._mode_lines(self.search.loose)
+        return lines
+
+    def _mode_lines(self, modes: Sequence[RotationMode]) -> list[str]:
+        lines = []
+        for number, mode in enumerate(modes):
             one = self.told(mode)
             (ra, dec), (lon, lat) = one["pole_icrs"], one["pole_ecliptic_j2000"]
             rate = one["period_rate_ms_per_day"]
@@ -165,6 +185,15 @@ class RotationResult:
                 parts.append(f"turns of the passes, each by itself: {each} s")
             if mode.possible > 1:
                 parts.append(f"{mode.possible} counts of turns between passes fit")
+            if mode.apart:
+                parts[2:3] = [
+                    f"{' and '.join(mode.apart)} per pass: "
+                    + ", ".join(
+                        (f"{night['period_s']:.7g} s " if "period" in mode.apart else "")
+                        + f"{night['phase_deg']:.1f} +- {night['phase_sd_deg']:.1g} deg in {night['night']}"
+                        for night in one["nights"]
+                    )
+                ]
             if mode.mirror:
                 parts.append(mode.mirror)
             lines.append(
@@ -174,7 +203,9 @@ class RotationResult:
 
     def scene(self, number: int = 0) -> Scene:
         """The scene of a mode, ready for a fit or a diagnosis: rotation and materials at its numbers, free near them."""
-        mode = self.search.modes[number]
+        return self._scene(self.search.modes[number])
+
+    def _scene(self, mode: RotationMode) -> Scene:
         scene, numbers = mode.scene, mode.numbers
         names = LightCurve(scene, self.search.recording).names
         found = dict(zip(names, mode.theta.tolist(), strict=True))
@@ -187,7 +218,7 @@ class RotationResult:
         )
         for key in ("period", "phase", "period_rate", "nutation", "polhode_phase"):
             if key in attitude:
-                attitude[key] = _at(attitude[key], numbers[key])
+                attitude[key] = _at(attitude[key], numbers[key], key, numbers)
         if "inertia" in attitude:
             attitude["inertia"] = tuple(
                 _at(one, numbers[f"inertia_{axis}"])
@@ -216,6 +247,8 @@ class RotationResult:
         best = search.modes[0]
         directory.write_json("rotation.json", self.to_json())
         directory.write_text("scene.toml", self.scene().to_toml())
+        if search.loose:
+            directory.write_text("scene_per_pass.toml", self._scene(search.loose[0]).to_toml())
         from torchlc.figures import rotation as figures
         from torchlc.figures.saving import drawn, save
 
@@ -237,6 +270,15 @@ class RotationResult:
             predicted = model(best.theta).numpy()[rows.index.numpy()]
         seconds, number = rows.seconds.numpy(), rows.number.numpy()
         phase, meaning = (seconds / best.period_s) % 1.0, "phase of a turn"
+        if best.apart:
+            since = since_nearest(rows.seconds, epochs_seconds(best.scene, search.recording, "epoch")).numpy()
+            night = search.recording.night[rows.index.numpy()]
+            names = search.recording.night_ids
+            period, start = (
+                np.array([_of_night(best.numbers, key, name) for name in names])[night]
+                for key in ("period", "phase")
+            )
+            phase = (since / (3600 * period) + start / 360) % 1.0
         if best.tumbling:  # no phase of one turn folds it
             first = np.array([seconds[number == one].min() for one in range(rows.passes)])
             phase, meaning = (
@@ -253,13 +295,28 @@ class RotationResult:
         return f"<pre>{html.escape(repr(self))}</pre>"
 
 
-def _at(number: Any, value: float) -> Any:
-    """A number of a scene with another value, still inside its bounds."""
+def _at(number: Any, value: float, key: str = "", numbers: Mapping[str, float] | None = None) -> Any:
+    """A number of a scene with another value, still inside its bounds; with those of nights by ``key`` where it has them."""
     if not isinstance(number, Free) or math.isnan(value):
         return number
     low = -math.inf if number.low is None else number.low
     high = math.inf if number.high is None else number.high
-    return number.model_copy(update={"value": min(max(value, low), high)})
+    nights = {
+        night: min(max(_of_night(numbers or {}, key, night), low), high) for night in number.values or ()
+    }
+    return number.model_copy(
+        update={"value": min(max(value, low), high), **({"values": nights} if nights else {})}
+    )
+
+
+def _of_night(numbers: Mapping[str, float], key: str, night: str) -> float:
+    """A number of a night, or that of all."""
+    return numbers.get(f"{key}[{night}]", numbers.get(key, 0.0))
+
+
+def _told_epoch(scene: Scene) -> str:
+    epoch = scene.attitude.epoch
+    return ", ".join(map(str, epoch)) if isinstance(epoch, tuple) else str(epoch)
 
 
 def _unit(longitude_deg: float, latitude_deg: float) -> np.ndarray:

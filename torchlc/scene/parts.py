@@ -9,13 +9,17 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import (
     AfterValidator,
     BeforeValidator,
+    Discriminator,
     Field,
     SerializeAsAny,
+    Tag,
     field_validator,
     model_validator,
 )
 
 from torchlc.files.numbers import (
+    SEVERAL,
+    SINGLE,
     Constant,
     Direction,
     Free,
@@ -54,6 +58,11 @@ Epoch = Annotated[
     Annotated[str, Field(strict=True)] | Real, BeforeValidator(_iso_text), AfterValidator(_epoch)
 ]
 """ISO text or a Julian date."""
+Epochs = Annotated[
+    Annotated[Epoch, Tag(SINGLE)] | Annotated[tuple[Epoch, ...], Field(min_length=1), Tag(SEVERAL)],
+    Discriminator(lambda data: SEVERAL if isinstance(data, list | tuple) else SINGLE),
+]
+"""One epoch, or several, from the nearest of which a row counts."""
 
 
 class Orbit(Table):
@@ -121,12 +130,12 @@ class Attitude(Table):
     spin_axis: Direction | None = None
     spin_rate: Number = 0.0
     spin_phase: Number = 0.0
-    spin_epoch: Epoch | None = None
+    spin_epoch: Epochs | None = None
     x_angle: Number = 0.0
     pole: tuple[Number, Latitude] | None = None
     period: Positive | None = None
     phase: Number = 0.0
-    epoch: Epoch | None = None
+    epoch: Epochs | None = None
     period_rate: Number = 0.0
     tilt: tuple[Number, Number, Number] | None = None
     nutation: Annotated[Number, between(0, 90)] | None = None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from torchlc.errors import InputError
-from torchlc.files.numbers import FIXED, FREE, SIDES, WHOLE
+from torchlc.files.numbers import FIXED, FREE, SEVERAL, SIDES, SINGLE, WHOLE
 from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def shown(value: Any) -> str:
 
 def place_of(location: Sequence[str | int], key: str = "") -> str | None:
     """``components[1].size[0]`` from pydantic's location, without the tags of unions."""
-    parts = [part for part in location if part not in (FIXED, FREE, WHOLE, SIDES)]
+    parts = [part for part in location if part not in (FIXED, FREE, WHOLE, SIDES, SINGLE, SEVERAL)]
     if parts[:1] == ["materials"] and parts[2:3] == ["parameters"]:
         parts = parts[:2] + parts[3:]
     if parts[:2] == ["model", "band_sun_magnitude"]:

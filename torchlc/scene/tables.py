@@ -42,8 +42,8 @@ class SceneTables(Table):
 
     def __repr__(self) -> str:
         orbit = next(key for key in type(self.orbit).model_fields if getattr(self.orbit, key))
-        free = [name for name, number in self.numbers().items() if isinstance(number, Free)]
-        free += [name for name, number in self.model.parameters.items() if isinstance(number, Free)]
+        numbers = [*self.numbers().items(), *self.model.parameters.items()]
+        free = [name for name, number in numbers if isinstance(number, Free) and not number.fixed]
         effects = "known physics" if self.model.effects is None else ", ".join(self.model.effects) or "none"
         lines = [
             f"Scene: {self.name}",

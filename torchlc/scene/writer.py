@@ -47,7 +47,7 @@ def _value(value: Any) -> str:
     if isinstance(value, str):
         return _string(value)
     if isinstance(value, Free):
-        value = value.model_dump(exclude_none=True)
+        value = value.model_dump(exclude_none=True, exclude={"prior"} if value.fixed else None)
     elif isinstance(value, BaseModel):
         value = {key: getattr(value, key) for key in type(value).model_fields}
     if isinstance(value, Mapping):

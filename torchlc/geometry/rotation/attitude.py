@@ -6,7 +6,8 @@ Letters: T rows; leading axes (...) are batches or instants. Modes map vectors (
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from torchlc.errors import InputError
-from torchlc.files.numbers import value_of
+from torchlc.files.numbers import Free, value_of
 from torchlc.geometry.orbit import State
 from torchlc.geometry.orbit.earth import LIGHT_KM_S, icrs_from_ecliptic
 from torchlc.geometry.rotation.matrices import (
@@ -129,7 +130,9 @@ class Attitude(nn.Module):
         super().__init__()
         attitude = scene.attitude
         self.mode = attitude.mode
-        self.numbers = {f"attitude.{key}": value_of(number) for key, number in attitude.numbers().items()}
+        numbers = attitude.numbers()
+        self.numbers = {f"attitude.{key}": value_of(number) for key, number in numbers.items()}
+        self._rates = _starting_rates(numbers)
         self._spinning = attitude.spin_axis is not None
         if attitude.spin_axis is not None:
             axis = torch.tensor(attitude.spin_axis, dtype=torch.float64)
@@ -137,13 +140,14 @@ class Attitude(nn.Module):
         about = np.array([0.0, 0.0, 1.0] if self.mode in TURNING else attitude.spin_axis or [0.0, 0.0, 1.0])
         about = torch.from_numpy(frame_about(about / np.linalg.norm(about)))
         self.register_buffer("about_spin_axis", about, persistent=False)
-        self._spin_epoch_s = epoch_seconds(scene, recording, "spin_epoch")
+        self._spin_epochs_s = epochs_seconds(scene, recording, "spin_epoch")
         self._retarded = self.mode in TURNING and not recording.light_time_corrected
         if self.mode in ("nadir", "yaw-steering"):
             _check_geometry(scene, recording, needs_velocity=self.mode == "nadir")
         elif self.mode in TURNING:
-            self._epoch_s = epoch_seconds(scene, recording, "epoch")
-            _check_rate(scene, recording.seconds - self._epoch_s, self.numbers)
+            self._epochs_s = epochs_seconds(scene, recording, "epoch")
+            seconds = torch.from_numpy(recording.seconds)
+            _check_rate(scene, recording, since_nearest(seconds, self._epochs_s).numpy())
             frame = icrs_from_ecliptic() if scene.orbit.vectors == "ecliptic" else np.eye(3)
             self.register_buffer("frame", torch.from_numpy(frame), persistent=False)
         elif self.mode == "quaternions":
@@ -156,10 +160,8 @@ class Attitude(nn.Module):
 
     @property
     def spin_rate_at_start(self) -> float:
-        """Rate of spin, rev/h, where the scene's numbers begin; 0 without a spin."""
-        if self.mode in TURNING:
-            return 1 / self.numbers["attitude.period"]
-        return self.numbers["attitude.spin_rate"] if self._spinning else 0.0
+        """Rate of spin, rev/h, where the scene's numbers begin, the fastest if there are several; 0 without a spin."""
+        return max(self._rates, key=abs) if self.spins else 0.0
 
     def rotation(self, state: State, values: Mapping[str, Tensor]) -> Tensor:
         """Body to GCRS, (..., T, 3, 3). ``values`` by full name, degrees, rev/h and hours, broadcast
@@ -187,10 +189,11 @@ class Attitude(nn.Module):
         """The further spin: phase + 360 deg rate (t - epoch) about a body axis."""
         phase = self._value("attitude.spin_phase", values, time)
         rate = self._value("attitude.spin_rate", values, time)
-        turn = rate * (time - self._spin_epoch_s) / 3600.0
+        elapsed = since_nearest(time, self._spin_epochs_s)
+        turn = rate * elapsed / 3600.0
         if "attitude.period_rate" in values:
             growth = MS_A_DAY * self._value("attitude.period_rate", values, time)
-            turn = grown(turn, growth * rate.abs() * (time - self._spin_epoch_s) / 3600.0)
+            turn = grown(turn, growth * rate.abs() * elapsed / 3600.0)
         angle = torch.deg2rad(phase) + 2 * torch.pi * turn
         return rotation_about(self.spin_axis.expand(*angle.shape, 3), angle)
 
@@ -203,7 +206,8 @@ class Attitude(nn.Module):
             number[f"attitude.{name}"] for name in ("phase", "period", "pole_lon", "pole_lat")
         )
         rate = number.get("attitude.period_rate")
-        turn = turns(time - self._epoch_s, 3600.0 * period, None if rate is None else MS_A_DAY * rate)
+        elapsed = since_nearest(time, self._epochs_s)
+        turn = turns(elapsed, 3600.0 * period, None if rate is None else MS_A_DAY * rate)
         if self.mode == "spin-pole":
             body_from_frame = spin_pole(*torch.broadcast_tensors(longitude, latitude, phase / 360.0 + turn))
             rotation = self.frame @ body_from_frame.transpose(-1, -2)
@@ -245,18 +249,52 @@ def _free(turn: Tensor, number: Mapping[str, Tensor]) -> Tensor:
     return free_rotation(turn, moments, nutation, one, phase, polhode)
 
 
-def _check_rate(scene: Scene, elapsed: np.ndarray, numbers: Mapping[str, float]) -> None:
+def since_nearest(time: Tensor, epochs_s: Sequence[float]) -> Tensor:
+    """Seconds ``time`` (...) since the nearest of the epochs, in order. It jumps halfway between two of them, where no
+    row is."""
+    elapsed = time - epochs_s[0]
+    for before, after in itertools.pairwise(epochs_s):
+        elapsed = elapsed - (after - before) * (time > (before + after) / 2).to(time)
+    return elapsed
+
+
+def _starting_rates(numbers: Mapping[str, float | Free]) -> list[float]:
+    """Rates of spin, rev/h, at which the numbers of an attitude start: one, or those of nights, say."""
+
+    def starts(name: str) -> tuple[float, ...]:
+        number = numbers.get(name, 0.0)
+        return number.starts if isinstance(number, Free) else (number,)
+
+    return [1 / period for period in starts("period")] if "period" in numbers else list(starts("spin_rate"))
+
+
+def _check_rate(scene: Scene, recording: Recording, elapsed: np.ndarray) -> None:
     """InputError if the scene's period falls to 0 within the recording."""
-    rate = MS_A_DAY * numbers.get("attitude.period_rate", 0.0)
-    period = 3600.0 * numbers["attitude.period"]
-    least = float((1 + rate * elapsed / period).min())
-    if least <= SHORTEST:
+    numbers = scene.attitude.numbers()
+    rates, periods = (_at_rows(numbers.get(name, 0.0), recording) for name in ("period_rate", "period"))
+    worst = int((1 + MS_A_DAY * rates * elapsed / (3600.0 * periods)).argmin())
+    rate, period = float(rates[worst]), 3600.0 * float(periods[worst])
+    if 1 + MS_A_DAY * rate * float(elapsed[worst]) / period <= SHORTEST:
         raise InputError(
             scene.source,
             "attitude.period_rate",
-            f"{numbers['attitude.period_rate']:g} ms a day: a period of {period:g} s at the epoch is 0 at a row of the recording",
+            f"{rate:g} ms a day: a period of {period:g} s at the epoch is 0 at a row of the recording",
             "a rate, or an epoch nearer to the rows, with which the period stays above 0",
         )
+
+
+def _at_rows(number: float | Free, recording: Recording) -> np.ndarray:
+    """Where a number starts at each row, (T,)."""
+    if not isinstance(number, Free) or number.values is None:
+        return np.full(len(recording), value_of(number))
+    index, ids = {
+        "curve": (recording.curve, recording.curve_ids),
+        "station": (recording.station, recording.station_ids),
+        "night": (recording.night, recording.night_ids),
+        "object": (recording.object, recording.object_ids),
+    }[str(number.per)]
+    each = np.array([number.of(member).value for member in ids])
+    return np.full(len(recording), number.value) if index is None else each[index]
 
 
 def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool) -> None:
@@ -273,12 +311,29 @@ def _check_geometry(scene: Scene, recording: Recording, *, needs_velocity: bool)
         )
 
 
-def epoch_seconds(scene: Scene, recording: Recording, key: str) -> float:
-    """Seconds from the recording's row 0 to an epoch of the scene, by default the first time of the file."""
-    epoch = getattr(scene.attitude, key)
+def epochs_seconds(scene: Scene, recording: Recording, key: str) -> list[float]:
+    """Seconds from the recording's row 0 to the epochs of the scene, in order; by default to the first time of the file."""
+    given = getattr(scene.attitude, key)
     first: Any = recording.time[0]
+    several = given if isinstance(given, tuple) else (given,)
     try:
-        moment = recording.first_time if epoch is None else instant(epoch, first.scale)
+        moments = [recording.first_time if one is None else instant(one, first.scale) for one in several]
     except UnreadableTime as error:
         raise InputError(scene.source, f"attitude.{key}", repr(error.found), error.expected) from None
-    return float(seconds_since(moment, first))
+    epochs = sorted(float(seconds_since(moment, first)) for moment in moments)
+    if len(epochs) > 1:
+        _check_nights(scene, recording, key, np.array(epochs))
+    return epochs
+
+
+def _check_nights(scene: Scene, recording: Recording, key: str, epochs: np.ndarray) -> None:
+    """InputError where rows of one night are nearest to unlike epochs: the body would jump among them."""
+    nearest = np.searchsorted((epochs[1:] + epochs[:-1]) / 2, recording.seconds)
+    for number, name in enumerate(recording.night_ids):
+        if len(np.unique(nearest[recording.night == number])) > 1:
+            raise InputError(
+                scene.source,
+                f"attitude.{key}",
+                f"two epochs for rows of the night {name}",
+                "epochs such that all rows of a night are nearest to the same",
+            )

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
-from torchlc.geometry.rotation.attitude import epoch_seconds
+from torchlc.geometry.rotation.attitude import epochs_seconds
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
 from torchlc.inference.optimiser import laplace, polish
 from torchlc.inference.rotation.connect import Connection, differences
@@ -43,7 +43,8 @@ class Trial:
     """A rotation to fit the model to: a scene whose attitude is free near it, its ``numbers``, materials; ``counts``, turns
     between passes, and ``ways``, of the angular momentum round the body; ``possible``, how many counts the phases leave, which spread the
     numbers by ``spread`` (standard deviations); ``changing``: the period does; ``periods`` of the passes, each by itself, s, with
-    standard deviations."""
+    standard deviations. ``apart``: what each night has for itself, "phase" or "phase" and "period"; of the ``reference`` night are then
+    the numbers by these names."""
 
     scene: Scene
     numbers: Mapping[str, float]
@@ -57,6 +58,8 @@ class Trial:
     spread: Mapping[str, float] = field(default_factory=dict)
     likely: tuple[tuple[tuple[float, ...], float], ...] = ()
     periods: tuple[tuple[float, float], ...] = ()
+    apart: tuple[str, ...] = ()
+    reference: str = ""
 
 
 @dataclass(frozen=True)
@@ -105,9 +108,11 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
     sd: dict[str, float] = {}
     for name, value, width in zip(parameters.names, natural.tolist(), natural_sd, strict=True):
         short = name.removeprefix("attitude.")
-        if name.startswith("attitude.") and short in NAMES:
+        if name.startswith("attitude.") and short.partition("[")[0] in NAMES:
             numbers[short] = value
             sd[short] = width
+    for key in trial.apart:
+        numbers[key], sd[key] = (of[f"{key}[{trial.reference}]"] for of in (numbers, sd))
     for name, width in trial.spread.items():
         sd[name] = math.hypot(sd.get(name, 0.0), width)
     return Candidate(trial, natural, numbers, sd, chi2, deviance, rms, pole_of(trial.scene, numbers))
@@ -123,9 +128,10 @@ def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
 
 
 def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
-    """Epoch of the states and its seconds from row 0: the scene's, if it is within a day of the rows, else the first row."""
-    seconds = epoch_seconds(scene, recording, "epoch")
-    if -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
+    """Epoch of the states and its seconds from row 0: the scene's, if it is one and within a day of the rows, else the first
+    row."""
+    seconds, *others = epochs_seconds(scene, recording, "epoch")
+    if not others and -86400.0 <= seconds <= float(recording.seconds[-1]) + 86400.0:
         return scene.attitude.epoch, seconds
     return iso_times(recording)[0], 0.0
 
@@ -167,13 +173,7 @@ def steady_trial(
     elif value_of(scene.attitude.period_rate):
         values["period_rate"] = table["period_rate"] = value_of(scene.attitude.period_rate)
     if tilted:
-        free = free_tilts(FacetLight.of(LightCurve(scene, recording).assembly))
-        tilt = [math.degrees(x) for x in local.tilt.tolist()]
-        values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
-        most = math.degrees(MOST_TILT) + 1
-        table["tilt"] = tuple(
-            Free(value=x, low=-most, high=most) if one in free else x for one, x in enumerate(tilt)
-        )
+        _tilt(scene, recording, local, values, table)
     return Trial(
         scene.model_copy(update={"attitude": Attitude(**table)}),
         values,
@@ -183,6 +183,104 @@ def steady_trial(
         changing=changing,
         periods=_periods(local),
     )
+
+
+def _tilt(
+    scene: Scene, recording: Recording, local: Local, values: dict[str, float], table: dict[str, Any]
+) -> None:
+    """The tilt of a solution, put into the numbers and the attitude of a trial."""
+    free = free_tilts(FacetLight.of(LightCurve(scene, recording).assembly))
+    tilt = [math.degrees(x) for x in local.tilt.tolist()]
+    values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
+    most = math.degrees(MOST_TILT) + 1
+    table["tilt"] = tuple(
+        Free(value=x, low=-most, high=most) if one in free else x for one, x in enumerate(tilt)
+    )
+
+
+def alike(local: Local) -> bool:
+    """Whether one frequency is that of every pass, within 3 standard deviations of each."""
+    count = len(local.frequencies)
+    variance = torch.diagonal(local.covariance)[:count].clamp(min=1e-30)
+    common = _common(local)
+    return bool(((local.frequencies - common).square() <= 9 * variance).all())
+
+
+def _common(local: Local) -> float:
+    """The mean frequency of the passes by their errors, 1/s."""
+    weight = 1 / torch.diagonal(local.covariance)[: len(local.frequencies)].clamp(min=1e-30)
+    return float((weight * local.frequencies).sum() / weight.sum())
+
+
+def loose_trial(
+    scene: Scene, recording: Recording, rows: Rows, local: Local, *, periods: bool, tilted: bool
+) -> Trial:
+    """A turn about one axis in common, of which each night has its own phase, and with ``periods`` its own period: where the turns
+    between nights cannot be counted, or no one rate holds over them. Passes of one night are joined by the period."""
+    index = rows.index.numpy()
+    night, number = recording.night[index], rows.number.numpy()
+    epochs = _epochs(recording, night, number, index)
+    seconds, texts = recording.seconds, iso_times(recording)
+    at = {one: float(seconds[row]) for one, row in epochs.items()}
+    common = _common(local)
+    phase: dict[str, float] = {}
+    period: dict[str, float] = {}
+    for one, name in enumerate(recording.night_ids):
+        held = np.unique(number[night == one])
+        if not len(held):
+            continue
+        longest = int(held[np.argmax(rows.span.numpy()[held])])
+        frequency = float(local.frequencies[longest]) if periods else common
+        away = at[one] - float(rows.middle[longest])
+        phase[name] = 360 * ((float(local.phases[longest]) + frequency * away) % 1.0)
+        period[name] = 1 / frequency / 3600
+    reference = recording.night_ids[int(night[number == rows.longest][0])]
+    reach = min(0.03, 4 / (common * max(float(rows.span.max()), 1.0)))
+    low, high = min(period.values()) * (1 - reach), max(period.values()) * (1 + reach)
+    longitude, latitude = _angles(scene, local.pole)
+    values = {
+        "pole_lon": longitude,
+        "pole_lat": latitude,
+        "period": period[reference],
+        "phase": phase[reference],
+    }
+    several = {"per": "night", "values": period} if periods else {}
+    table: dict[str, Any] = {
+        "mode": "spin-pole",
+        "pole": _free_pole(longitude, latitude),
+        "period": Free.model_validate({"value": period[reference], "low": low, "high": high, **several}),
+        "phase": Free(value=phase[reference], low=-180.0, high=540.0, per="night", values=phase),
+        "epoch": tuple(texts[row] for row in sorted(set(epochs.values()))),
+    }
+    if tilted:
+        _tilt(scene, recording, local, values, table)
+    return Trial(
+        scene.model_copy(update={"attitude": Attitude(**table)}),
+        values,
+        local.exponents,
+        local.weights,
+        (),
+        periods=_periods(local),
+        apart=("phase", "period") if periods else ("phase",),
+        reference=reference,
+    )
+
+
+def _epochs(recording: Recording, night: np.ndarray, number: np.ndarray, index: np.ndarray) -> dict[int, int]:
+    """By the number of a night, the row of the recording that it counts from: nights that share a pass, as those of two stations
+    do, have one. ``night`` and pass ``number`` are those of the rows ``index``."""
+    groups: list[tuple[set[int], set[int]]] = []
+    for one, held in sorted(set(zip(night.tolist(), number.tolist(), strict=True))):
+        met = [group for group in groups if one in group[0] or held in group[1]]
+        groups = [group for group in groups if group not in met]
+        groups.append(({one}.union(*(a for a, _ in met)), {held}.union(*(b for _, b in met))))
+    epochs: dict[int, int] = {}
+    for nights, _ in groups:
+        of = index[np.isin(night, list(nights))]
+        seconds = recording.seconds[of]
+        row = int(of[np.abs(seconds - (seconds.min() + seconds.max()) / 2).argmin()])
+        epochs |= dict.fromkeys(nights, row)
+    return epochs
 
 
 def _periods(local: Local) -> tuple[tuple[float, float], ...]:

@@ -35,7 +35,8 @@ class RotationMode:
     period h, phase deg, period_rate ms a day, tilt, nutation and polhode_phase deg); ``counts``, turns less those of the
     most probable mode between passes, and ``possible``, how many counts its phases leave; ``likely``, the likeliest of these as
     differences from that of the mode, with probabilities; ``above``, how far its -2 ln likelihood is above the best; ``rms`` of
-    the rows, mag; ``periods`` of the passes, s, each by itself, with standard deviations; ``probability`` among the modes that were found; ``mirror``, what it is of the best."""
+    the rows, mag; ``periods`` of the passes, s, each by itself, with standard deviations; ``probability`` among the modes that were found; ``mirror``, what it is of the best; ``apart``, what
+    each night has for itself, which ``numbers`` hold as "phase[night]"."""
 
     numbers: Mapping[str, float]
     sd: Mapping[str, float]
@@ -50,6 +51,12 @@ class RotationMode:
     above: float = 0.0
     rms: float = math.nan
     periods: tuple[tuple[float, float], ...] = ()
+    apart: tuple[str, ...] = ()
+
+    @property
+    def nights(self) -> list[str]:
+        """Names of the nights that have a phase for themselves."""
+        return [key[len("phase[") : -1] for key in self.numbers if key.startswith("phase[")]
 
     @property
     def period_s(self) -> float:
@@ -81,7 +88,8 @@ class RotationMode:
 
 @dataclass(frozen=True)
 class RotationSearch:
-    """Modes best first, and what was looked at. ``pole_map``: unit vectors (D, 3), GCRS, and misfits (D,) of the grid."""
+    """Modes best first, and what was looked at. ``loose``: modes with a phase for each night, where those of ``modes`` take one of
+    several counts of turns between nights for granted. ``pole_map``: unit vectors (D, 3), GCRS, and misfits (D,) of the grid."""
 
     modes: Sequence[RotationMode]
     rows: int
@@ -97,6 +105,7 @@ class RotationSearch:
     verdict: str
     recording: Recording
     warnings: Sequence[str] = field(default_factory=tuple)
+    loose: Sequence[RotationMode] = ()
 
 
 def apart_deg(a: Tensor, b: Tensor) -> float:
@@ -147,6 +156,7 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
             one.deviance - kept[0].deviance,
             one.rms,
             one.trial.periods,
+            one.trial.apart,
         )
         for one, weight in zip(kept, weights, strict=True)
     ]
@@ -172,15 +182,20 @@ def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:
     return None
 
 
+def fits_the_rows(chi2: float, rms: float, dof: int, noise: float | None) -> bool:
+    """Whether a rotation leaves no more than the errors, or where they are not given the ``noise`` of successive rows, mag."""
+    return chi2 < dof + 5 * math.sqrt(2 * max(dof, 1)) if noise is None else rms < NOISY * noise
+
+
 def verdict(
     modes: Sequence[RotationMode], dof: int, passes: int, longest_s: float, noise: float | None = None
 ) -> tuple[bool, str]:
     """Whether the data decide, and what they say. ``longest_s``: of the longest pass; ``noise``: that of successive rows, mag, where
     errors are not given."""
     best = modes[0]
-    fits = best.chi2 < dof + 5 * math.sqrt(2 * max(dof, 1)) if noise is None else best.rms < NOISY * noise
+    fits = fits_the_rows(best.chi2, best.rms, dof, noise)
     poles = [mode for mode in modes if mode.probability > 0.01]
-    period = f"one turn in {best.period_s:.6g} s"
+    period = f"one turn in {best.period_s:.6g} s" + (" in the longest pass" if "period" in best.apart else "")
     slowest_s = 0.0
     if best.tumbling:
         rates = best.rates
@@ -209,6 +224,10 @@ def verdict(
     if len(poles) > 1:
         return False, (
             f"cannot tell: {len(poles)} rotations fit about as well, the best {period}; the table lists them"
+        )
+    if best.apart:
+        return False, (
+            f"{period}, but the turns between the nights are not counted: each has its own {' and '.join(best.apart)}"
         )
     if passes > 1 and best.possible > 1:
         return False, (

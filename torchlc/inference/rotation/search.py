@@ -22,7 +22,15 @@ from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid, tumble_grid
 from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
 from torchlc.inference.rotation.facet_light import FacetLight
-from torchlc.inference.rotation.model_fit import Candidate, Trial, fitted, steady_trial, tumbling_trial
+from torchlc.inference.rotation.model_fit import (
+    Candidate,
+    Trial,
+    alike,
+    fitted,
+    loose_trial,
+    steady_trial,
+    tumbling_trial,
+)
 from torchlc.inference.rotation.modes import (
     CHANGED,
     KEPT_CHI2,
@@ -30,6 +38,7 @@ from torchlc.inference.rotation.modes import (
     SAME_DEG,
     RotationSearch,
     apart_deg,
+    fits_the_rows,
     merged,
     verdict,
 )
@@ -55,6 +64,8 @@ FLOOR, SHARP = 0.05, 0.01
 """Relative error of the light of facets, and where that alone explains the rows."""
 LOCALS, JOINED = 4, 3
 """Solutions of different poles, and counts of turns of the best, that the model is fitted to."""
+APART = 2
+"""Poles at which the model is fitted with a phase for each night too, where counts of turns explain the light already."""
 LIKELY = 12
 """Counts of turns that are told of a mode, if its phases leave several."""
 TILTED_DEG = 9.0
@@ -171,7 +182,18 @@ def search_rotation(
         more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), say)
         found += more
         warnings += told
-    modes = merged([one for one in found if math.isfinite(one.chi2)], rows)
+    found = [one for one in found if math.isfinite(one.chi2)]
+    modes, loose = merged(found, rows), []
+    if len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows):
+        apart = _apart(scene, recording, rows, locals_, found, tilted, say)
+        loose = merged(apart, rows)
+        if loose and _one_rate_fails(apart, found, rows):
+            if modes:
+                warnings.append(
+                    f"no one rotation holds over the nights: the best leaves {modes[0].rms:.3g} mag rms, that with "
+                    f"{' and '.join(loose[0].apart)} of each night for itself {loose[0].rms:.3g} mag"
+                )
+            modes, loose = loose, []
     if not modes:
         raise InputError(
             recording.source,
@@ -184,10 +206,10 @@ def search_rotation(
     decided, words = verdict(modes, left, rows.passes, float(rows.span.max()), noise)
     order = {tuple(one.pole.tolist()): one.misfit for one in states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
-    connected = rows.passes == 1 or modes[0].possible == 1
+    connected = rows.passes == 1 or (modes[0].possible == 1 and not modes[0].apart)
     return RotationSearch(
         modes, len(rows.flux), left, rows.passes, symmetry, (1 / high, 1 / low), frequency, power,
-        (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)),
+        (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)), loose,
     )  # fmt: skip
 
 
@@ -197,6 +219,60 @@ def _explains(one: Candidate, rows: Rows) -> bool:
     if rows.noise is None:
         return one.chi2 <= 2 * len(rows.flux)
     return one.rms <= NOISY * MAG_PER_LN * rows.noise
+
+
+def _unjoined(found: Sequence[Candidate], rows: Rows) -> bool:
+    """Whether the best of the rotations that join the passes takes one of several counts for granted, or leaves structure."""
+    best = min(found, key=lambda one: one.deviance, default=None)
+    if best is None or not _fits(best, rows):
+        return True
+    return "nutation" not in best.numbers and (best.trial.possible > 1 or not best.trial.complete)
+
+
+def _fits(one: Candidate, rows: Rows) -> bool:
+    noise = None if rows.noise is None else MAG_PER_LN * rows.noise
+    return fits_the_rows(one.chi2, one.rms, len(rows.flux) - len(one.theta), noise)
+
+
+def _apart(
+    scene: Scene,
+    recording: Recording,
+    rows: Rows,
+    locals_: Sequence[Local],
+    found: Sequence[Candidate],
+    tilted: bool,
+    say: Progress,
+) -> list[Candidate]:
+    """The model fitted at the leading poles with a phase for each night; where the passes have unlike periods, or one for all leaves
+    structure, with a period for each too."""
+    explained = any(_fits(one, rows) for one in found)
+    fits: list[Candidate] = []
+    tried = locals_[: APART if explained else LOCALS]
+    for number, local in enumerate(tried):
+        if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
+            break
+        for periods in (False, True):
+            if not periods and not alike(local):
+                continue
+            trial = loose_trial(scene, recording, rows, local, periods=periods, tilted=tilted)
+            one = fitted(trial, recording)
+            if math.isfinite(one.chi2):
+                fits.append(one)
+                if _fits(one, rows):
+                    break
+        say("nights apart", (number + 1) / len(tried))
+    return fits
+
+
+def _one_rate_fails(apart: Sequence[Candidate], found: Sequence[Candidate], rows: Rows) -> bool:
+    """Whether nights by themselves are so much better than joined that no rotation joins them: where that leaves structure, by
+    CHANGED for each further number."""
+    if not found or not apart:
+        return not found
+    best = min(found, key=lambda one: one.deviance)
+    loose = min(apart, key=lambda one: one.deviance)
+    further = max(1, len(loose.theta) - len(best.theta))
+    return not _fits(best, rows) and loose.deviance < best.deviance - CHANGED * further
 
 
 def _whole_steps(symmetry: int) -> int:

@@ -17,6 +17,7 @@ from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.scene import load_scene
 
 BALL = """
 format = "torchlc-scene/1"
@@ -150,23 +151,29 @@ def test_errors_that_are_too_large_leave_no_structure(ball) -> None:
     assert _gate(at, {}, {}, 0, level=False).global_p > 0.01
 
 
-def test_counted_photons_follow_no_curve(ball) -> None:
-    """Magnitudes of 10 to 40 photons a row, errors from what was counted, so that rows are compared in a power of the flux: what
-    moves with the datum there is no curve of time, which would explain the noise itself."""
-    scene, recording = ball
+def test_a_curve_is_in_magnitudes_where_rows_are_compared_in_flux(ball) -> None:
+    """A wave of 0.6 mag in 3 to 60 photons a row, whose errors come from what was counted: rows are compared in a power of the
+    flux, whose unit moves with the datum. A free factor of all light and a curve that is the same for all rows, together, are
+    no way to explain the noise: what a curve adds to a row has the unit of the row."""
+    recording = ball[1]
     rng = np.random.default_rng(5)
-    expected = np.linspace(10, 40, len(recording))
+    share = np.linspace(0, 1, len(recording))
+    wave = 0.6 * np.cos(3 * np.pi * share)
+    expected = 14 * 10 ** (-0.4 * wave)
     counted = rng.poisson(expected).clip(1)
     photons = replace(
         recording,
-        observed=recording.observed - 2.5 * np.log10(counted / expected),
+        observed=recording.observed - 2.5 * np.log10(counted / 14),
         error=2.5 / math.log(10) / np.sqrt(counted),
     )
-    search = searched((scene, photons))
+    search = searched((ball[0], photons))
     null = search.visited[Hypothesis().under(*search.robust)]
     assert null.likelihood.power is not None and float(null.scale.std()) > 0.05
-    coordinates = {"time": torch.from_numpy(recording.seconds - recording.seconds.min())}
-    assert max(one.log_gain for one in discrepancies(null, coordinates, search.bench)) < 3
+    along = {"time": torch.from_numpy(share)}
+    curve = next(one for one in discrepancies(null, along, search.bench) if one.coordinate == "time")
+    assert curve.log_gain > 10
+    off = curve.curve.numpy() - curve.curve.numpy().mean() - wave
+    assert float(np.std(off)) < 0.05  # 0.036; 0.07 by a curve in the unit of the rows
 
 
 def test_what_was_judged_by_its_linear_form_is_not_named(ball) -> None:

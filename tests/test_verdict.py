@@ -17,7 +17,6 @@ from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
-from torchlc.scene import load_scene
 
 BALL = """
 format = "torchlc-scene/1"

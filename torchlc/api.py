@@ -345,7 +345,7 @@ def diagnose(
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = _held(stack, out, DIAGNOSIS_FILES, scene, rows)
-        steps = _steps(directory, scene, rows, repr((effects, seed)))
+        steps = _steps(directory, scene, rows, repr((effects, seed)), EVERY_S)
         result = run(
             scene,
             rows,
@@ -447,7 +447,9 @@ def demo(
     return found, result
 
 
-def _steps(directory: OutputDirectory | None, scene: Scene, rows: Recording, settings: str) -> Steps:
+def _steps(
+    directory: OutputDirectory | None, scene: Scene, rows: Recording, settings: str, every_s: float = 0.0
+) -> Steps:
     """What a search in a directory has finished; what is there of another scene, recording, setting or version is not known."""
     if directory is None:
         return Steps()
@@ -460,7 +462,7 @@ def _steps(directory: OutputDirectory | None, scene: Scene, rows: Recording, set
     ]
     key = hashlib.sha256(b"".join(content)).hexdigest()
     return Steps(
-        key, directory.path / STEPS_FILE, lambda fill: directory.write(STEPS_FILE, fill), every_s=EVERY_S
+        key, directory.path / STEPS_FILE, lambda fill: directory.write(STEPS_FILE, fill), every_s=every_s
     )
 
 

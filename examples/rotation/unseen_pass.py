@@ -1,6 +1,6 @@
 """How well do some nights of a turning body predict another, whose phase nobody can know?
 
-    python examples/unseen_pass.py SCENE RECORDING...
+    python examples/rotation/unseen_pass.py SCENE RECORDING...
 
 SCENE is one with a phase for each night, as ``torchlc rotation`` writes it (scene.toml, or scene_per_pass.toml). Each night in turn is
 left out: pole and materials are fitted to the others, and of the unseen night only what the scene gives for each night is found: its phase,

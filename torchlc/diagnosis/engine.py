@@ -27,7 +27,7 @@ from torchlc.diagnosis.hypotheses import (
     effect_columns,
     effect_starts,
 )
-from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours
+from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours, turns
 from torchlc.effects import effect_class
 from torchlc.files.steps import Steps
 from torchlc.inference.budget import Budget
@@ -326,8 +326,10 @@ class Search:
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
         self.probes = self.probe_all(at, entries)
-        geometry = {entry: bool(self.moved_by(entry)) for entry in self.probes}
-        order = sorted(self.probes, key=lambda entry: (geometry[entry], -self.probes[entry].score))
+        slow = {
+            entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes
+        }
+        order = sorted(self.probes, key=lambda entry: (slow[entry], -self.probes[entry].score))
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 break
@@ -337,11 +339,6 @@ class Search:
                 self.extend(at, entry, self.probes[entry])
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
-
-    def moved_by(self, entry: str) -> set[int]:
-        """Columns of an effect's own parameters that move the geometry, which takes longest to fit."""
-        model = self.posterior(self.best().hypothesis.under(*self.robust).with_effect(entry)).model
-        return set(model.assembly.geometry_columns) & set(effect_columns(model.parameter_set, entry))
 
     def tell_unexamined(self) -> None:
         """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""

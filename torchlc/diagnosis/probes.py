@@ -142,10 +142,12 @@ def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Ten
 
 def seconds_a_geometry(posterior: Posterior, entry: str) -> float:
     """CPU seconds that each value of an effect's own parameters takes, 0 where they leave the geometry as it is."""
-    model = posterior.model
-    if not set(model.assembly.geometry_columns) & set(effect_columns(model.parameter_set, entry)):
-        return 0.0
-    return posterior.seconds_each
+    return posterior.seconds_each if turns(posterior, entry) else 0.0
+
+
+def turns(posterior: Posterior, entry: str) -> bool:
+    """Whether an effect's own parameters move the geometry."""
+    return bool(posterior.turning(effect_columns(posterior.model.parameter_set, entry)))
 
 
 def divided_step(entry: str) -> float:

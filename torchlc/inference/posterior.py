@@ -127,6 +127,11 @@ class Posterior:
         found = self.likelihood.residuals(self.theta(g))
         return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
 
+    def turning(self, columns: Sequence[int]) -> list[int]:
+        """Places in ``columns`` of those that move the geometry."""
+        geometry = self.model.assembly.geometry_columns
+        return [place for place, column in enumerate(columns) if column in geometry]
+
     def under(self, found: Residuals, g: Tensor, new: Tensor) -> Residuals:
         """Residuals found at g (P,) as they are at new coordinates (P,) that differ in the noise alone."""
         return (
@@ -341,7 +346,6 @@ def descend(
     chosen = [column for column in posterior.physical if column not in held]
     if not chosen:
         return starts[:1], starts.new_zeros(1)
-    geometry = posterior.model.assembly.geometry_columns
     columns = torch.tensor(chosen)
     stay = starts[0]
     low = torch.full_like(stay[columns], -FARTHEST)
@@ -352,7 +356,7 @@ def descend(
         whole = stay.repeat(len(part), 1).index_copy(1, columns, part)
         return torch.cat([rows(posterior.residuals(whole)), part], -1)
 
-    dear = [place for place, column in enumerate(chosen) if column in geometry]
+    dear = posterior.turning(chosen)
     known = None
     if dear and slopes is not None:
         known = _row_slopes(rows, posterior.residuals(starts), slopes[..., columns])
@@ -607,8 +611,7 @@ def _sloped(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
 
     slopes = found.delta.new_zeros(len(found.delta), posterior.size)
     if posterior.physical:
-        geometry = posterior.model.assembly.geometry_columns
-        dear = [place for place, column in enumerate(posterior.physical) if column in geometry]
+        dear = posterior.turning(posterior.physical)
         slopes[:, columns] = differences(
             delta, g[None, columns], -far, far, found.delta[None], colours, dear
         )[0]

@@ -174,14 +174,19 @@ def steady_trial(
         values["period_rate"] = table["period_rate"] = value_of(scene.attitude.period_rate)
     if tilted:
         _tilt(scene, recording, local, values, table)
+    return _trial(scene, local, values, table, counts=differences(one.counts, symmetry), changing=changing)
+
+
+def _trial(scene: Scene, local: Local, values: dict[str, float], table: dict[str, Any], **more: Any) -> Trial:
+    """A model near ``local`` with the attitude of a table."""
+    attitude = {"attitude": Attitude(**table)}
     return Trial(
-        scene.model_copy(update={"attitude": Attitude(**table)}),
-        values,
-        local.exponents,
-        local.weights,
-        differences(one.counts, symmetry),
-        changing=changing,
+        scene=scene.model_copy(update=attitude),
+        numbers=values,
+        exponents=local.exponents,
+        weights=local.weights,
         periods=_periods(local),
+        **more,
     )
 
 
@@ -254,16 +259,8 @@ def loose_trial(
     }
     if tilted:
         _tilt(scene, recording, local, values, table)
-    return Trial(
-        scene.model_copy(update={"attitude": Attitude(**table)}),
-        values,
-        local.exponents,
-        local.weights,
-        (),
-        periods=_periods(local),
-        apart=("phase", "period") if periods else ("phase",),
-        reference=reference,
-    )
+    apart = ("phase", "period") if periods else ("phase",)
+    return _trial(scene, local, values, table, counts=(), apart=apart, reference=reference)
 
 
 def _epochs(recording: Recording, night: np.ndarray, number: np.ndarray, index: np.ndarray) -> dict[int, int]:

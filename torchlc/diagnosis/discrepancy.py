@@ -1,17 +1,18 @@
-"""What the library does not hold, as hypotheses: a smooth function of one coordinate, or light that is there for a while.
+"""What the library does not hold, as hypotheses: a smooth function of one coordinate, the whole time or on one side of an
+instant; something that repeats with a period of its own; an event. Each adds light, or takes a share of it.
 
 About a minimum the residuals are linear in everything uncertain, and so they are in a curve of a coordinate: a Gaussian
 process of cosines, whose evidence is in closed form once its amplitude and length are given; both are summed over a grid. What
 the scene's own parameters can take up is theirs: the process is judged by what it adds to the tangent. The best curve of a
-coordinate is then fitted together with the noise, for rows that it explains are no outliers.
+kind is then fitted together with the noise, for rows that it explains are no outliers.
 
-Letters: T rows, P coordinates of the posterior, m columns, W windows.
+Letters: T rows, P coordinates of the posterior, N shapes, m columns of each, L rows of a window.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -19,33 +20,44 @@ from torch import Tensor
 
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.inference.posterior import Fitted, Linear, fit
-from torchlc.noise.error_law import MAG_PER_LN
 
 ODDS = 0.05
 """That something is missing that the library does not hold, against that nothing is: one recording in twenty."""
-COSINES = 12
-LENGTHS = (0.08, 0.25)
-"""Of the process, in shares of the coordinate's range; twelve cosines resolve the shorter."""
-AMPLITUDES = (0.5, 2.0, 8.0, 32.0)
+COSINES = 32
+LENGTHS = (0.03, 0.08, 0.25)
+"""Of the process, in shares of the coordinate's range; the cosines resolve the shortest."""
+AMPLITUDES = (0.5, 2.0, 8.0, 32.0, 128.0)
 """Of the process, in errors of a row."""
-WINDOWS = (4, 8, 16, 32, 64, 128)
-"""Rows of a window that light may be added in; half of each apart."""
-EVENT_MAG = (0.1, 0.5)
-"""Standard deviations of what an event changes, mag."""
-EVENT_COSINES = 4
+INSTANTS = 8
+"""Equal parts of the rows between which something may come or go."""
+WINDOWS = (8, 16, 32, 64, 128)
+"""Rows of an event, a quarter of each apart: fewer are bad rows, which come in runs of a few."""
+EVENT_COSINES = 8
 """Of the course of an event within its window: it may come quickly and go slowly."""
-AT_ONCE = 400
-"""Windows that are weighed together: some 20 MB for a thousand rows."""
+HARMONICS = 8
+CYCLE_LENGTHS = (0.04, 0.12)
+"""Of what repeats, in shares of its period; the harmonics resolve the shorter."""
+FEWEST_CYCLES, MOST_CYCLES, ROWS_A_CYCLE = 2.0, 200.0, 5
+"""Of what repeats, within a recording, as far as that has as many rows a cycle."""
+CYCLE_STEP = 1 / HARMONICS
+"""Between periods, in cycles of a recording: the highest harmonic turns once over it."""
+FAR = 6.0
+"""Errors beyond which a row counts as that many while curves are compared: a bad row is one row, and a run of them may be
+something else."""
+AT_ONCE = 4_000_000
+"""Numbers in the columns that are weighed together, 32 MB."""
+REFITTED = 4
+"""Kinds that are fitted together with the noise, those of most evidence where a row counts as FAR errors at most."""
 SKIPPED = ("inverse_flux", "shadow_coordinate", "glint_angle", "incidence")
 """Coordinates that others stand for, or that an effect of the library is a function of."""
-EVENT = "time, for a while"
+EVENT, REPEATING = "time, for a while", "time, again and again"
 
 
 @dataclass(frozen=True)
 class Discrepancy:
     """A change of the light that follows ``coordinate``, beside a hypothesis, whose log evidence was ``log_z``: what it gains of that,
-    with prior odds;
-    ``curve`` (T,) and its standard deviation ``band`` (T,), mag; ``rows`` (T,) where an event is."""
+    with prior odds; ``curve`` (T,) and its standard deviation ``band`` (T,), mag; ``rows`` (T,) where it is; ``period`` in
+    seconds of what repeats, else 0."""
 
     beside: Hypothesis
     log_z: float
@@ -55,22 +67,61 @@ class Discrepancy:
     curve: Tensor
     band: Tensor
     rows: Tensor
+    period: float = 0.0
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Shapes of one kind, at rows ``index`` (N, L): columns (N, L, m) whose squares sum to 1 in the mean; ``periods`` (N,) in
+    seconds, of what repeats."""
+
+    index: Tensor
+    columns: Tensor
+    periods: Tensor | None = None
+
+    def inside(self, one: int, rows: int) -> tuple[Tensor, Tensor]:
+        """Columns (T, m) of one shape, and where it is (T,)."""
+        empty = self.columns.new_zeros(rows, self.columns.shape[-1])
+        where = torch.zeros(rows, dtype=torch.bool).index_fill(0, self.index[one], True)
+        return empty.index_copy(0, self.index[one], self.columns[one]), where
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best of many shapes: ``gain`` in log evidence over all of them, and over it alone; its columns (T, m) in the unit of
+    the residuals."""
+
+    gain: float
+    alone: float
+    columns: Tensor
+    rows: Tensor
+    period: float
 
 
 def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbench) -> list[Discrepancy]:
-    """Each coordinate's best curve and the best event, beside a fit."""
+    """The best curve beside a fit of each of the most likely kinds: along each coordinate, all the time and on one side of an
+    instant; again and again; for a while."""
     if at.noise.processes or not at.posterior.size:
         return []
+    seconds = at.model.assembly.context.seconds
     chosen = {
         name: value
         for name, value in coordinates.items()
         if not name.startswith(SKIPPED) and float(value.max() - value.min()) > 0
     }
-    log_odds = math.log(ODDS / (len(chosen) + 1))
     with torch.no_grad():
         plain = fit(at.hypothesis, Linear(at), at.g[None]).laplace
-        found = [_along(at, name, value, plain, log_odds) for name, value in chosen.items()]
-        return [*found, _event(at, plain, log_odds)]
+        scan = Scan(at)
+        found = [(name, scan.best([along(value)])) for name, value in chosen.items()]
+        found += [(name, scan.best([one_side(value, seconds)])) for name, value in chosen.items()]
+        found += [(REPEATING, scan.repeating(seconds)), (EVENT, scan.best(windows(seconds)))]
+        kinds = [(name, best) for name, best in found if best is not None]
+        log_odds = math.log(ODDS / len(kinds))
+        kinds.sort(key=lambda one: -one[1].gain)
+        return [_refitted(at, name, best, plain, log_odds) for name, best in kinds[:REFITTED]]
+
+
+# ------------------------------------------------------------------ shapes
 
 
 def process(value: Tensor, length: float) -> Tensor:
@@ -83,95 +134,154 @@ def process(value: Tensor, length: float) -> Tensor:
     )
 
 
-def gains(u: Tensor, tangent: Tensor, mean: Tensor, columns: Tensor) -> Tensor:
-    """ln of the evidence that whitened columns (N, T, m), each times a standard normal number, add to residuals u (T,) whose
-    parameters have slopes ``tangent`` (T, P) and stand at ``mean`` (P,) of a standard normal prior: (N,)."""
-    size = tangent.shape[1]
-    inner = torch.linalg.cholesky(torch.eye(size, dtype=u.dtype) + tangent.T @ tangent)
-
-    def off(rows: Tensor) -> Tensor:  # the inverse of 1 + tangent tangent'
-        return rows - tangent @ torch.cholesky_solve(tangent.T @ rows, inner)
-
-    y = u - tangent @ mean
-    pull = columns.mT @ off(y[:, None])
-    system = columns.mT @ off(columns) + torch.eye(columns.shape[-1], dtype=u.dtype)
-    factor = torch.linalg.cholesky(system)
-    root = torch.linalg.solve_triangular(factor, pull, upper=False)[..., 0]
-    return 0.5 * root.square().sum(-1) - torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
+def along(value: Tensor) -> Shapes:
+    """Along a coordinate (T,), all the time."""
+    columns = torch.stack([process(value, length) for length in LENGTHS])
+    return Shapes(torch.arange(len(value)).expand(len(LENGTHS), -1), columns)
 
 
-def _along(at: Fitted, name: str, value: Tensor, plain: float, log_odds: float) -> Discrepancy:
-    # of magnitudes that are compared in flux to a power the unit of a row depends on its datum, and the curve must not
-    sizes = at.sigma.median() * (at.scale[:, None] if at.likelihood.kind == "mag" else 1.0)
-    bases = torch.stack([process(value, length) * a * sizes for length in LENGTHS for a in AMPLITUDES])
-    gain = gains(at.delta / at.sigma, at.tangent[: len(at.delta)], at.g, bases / at.sigma[:, None])
-    best = int(gain.argmax())
-    return _refitted(
-        at, name, bases[best], plain, log_odds, float(_mean(gain) - gain[best]), torch.ones_like(value) > 0
+def one_side(value: Tensor, seconds: Tensor) -> Shapes:
+    """Along a coordinate (T,), before or after an instant."""
+    columns = torch.stack([process(value, length) for length in LENGTHS])
+    place = torch.argsort(torch.argsort(seconds))
+    edges = torch.linspace(0, len(seconds), INSTANTS + 1).round()[1:-1]
+    sides = [side for edge in edges for side in (place < edge, place >= edge)]
+    every = torch.cat([columns * side[:, None] for side in sides])
+    return Shapes(torch.arange(len(value)).expand(len(every), -1), every)
+
+
+def cycles(seconds: Tensor, count: Tensor) -> Shapes:
+    """What repeats, ``count`` (N,) times within the recording: harmonics of falling size."""
+    order = torch.arange(1, HARMONICS + 1, dtype=seconds.dtype)
+    share = (seconds - seconds.min()) / (seconds.max() - seconds.min()).clamp(min=1e-9)
+    angle = 2 * math.pi * count[:, None, None] * share[:, None] * order
+    waves = torch.cat([torch.cos(angle), torch.sin(angle)], -1)
+    heights = [torch.exp(-0.5 * (2 * math.pi * order * length) ** 2) for length in CYCLE_LENGTHS]
+    columns = torch.cat([waves * (h / torch.linalg.vector_norm(h)).repeat(2) for h in heights])
+    periods = (seconds.max() - seconds.min()) / count
+    return Shapes(
+        torch.arange(len(seconds)).expand(len(columns), -1), columns, periods.repeat(len(CYCLE_LENGTHS))
     )
 
 
-def _event(at: Fitted, plain: float, log_odds: float) -> Discrepancy:
-    """Light added, or taken by a share, in a course of its own in the window that explains most: scanned with no row taken as
-    an outlier."""
-    seconds = at.model.assembly.context.seconds
+def windows(seconds: Tensor) -> Iterator[Shapes]:
+    """Events: each length of window at all its places."""
     order = torch.argsort(seconds)
-    spans = [
-        order[first : first + length]
-        for length in WINDOWS
-        for first in range(0, max(len(order) - length + 1, 0), max(length // 2, 1))
-    ] or [order]
-    with torch.no_grad():
-        flux = at.model.brightness(at.theta).flux.clamp(min=1e-300)
-    mag = at.scale / (at.scale.new_tensor(1.0) if at.likelihood.kind == "mag" else MAG_PER_LN)
-    kinds = [
-        mag * size * kind for size in EVENT_MAG for kind in (1.0, (flux.median() / flux).clamp(max=100.0))
-    ]
-    tangent = at.slopes / at.wide[:, None]
-
-    def columns(span: Tensor) -> Tensor:
-        return at.delta.new_zeros(len(seconds), EVENT_COSINES).index_copy(0, span, course(seconds[span]))
-
-    gain = []
-    for some in (spans[first : first + AT_ONCE] for first in range(0, len(spans), AT_ONCE)):
-        shapes = torch.stack([columns(span) for span in some])
-        gain.append(
-            torch.stack(
-                [
-                    gains(at.delta / at.wide, tangent, at.g, shapes * (kind / at.wide)[:, None])
-                    for kind in kinds
-                ]
-            )
-        )
-    gain = torch.cat(gain, 1)
-    kind, place = divmod(int(gain.argmax()), len(spans))
-    inside = torch.zeros_like(seconds, dtype=torch.bool).index_fill(0, spans[place], True)
-    basis = columns(spans[place]) * kinds[kind][:, None]
-    return _refitted(
-        at, EVENT, basis, plain, log_odds, float(_mean(gain.flatten()) - gain[kind, place]), inside
-    )
+    for length in (length for length in WINDOWS if length <= len(order)):
+        index = order.unfold(0, length, max(length // 4, 1))
+        yield Shapes(index, course(seconds[index]))
 
 
 def course(seconds: Tensor) -> Tensor:
-    """Columns (T, EVENT_COSINES) of an event between the first and last of ascending times (T,): a constant, and cosines of
-    falling size, together of unit variance."""
-    share = (seconds - seconds[0]) / (seconds[-1] - seconds[0]).clamp(min=1e-9)
+    """Columns (..., L, EVENT_COSINES) of an event between the first and last of ascending times (..., L): a constant, and
+    cosines of falling size, together of unit variance."""
+    first, last = seconds[..., :1], seconds[..., -1:]
+    share = (seconds - first) / (last - first).clamp(min=1e-9)
     order = torch.arange(EVENT_COSINES, dtype=seconds.dtype)
     height = 1 / (1 + order)
-    return torch.cos(math.pi * share[:, None] * order) * height / torch.linalg.vector_norm(height)
+    return torch.cos(math.pi * share[..., None] * order) * height / torch.linalg.vector_norm(height)
 
 
-def _mean(gain: Tensor) -> Tensor:
-    return torch.logsumexp(gain, 0) - math.log(len(gain))
+# ------------------------------------------------------------------ their evidence
 
 
-def _refitted(
-    at: Fitted, name: str, basis: Tensor, plain: float, log_odds: float, spread: float, rows: Tensor
-) -> Discrepancy:
-    """The basis fitted together with the noise; ``spread`` is ln of the mean evidence of its grid over the best."""
+class Projection:
+    """Whitened residuals u (T,) whose parameters, with a standard normal prior, have slopes ``tangent`` (T, P) and stand at
+    ``mean`` (P,)."""
+
+    def __init__(self, u: Tensor, tangent: Tensor, mean: Tensor) -> None:
+        self.tangent = tangent
+        self.inner = torch.linalg.cholesky(
+            torch.eye(tangent.shape[1], dtype=u.dtype) + tangent.T @ tangent
+        )
+        y = u - tangent @ mean
+        self.left = y - tangent @ torch.cholesky_solve(tangent.T @ y[:, None], self.inner)[:, 0]
+
+    def gains(self, columns: Tensor, amplitudes: Tensor, index: Tensor | None = None) -> Tensor:
+        """ln of the evidence that whitened columns (N, L, m), times an amplitude (A,) and a standard normal number each, add at
+        rows ``index`` (N, L), or at all: (A, N)."""
+        left, tangent = (
+            (self.left, self.tangent) if index is None else (self.left[index], self.tangent[index])
+        )
+        across = tangent.mT @ columns
+        gram = columns.mT @ columns - across.mT @ torch.cholesky_solve(across, self.inner)
+        size, turn = torch.linalg.eigh(gram)
+        pull = (turn.mT @ (columns.mT @ left[..., None]))[..., 0]
+        spread = amplitudes[:, None, None] ** 2 * size.clamp(min=0)
+        return 0.5 * (
+            (amplitudes[:, None, None] * pull).square() / (1 + spread) - torch.log1p(spread)
+        ).sum(-1)
+
+
+class Scan:
+    """The best of many shapes beside a fit, each as a share of the light and as light of its own, at every amplitude."""
+
+    def __init__(self, at: Fitted) -> None:
+        off = (at.delta / at.wide).abs()
+        self.sigma = at.wide * (off / FAR).clamp(min=1.0)
+        self.projection = Projection(at.delta / self.sigma, at.slopes / self.sigma[:, None], at.g)
+        flux = at.model.brightness(at.theta).flux.clamp(min=1e-300)
+        error_mag = (at.wide / at.scale).median()
+        # of magnitudes that are compared in flux to a power the unit of a row depends on its datum, and the curve must not
+        self.units = [
+            at.scale * error_mag * kind
+            for kind in (torch.ones_like(flux), (flux.median() / flux).clamp(max=100.0))
+        ]
+        self.amplitudes = at.delta.new_tensor(AMPLITUDES)
+
+    def best(self, kinds: Iterator[Shapes] | list[Shapes]) -> Found | None:
+        """Of all shapes, by their evidence."""
+        every: list[Tensor] = []
+        top: tuple[float, Shapes, int, Tensor] | None = None
+        for shapes in kinds:
+            count = max(AT_ONCE // shapes.columns[0].numel(), 1)
+            for first in range(0, len(shapes.columns), count):
+                some = slice(first, first + count)
+                index = shapes.index[some]
+                for unit in self.units:
+                    white = shapes.columns[some] * (unit / self.sigma)[index][..., None]
+                    gain = self.projection.gains(white, self.amplitudes, index)
+                    every.append(gain.flatten())
+                    size, place = divmod(int(gain.argmax()), gain.shape[1])
+                    if top is None or float(gain[size, place]) > top[0]:
+                        basis = unit * self.amplitudes[size]
+                        top = (float(gain[size, place]), shapes, first + place, basis)
+        if top is None:
+            return None
+        alone, shapes, place, unit = top
+        gain = torch.cat(every)
+        columns, rows = shapes.inside(place, len(unit))
+        period = 0.0 if shapes.periods is None else float(shapes.periods[place])
+        mean = float(torch.logsumexp(gain, 0)) - math.log(len(gain))
+        return Found(mean, alone, columns * unit[:, None], rows, period)
+
+    def repeating(self, seconds: Tensor) -> Found | None:
+        """Over all periods, then more finely about the best."""
+        span = float(seconds.max() - seconds.min())
+        most = min(MOST_CYCLES, len(seconds) / ROWS_A_CYCLE)
+        if most <= FEWEST_CYCLES or span <= 0:
+            return None
+        count = torch.arange(FEWEST_CYCLES, most, CYCLE_STEP, dtype=seconds.dtype)
+        found = self.best(cycles(seconds, some) for some in count.split(64))
+        assert found is not None  # there is a period at least
+        near = span / found.period + CYCLE_STEP * torch.linspace(-1, 1, 17, dtype=seconds.dtype)
+        finer = self.best([cycles(seconds, near)])
+        assert finer is not None
+        # the places between are as many more
+        return Found(max(found.gain, finer.alone + found.gain - found.alone), finer.alone, *_rest(finer))
+
+
+def _rest(found: Found) -> tuple[Tensor, Tensor, float]:
+    return found.columns, found.rows, found.period
+
+
+def _refitted(at: Fitted, name: str, best: Found, plain: float, log_odds: float) -> Discrepancy:
+    """The best shape fitted together with the noise, from where the scene's own model stands and from where a row counts as FAR
+    errors at most."""
+    basis = best.columns
     posterior = Linear(at, basis)
     start = torch.cat([at.g, at.g.new_zeros(basis.shape[1])])
-    wide = at.wide
+    wide = at.wide * (at.delta / at.wide / FAR).abs().clamp(min=1.0)
     tangent = torch.cat([at.slopes, -basis], 1) / wide[:, None]
     system = tangent.T @ tangent + torch.eye(tangent.shape[1], dtype=wide.dtype)
     step = torch.linalg.solve(system, tangent.T @ (at.delta / wide) + start)
@@ -186,6 +296,7 @@ def _refitted(
     band = (
         torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
     )
+    gain = found.laplace - plain + best.gain - best.alone
     return Discrepancy(
-        at.hypothesis, at.log_z, name, found.laplace - plain + spread, log_odds, curve, band, rows
+        at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period
     )

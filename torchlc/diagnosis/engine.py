@@ -156,6 +156,11 @@ class Search:
         laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes]
         return (SCALE, *laws[:1])
 
+    def correlated(self, hypothesis: Hypothesis) -> bool:
+        """Whether its rows err together."""
+        kinds = self.bench.kinds()
+        return any(kinds[kind].correlates for kind in hypothesis.noise if kind in kinds)
+
     def noises(self) -> list[tuple[str, ...]]:
         """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
         between rows."""
@@ -436,12 +441,12 @@ class Search:
         near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
-        noises, kinds = self.noises(), self.bench.kinds()
+        noises = self.noises()
         for number, one in enumerate(dict.fromkeys((*sets, null))):
             if one not in self.visited:
                 continue
             for noise in noises:
-                joint = any(kinds[kind].correlates for kind in noise if kind in kinds)
+                joint = self.correlated(one.under(*noise))
                 if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
                     self.renoise(self.visited[one], noise)
             if number == 0:  # what the leader has no use for, its rivals are not asked under
@@ -508,13 +513,14 @@ class Search:
                 self.refit(hypothesis, theta[None], at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:
-        """What the library does not hold, beside nothing and beside the leading set, where that was not asked before, or where a
-        better minimum was found since."""
+        """What the library does not hold, beside nothing and beside the leading set, each under the best noise that is independent
+        between rows, where that was not asked before, or where a better minimum was found since."""
         self.odd = [odd for odd in self.odd if self.visited[odd.beside].log_z < odd.log_z + BETTER]
         known = {odd.beside for odd in self.odd}
         for added in dict.fromkeys([(), self.leader.added]):
-            best = self.ranked(one for one in self.visited if one.added == added)[0]
-            if best not in known:
+            alike = [one for one in self.visited if one.added == added and not self.correlated(one)]
+            best = self.ranked(alike)[0] if alike else None
+            if best is not None and best not in known:
                 self.odd += discrepancies(self.visited[best], coordinates, self.bench)
 
     @property

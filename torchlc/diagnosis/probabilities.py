@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from torchlc.diagnosis.engine import NEAR, Search
-from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
+from torchlc.diagnosis.hypotheses import MOST_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
 from torchlc.inference.posterior import BAD_ROW
@@ -153,7 +153,9 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     for kind, hypothesis, p in less_unseen(search, masses):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
-        if (not entries and (kind or hypothesis.law)) or (stands_in and entries):
+        # as many effects as are tried at once, and yet not enough, are no answer
+        too_few = kind and len(hypothesis.added) == MOST_EFFECTS
+        if (not entries and (kind or hypothesis.law)) or (stands_in and entries) or too_few:
             unknown += p
         elif not entries and name:
             noise += p

@@ -30,8 +30,8 @@ AMPLITUDES = (0.5, 2.0, 8.0, 32.0, 128.0)
 """Of the process, in errors of a row."""
 INSTANTS = 8
 """Equal parts of the rows between which something may come or go."""
-WINDOWS = (8, 16, 32, 64, 128)
-"""Rows of an event, a quarter of each apart: fewer are bad rows, which come in runs of a few."""
+WINDOWS = (16, 32, 64, 128)
+"""Rows of an event, a quarter of each apart: few bad rows in a run are none."""
 EVENT_COSINES = 8
 """Of the course of an event within its window: it may come quickly and go slowly."""
 HARMONICS = 8
@@ -191,9 +191,7 @@ class Projection:
 
     def __init__(self, u: Tensor, tangent: Tensor, mean: Tensor) -> None:
         self.tangent = tangent
-        self.inner = torch.linalg.cholesky(
-            torch.eye(tangent.shape[1], dtype=u.dtype) + tangent.T @ tangent
-        )
+        self.inner = torch.linalg.cholesky(torch.eye(tangent.shape[1], dtype=u.dtype) + tangent.T @ tangent)
         y = u - tangent @ mean
         self.left = y - tangent @ torch.cholesky_solve(tangent.T @ y[:, None], self.inner)[:, 0]
 
@@ -208,9 +206,9 @@ class Projection:
         size, turn = torch.linalg.eigh(gram)
         pull = (turn.mT @ (columns.mT @ left[..., None]))[..., 0]
         spread = amplitudes[:, None, None] ** 2 * size.clamp(min=0)
-        return 0.5 * (
-            (amplitudes[:, None, None] * pull).square() / (1 + spread) - torch.log1p(spread)
-        ).sum(-1)
+        return 0.5 * ((amplitudes[:, None, None] * pull).square() / (1 + spread) - torch.log1p(spread)).sum(
+            -1
+        )
 
 
 class Scan:
@@ -297,6 +295,4 @@ def _refitted(at: Fitted, name: str, best: Found, plain: float, log_odds: float)
         torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
     )
     gain = found.laplace - plain + best.gain - best.alone
-    return Discrepancy(
-        at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period
-    )
+    return Discrepancy(at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period)

@@ -139,12 +139,8 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     rows += [("", one, odds) for one, odds in judged.items()]
     rows += [("odd", odd.beside, search.odd_log_odds(odd)) for odd in search.odd]
     leader = max(rows, key=lambda row: row[2])
-    leaves = leader[0] == "odd"
-    if not leaves:
-        worth = worth_of_p(p_left) + math.log(UNKNOWN_ODDS)
-        rows.append(("odd", leader[1], leader[2] + worth))
-        leaves = worth > 0
-    stands_in = leaves and stands_for_something_else(search, leader[1])
+    if leader[0] != "odd":
+        rows.append(("odd", leader[1], leader[2] + worth_of_p(p_left) + math.log(UNKNOWN_ODDS)))
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     masses = [(kind, hypothesis, p) for (kind, hypothesis, _), p in zip(rows, weight, strict=True)]
     nothing = noise = unknown = leftover = 0.0
@@ -153,9 +149,9 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     for kind, hypothesis, p in less_unseen(search, masses):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
-        # as many effects as are tried at once, and yet not enough, are no answer
-        too_few = kind and len(hypothesis.added) == MOST_EFFECTS
-        if (not entries and (kind or hypothesis.law)) or (stands_in and entries) or too_few:
+        if (not entries and (kind or hypothesis.law)) or (
+            kind and stands_for_something_else(search, hypothesis)
+        ):
             unknown += p
         elif not entries and name:
             noise += p
@@ -208,10 +204,10 @@ def less_unseen(
 
 def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
     """Whether effects that leave structure are no part of the answer: something unknown alone is more likely than they are,
-    or they take too little of the misfit."""
+    they are as many as are tried at once, or they take too little of the misfit."""
     if not hypothesis.added:
         return False
-    if search.stranger_alone > search.log_odds(hypothesis):
+    if search.stranger_alone > search.log_odds(hypothesis) or len(hypothesis.added) == MOST_EFFECTS:
         return True
     if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
         return False
@@ -219,12 +215,12 @@ def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
 
 
 def share_taken(search: Search, hypothesis: Hypothesis) -> float:
-    """How much of the excess of squared residuals of the scene's own model a hypothesis takes away, of rows that are good under
-    it."""
+    """How much of the excess of squared residuals of the scene's own model, in errors as the hypothesis has them, that takes away, of
+    rows that are good under it."""
     before, after = search.best(), search.visited[hypothesis]
     good = after.outlying() < BAD_ROW
     squares = [
-        float((one.delta / after.quoted)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
+        float((one.delta / after.wide)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
     ]
     excess = squares[0] - int(good.sum())
     return (squares[0] - squares[1]) / excess if excess > 0 else 0.0

@@ -4,14 +4,17 @@ collapses."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchlc.diagnosis.gate import runs
-from torchlc.inference.posterior import Fitted
+from torchlc.diagnosis.hypotheses import carried
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.posterior import STEPS, Fitted, Posterior, descend
+from torchlc.noise import Noise, Residuals
 from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12
@@ -33,10 +36,40 @@ class Where:
     ranking: Mapping[str, float]
 
 
+class Weighed(Posterior):
+    """A posterior whose rows have given standard deviations (T,)."""
+
+    def __init__(self, likelihood: Likelihood, sigma: Tensor) -> None:
+        super().__init__(likelihood, scaled=False)
+        self.sigma = sigma
+
+    def residuals(self, g: Tensor) -> Residuals:
+        found = super().residuals(g)
+        return replace(found, sigma=self.sigma.expand(found.delta.shape))
+
+
+@torch.no_grad()
+def refitted(before: Fitted, after: Fitted) -> Tensor:
+    """Residuals (T,) of the model of ``before``, fitted by least squares to the rows as they err in ``after``: a law with bad rows of
+    its own would call bad what ``after`` explains."""
+    if after.noise.processes or after.likelihood.fitted_errors:
+        return before.delta
+    posterior = Weighed(before.likelihood, after.sigma)
+    starts = [one.g[: posterior.own] for one in before.minima]
+    common = carried(before.model.parameter_set, after.theta[None], after.names)[0]
+    starts.append(posterior.coordinates(common))
+    for start in starts:
+        start[posterior.noise_columns] = starts[0][posterior.noise_columns]
+    g = descend(posterior, torch.stack(starts), STEPS, Noise())[0][0]
+    return posterior.residuals(g).delta
+
+
 def locate(before: Fitted, after: Fitted, bare: Fitted, coordinates: Mapping[str, Tensor]) -> Where:
-    """Where two fits differ by more than SEEN_SIGMA of a row; ``bare`` is the second without its effects."""
-    difference = (before.delta - after.delta) / after.wide
-    rows = difference.abs() > SEEN_SIGMA
+    """Where ``after`` and the model of ``before``, each fitted, differ by more than SEEN_SIGMA of a row, or by half of the largest difference where
+    that is less than twice as much; ``bare`` is the first without its effects."""
+    difference = (refitted(before, after) - after.delta) / after.wide
+    size = difference.abs()
+    rows = size > size.max().clamp(max=2 * SEEN_SIGMA) / 2
     return Where(
         rows,
         intervals(rows, difference, after),

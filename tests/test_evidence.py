@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy import integrate, optimize, stats
 
-from torchlc.diagnosis.discrepancy import gains
+from torchlc.diagnosis.discrepancy import Projection
 from torchlc.diagnosis.proof import filtered_log_density
 from torchlc.inference.evidence import StudentMixture, importance, pareto, smoothed, tempered
 from torchlc.inference.normal_scores import NormalScores
@@ -206,17 +206,23 @@ def test_smoothing_keeps_the_order_and_the_sum():
 
 
 def test_gains_are_the_ratio_of_dense_normal_densities():
-    """log N(y; 0, 1 + J J' + F F') - log N(y; 0, 1 + J J') with full matrices."""
+    """log N(y; 0, 1 + J J' + a^2 F F') - log N(y; 0, 1 + J J') with full matrices, F at some of the rows."""
     random = np.random.default_rng(4)
-    j, f, mean = random.normal(size=(25, 4)), random.normal(size=(25, 3)), random.normal(size=4)
+    j, f, mean = random.normal(size=(25, 4)), np.zeros((25, 3)), random.normal(size=4)
+    index = torch.tensor([3, 4, 8, 9, 11, 17, 20])
+    f[index] = random.normal(size=(len(index), 3))
     u = random.normal(size=25)
     y, zero = u - j @ mean, np.zeros(25)
     base = np.eye(25) + j @ j.T
-    expected = stats.multivariate_normal(zero, base + f @ f.T).logpdf(y) - stats.multivariate_normal(
-        zero, base
-    ).logpdf(y)
-    found = gains(torch.tensor(u), torch.tensor(j), torch.tensor(mean), torch.tensor(f)[None])
-    assert float(found[0]) == pytest.approx(expected, abs=1e-9)
+    plain = stats.multivariate_normal(zero, base).logpdf(y)
+    projection = Projection(torch.tensor(u), torch.tensor(j), torch.tensor(mean))
+    amplitudes = torch.tensor([0.7, 3.0], dtype=torch.float64)
+    found = projection.gains(torch.tensor(f)[index][None], amplitudes, index[None])
+    whole = projection.gains(torch.tensor(f)[None], amplitudes)
+    for number, a in enumerate(amplitudes.tolist()):
+        expected = stats.multivariate_normal(zero, base + a**2 * f @ f.T).logpdf(y) - plain
+        assert float(found[number, 0]) == pytest.approx(expected, abs=1e-9)
+        assert float(whole[number, 0]) == pytest.approx(expected, abs=1e-9)
 
 
 # ------------------------------------------------------------------ coordinates

@@ -11,7 +11,7 @@ import torch
 from scipy import stats
 
 import torchlc
-from torchlc.diagnosis.discrepancy import EVENT, course, discrepancies
+from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
@@ -200,6 +200,41 @@ def test_an_event_that_comes_quickly_and_goes_slowly_is_found_where_it_is(ball) 
     strong &= event.rows
     off = (event.curve.abs() - torch.from_numpy(dip)).abs()[strong]
     assert float((off / event.band[strong]).max()) < 4
+
+
+def test_what_repeats_with_a_period_of_its_own_is_found(ball) -> None:
+    """Flashes of 0.3 mag, each an eighth of their 23 minutes long at half height: the period, and the flash to four bands."""
+    minutes = (ball[1].seconds - ball[1].seconds.min()) / 60
+    cycle = np.mod(minutes / 23.0 + 0.2, 1.0) - 0.5
+    flash = -0.3 * np.exp(-0.5 * (cycle / 0.055) ** 2)
+    search = searched(changed(ball, flash))
+    null = search.visited[Hypothesis().under(*search.robust)]
+    seconds = torch.from_numpy(60 * minutes)
+    found = {one.coordinate: one for one in discrepancies(null, {"time": seconds}, search.bench)}
+    again = found[REPEATING]
+    # it beats bad rows, and a curve of time, which would need a hump for each flash
+    assert again.log_gain > 10
+    assert all(again.log_gain > 10 + one.log_gain for name, one in found.items() if name != REPEATING)
+    assert again.period / 60 == pytest.approx(23.0, rel=0.01)
+    assert "every 2" in again.course(seconds)
+    off = again.curve - again.curve.mean() - torch.from_numpy(flash - flash.mean())
+    assert float((off.abs() / again.band).max()) < 4
+
+
+def test_what_ends_at_an_instant_follows_its_coordinate_until_then(ball) -> None:
+    """A wave of 0.15 mag along a phase for the first 60 % of the rows: a part that then flies off."""
+    minutes = (ball[1].seconds - ball[1].seconds.min()) / 60
+    phase = np.mod(minutes / 31.0, 1.0)
+    until = minutes < np.quantile(minutes, 0.62)
+    wave = np.where(until, 0.15 * np.cos(2 * np.pi * phase), 0.0)
+    search = searched(changed(ball, wave))
+    null = search.visited[Hypothesis().under(*search.robust)]
+    along = {"spin_phase": torch.from_numpy(phase)}
+    best = max(discrepancies(null, along, search.bench), key=lambda one: one.log_gain)
+    assert best.coordinate == "spin_phase" and best.log_gain > 10
+    # between the eight parts of the rows that an instant may lie between
+    assert np.mean(best.rows.numpy() == until) > 1 - 0.5 / 8
+    assert "until" in best.course(torch.from_numpy(60 * minutes))
 
 
 def test_the_course_of_an_event_has_unit_variance() -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchlc.diagnosis.coordinates import in_words
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.inference.posterior import Fitted, Linear, fit
 
@@ -69,6 +70,18 @@ class Discrepancy:
     rows: Tensor
     period: float = 0.0
 
+    def course(self, seconds: Tensor) -> str:
+        """What it follows, in words; ``seconds`` (T,) count from the first row."""
+        if self.coordinate == REPEATING:
+            return f"comes again every {self.period / 60:.3g} min"
+        first, last = (float(one) / 3600 for one in (seconds[self.rows].min(), seconds[self.rows].max()))
+        if self.coordinate == EVENT:
+            return f"is there from {first:.2f} to {last:.2f} h after the first row"
+        told = f"follows {in_words(self.coordinate)}"
+        if bool(self.rows.all()):
+            return told
+        return f"{told}, {f'from {first:.2f} h' if first > 0 else f'until {last:.2f} h'} after the first row"
+
 
 @dataclass(frozen=True)
 class Shapes:
@@ -113,7 +126,7 @@ def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbenc
         plain = fit(at.hypothesis, Linear(at), at.g[None]).laplace
         scan = Scan(at)
         found = [(name, scan.best([along(value)])) for name, value in chosen.items()]
-        found += [(name, scan.best([one_side(value, seconds)])) for name, value in chosen.items()]
+        found += [(name, scan.best(one_side(value, seconds))) for name, value in chosen.items()]
         found += [(REPEATING, scan.repeating(seconds)), (EVENT, scan.best(windows(seconds)))]
         kinds = [(name, best) for name, best in found if best is not None]
         log_odds = math.log(ODDS / len(kinds))
@@ -140,14 +153,15 @@ def along(value: Tensor) -> Shapes:
     return Shapes(torch.arange(len(value)).expand(len(LENGTHS), -1), columns)
 
 
-def one_side(value: Tensor, seconds: Tensor) -> Shapes:
+def one_side(value: Tensor, seconds: Tensor) -> Iterator[Shapes]:
     """Along a coordinate (T,), before or after an instant."""
     columns = torch.stack([process(value, length) for length in LENGTHS])
     place = torch.argsort(torch.argsort(seconds))
     edges = torch.linspace(0, len(seconds), INSTANTS + 1).round()[1:-1]
-    sides = [side for edge in edges for side in (place < edge, place >= edge)]
-    every = torch.cat([columns * side[:, None] for side in sides])
-    return Shapes(torch.arange(len(value)).expand(len(every), -1), every)
+    for edge in edges:
+        for side in (place < edge, place >= edge):
+            index = torch.nonzero(side)[:, 0]
+            yield Shapes(index.expand(len(LENGTHS), -1), columns[:, index])
 
 
 def cycles(seconds: Tensor, count: Tensor) -> Shapes:

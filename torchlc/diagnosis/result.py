@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
-from torchlc.diagnosis.coordinates import in_words
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
@@ -411,6 +410,8 @@ class Diagnosis:
             "band_mag": odd.band[some].tolist(),
             "rows": int(odd.rows.sum()),
             "seconds": [float(rows.min()), float(rows.max())],
+            "period_s": odd.period or None,
+            "course": odd.course(self.coordinates["time"]),
         }
 
     def remaining(self) -> dict[str, Any]:
@@ -426,7 +427,7 @@ class Diagnosis:
             note = f"structure is left: {left}, most of all {statistic(worst)}"
             odd = self.search.strongest()
             if odd is not None and odd.log_gain > 0:
-                note += f"; it follows {in_words(odd.coordinate)}"
+                note += f"; it {odd.course(self.coordinates['time'])}"
         if at.hypothesis.noise:
             kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
             note += f"; rows err by {' and '.join(kinds)}"

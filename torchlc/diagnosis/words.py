@@ -100,7 +100,7 @@ def shape(content: Mapping[str, Any]) -> str:
         return ""
     size = max(map(abs, odd["mag"]))
     beside = f" beside {' and '.join(odd['beside'])}" if odd["beside"] else ""
-    return f"What no effect describes{beside} follows {in_words(odd['coordinate'])}, up to {size:.2g} mag."
+    return f"What no effect describes{beside} {odd['course']}. It is up to {size:.2g} mag."
 
 
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:

@@ -394,14 +394,15 @@ class Search:
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,
         and with each exchanged. A leader whose rows err independently that leaves nothing, by the p-value that ``left``
-        gives, is only asked for what may hide beside it; and where something unknown alone is far ahead of all leaders, only the
-        first of them grows."""
+        gives, is only asked for what may hide beside it; where something unknown alone is far ahead of all leaders, only the
+        first of them grows; and none does that would stay behind if each further effect gained as much as the best one alone."""
         grown: set[frozenset[str]] = set()
         for size in range(1, MOST_EFFECTS):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             alike = self.ranked(one for one in self.visited if one.noise == self.robust)[0]
             clean = left(self.visited[alike]) > CLEAN_P
-            if clean and len(alike.added) < size:
+            ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
+            if (clean and len(alike.added) < size) or ahead > REACH + (MOST_EFFECTS - size) * self.gain_alone:
                 break
             stems = sized[: 1 if clean or self.stranger_leads else BEAM]
             for number, stem in enumerate(stems):
@@ -522,6 +523,14 @@ class Search:
             best = self.ranked(alike)[0] if alike else None
             if best is not None and best not in known:
                 self.odd += discrepancies(self.visited[best], coordinates, self.bench)
+
+    @property
+    def gain_alone(self) -> float:
+        """What the best effect alone adds to the log odds of the scene's own model, each under the robust noise."""
+        robust = [one for one in self.ranked() if one.noise == self.robust and not one.law]
+        null, *_ = (one for one in robust if not one.added)
+        alone = next((one for one in robust if len(one.added) == 1), null)
+        return max(self.log_odds(alone) - self.log_odds(null), 0.0)
 
     @property
     def stranger_leads(self) -> bool:

@@ -281,8 +281,24 @@ class Search:
         theta[:, place] = hours
         g = at.posterior.coordinates(theta)
         g[:, at.posterior.noise_columns] = at.g[at.posterior.noise_columns]
+        # rows before its instant are as if it came last, the others as if it came first
+        seconds = self.bench.base.context.seconds
+        begun = seconds / 3600 > hours[:, None]
+
+        def at_every(ends: Tensor) -> Tensor:
+            first, last = ends.expand(2, len(seconds))
+            return torch.where(begun, first, last)
+
         with torch.no_grad():
-            density = at.posterior.log_density(g)
+            ends = at.posterior.residuals(g[[0, -1]])
+            every = replace(
+                ends,
+                delta=at_every(ends.delta),
+                sigma=at_every(ends.sigma),
+                scale=at_every(ends.scale),
+                prediction=at_every(ends.prediction),
+            )
+            density = at.posterior.held_density(every, g)
         best = torch.argsort(density, descending=True)[:PLACES]
         return self.refit(at.hypothesis, theta[best], at, turns=1, most=1)
 

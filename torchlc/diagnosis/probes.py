@@ -66,6 +66,8 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     theta = carried(parameters, at.theta[None], at.names)
 
     def change(psi: Tensor) -> Tensor:
+        if not len(psi):
+            return at.delta.new_zeros(0, len(at.delta))
         many = theta.repeat(len(psi), 1)
         many[:, columns] = psi
         with torch.no_grad():
@@ -76,8 +78,13 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     u = torch.cat([at.delta / at.sigma, at.g])
     psi = _tried(bench, posterior, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
     sought = psi[:0] if per is not None else _sought(bench, likelihood, entry, Target(u, basis, change))
-    psi = torch.cat([psi, sought])
-    moved = change(psi)
+    column = scanned_column(entry)
+    if column is None or per is not None:
+        moved = change(psi)
+    else:  # what begins at an instant is the same whenever that is
+        begun = bench.base.context.seconds / 3600 > psi[:, [column]]
+        moved = change(psi[:1]) * begun
+    psi, moved = torch.cat([psi, sought]), torch.cat([moved, change(sought)])
     if per is not None:
         part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)

@@ -581,7 +581,7 @@ class Effect(nn.Module):
     parameters; ``known`` switches it on by default; ``nodes`` is by how much it multiplies the instants or
     lights; ``widens`` a light effect that leaves discs whole where a view asks for that; ``steps`` into how many parts its one parameter is divided, from 0 to the upper bound, for light
     to be interpolated where nothing else moves the geometry (0: never); ``scanned`` names a quantity in hours
-    after the first row that has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
+    after the first row, the instant from which on the effect acts, alike whenever that is: it has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
     whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
     about the body axes and the time; ``brdf`` is the
     reflection model of a surface that it adds; ``simplex`` names quantities whose sum may not exceed 1; ``linear`` marks an effect of the geometry whose parameters

@@ -157,8 +157,8 @@ def one_side(value: Tensor, seconds: Tensor) -> Iterator[Shapes]:
     """Along a coordinate (T,), before or after an instant."""
     columns = torch.stack([process(value, length) for length in LENGTHS])
     place = torch.argsort(torch.argsort(seconds))
-    edges = torch.linspace(0, len(seconds), INSTANTS + 1).round()[1:-1]
-    for edge in edges:
+    edges = torch.linspace(0, len(seconds), INSTANTS + 1)[1:-1].round().long()
+    for edge in torch.unique(edges[(edges > 0) & (edges < len(seconds))]):
         for side in (place < edge, place >= edge):
             index = torch.nonzero(side)[:, 0]
             yield Shapes(index.expand(len(LENGTHS), -1), columns[:, index])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, stats
+from scipy import integrate, interpolate, optimize, stats
 
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
@@ -416,6 +416,24 @@ def test_albedo_at_low_signal_to_noise(tmp_path, ratio, spread):
     found = fit_map(Likelihood(LightCurve(scene, recording)), starts=2, adam_steps=20)
     assert 2.5 * math.log10(float(found.theta) / 0.5) == pytest.approx(0.0, abs=0.01)
     assert 1e-4 < found.p_value < 1 - 1e-4
+
+
+def test_short_curves_with_errors_that_also_scatter(tmp_path):
+    """200 curves of 20 rows at a signal-to-noise ratio of 3, errors scattered by 0.3 from row to row: the most probable albedo
+    is on average within 0.01 mag of the mean of the fluxes by their known errors, the best there is (0.006 +- 0.002).
+    Magnitudes are 0.13 mag off; where one curve in nine misses its law, 0.018."""
+    albedos = torch.linspace(0.25, 0.85, 61, dtype=torch.float64)[:, None]
+    off = []
+    for seed in range(200):
+        scene, recording, measured, sigma = faint(tmp_path, 3, 20, 1000 + seed, 0.3)
+        likelihood = Likelihood(LightCurve(scene, recording))
+        with torch.no_grad():
+            spline = interpolate.CubicSpline(albedos[:, 0], -likelihood.log_likelihood(albedos))
+        found = optimize.minimize_scalar(spline, bounds=(0.25, 0.85), method="bounded").x
+        full = 10 ** (-0.4 * float(LightCurve(still(PLATE, KNOWN), recording)()[0].detach())) / 0.5
+        known = np.sum(measured / sigma**2) / np.sum(1 / sigma**2) / full
+        off.append(2.5 * math.log10(found / known))
+    assert abs(np.mean(off)) < 0.01
 
 
 @pytest.mark.parametrize(

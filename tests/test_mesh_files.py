@@ -221,6 +221,7 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
             "corner 1 has a coordinate that is no finite number",
         ),
         ("a.obj", "v 1_0 0 0\n" + CORNERS + "f 1 2 3\n", "line 1: '1_0 0 0'; expected numbers"),
+        ("a.obj", "v \uff11 0 0\n" + CORNERS + "f 1 2 3\n", "line 1: '\uff11 0 0'; expected numbers"),
         ("a.obj", CORNERS, "a mesh without faces"),
         ("a.obj", CORNERS + "f 1 1 2\n", "a mesh without area"),
         ("a.obj", "", "a mesh without faces"),
@@ -238,6 +239,16 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
             "1900000 rows of vertex are declared, 6 bytes follow",
         ),
         ("a.ply", PLY.format(3, 10**9) + "0 0 0\n", "at most 200000"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1_0 0 0\n0 1 0\n3 0 1 2\n", "'1_0' is not a number"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1 0 0\n0 1 0\n3.0 0 1 2\n", "a list of '3.0' numbers"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 2 1\n", "'3' after the last row"),
+        (
+            "a.ply",
+            PLY.format(3, 1).replace("ascii", "binary_little_endian").encode()
+            + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+            + struct.pack("<B3i", 3, 0, 1, 2) * 2,
+            "13 bytes after the last row",
+        ),
         ("a.ply", PLY.format(3, 1).replace("float x", "float t") + "0 0 0\n", "a header without"),
         ("a.ply", "ply\n", "no header"),
     ],

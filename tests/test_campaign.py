@@ -29,6 +29,7 @@ import pytest
 
 import torchlc
 from tests.chromium import PROGRAM, Page
+from tests.paper_orbits import ORBIT_1
 from tests.small_case import write_case
 from torchlc.campaigns.cluster import connected, spread
 from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
@@ -633,6 +634,25 @@ def test_no_cell_of_the_summary_is_a_formula(tmp_path: Path):
     assert not any(cell[:1] in "=+-@\t\r" and not re.fullmatch(r"[-+]?[\d.]+(e\d+)?", cell) for cell in cells)
     table = pandas.read_csv(tmp_path / "t.csv")
     assert set(table.rms_mag) == {-0.5} and set(table.chi2) == {1e-7}
+
+
+def test_no_cell_of_a_manifest_is_a_formula(tmp_path: Path):
+    """Of files whose names are formulas; the manifest finds them."""
+    (tmp_path / "elements.txt").write_text("\n".join(ORBIT_1))
+    folder = tmp_path / "nights"
+    folder.mkdir()
+    lines = [
+        "time,mag,mag_err",
+        *(f"2020-10-17T15:{minute:02}:00,12.{minute:02},0.02" for minute in range(20)),
+    ]
+    (folder / "=HYPERLINK(1) 00001.csv").write_text("\n".join(lines))
+    station = ["--station", "here,37.5,122.0,10"]
+    assert run(["campaign", "init", str(tmp_path / "elements.txt"), str(folder), *station, "--quiet"]) == 0
+    with (folder / "manifest.csv").open(newline="", encoding="utf-8") as stream:
+        (row,) = csv.DictReader(stream)
+    assert not any(cell[:1] in tuple("=+-@\t\r") for cell in row.values()), row
+    (job,) = read_manifest(folder / "manifest.csv")
+    assert Path(job.recording).samefile(folder / "=HYPERLINK(1) 00001.csv") and Path(job.scene).is_file()
 
 
 def test_what_somebody_put_into_an_objects_folder_stays(tmp_path: Path):

@@ -225,6 +225,7 @@ class TestAlcdef:
             (("DELIMITER=PIPE", "DELIMITER=BAR"), "DELIMITER: 'BAR'"),
             (("ENDMETADATA\n", ""), "line 12: DATA outside a session's data"),
             (("ENDDATA\n", ""), "inside the data of a session; expected ENDDATA"),
+            (("FILTER=C", "MAGADJUST=0.5\nmagadjust = 0.7\nFILTER=C"), "MAGADJUST again, 0.5 in line "),
             (
                 (
                     "OBJECTNUMBER=433",

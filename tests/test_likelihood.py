@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy import integrate, stats
+from scipy import integrate, interpolate, optimize, stats
 
 from tests.effects.cases import PLATE, material, seen_from, still, tilted
 from torchlc.api import fit
@@ -28,6 +28,11 @@ from torchlc.stages.noise import Noise
 
 FREE = '[materials.white]\nmodel = "lambert"\nalbedo = {value = 0.5, low = 0.05, high = 1.0}\n'
 KNOWN = '[materials.white]\nmodel = "lambert"\nalbedo = 0.5\n'
+GLOSSY = (
+    '[materials.white]\nn = {value = 30.0, low = 1.0, high = 1e4, prior = "loguniform"}\n'
+    "r_spec = {value = 0.3, low = 0.0, high = 1.0}\nr_diff = {value = 0.3, low = 0.0, high = 1.0}\n"
+    '[materials.black]\nmodel = "lambert"\nalbedo = 0.0\n'
+)
 LIMITS = [1, 4]
 JITTER, RED, TAU, SHARE, WIDTH = 0.07, 0.1, 0.2, 0.15, 6.0
 MAG_PER_LN = 2.5 / math.log(10)
@@ -217,6 +222,51 @@ def test_a_looser_limit_never_costs_more(seven, kind, noise):
     kept = without.model.recording.keep(np.arange(7) != 6, "for a test")
     rest = Likelihood(LightCurve(without.model.scene, kept)).log_likelihood(theta, used)
     assert float(log_p[-1]) == pytest.approx(float(rest), abs=1e-6)
+
+
+@pytest.mark.parametrize("measured", [1, 2, 12], ids="{} measured".format)
+@pytest.mark.parametrize("rows", [1, 2, 12], ids="{} rows".format)
+@pytest.mark.parametrize("fitted", [False, True], ids=["quoted", "fitted"])
+@pytest.mark.parametrize("kind", ["mag", "flux"])
+def test_corners_of_the_priors_have_a_density_and_slopes(tmp_path, kind, fitted, rows, measured):
+    """A plate of dark rows, whose glint, limits and reflectances at their bounds put residuals up to 1e10 errors out; and a model
+    that goes through every row. Under every noise there is a finite number with finite slopes, and three of one theta
+    have it."""
+    scene = still(PLATE + 'back_material = "black"\n', GLOSSY)
+    recording = seen_from(scene, tmp_path, tilted(np.linspace(0, 170, 12)), tilted(10, 180))
+    recording = recording.keep(np.arange(12) < rows, "cut")
+    light = LightCurve(scene, recording).brightness().flux.detach().numpy()
+    light = light / light.max()
+    recording = replace(
+        recording,
+        kind=kind,
+        observed=light if kind == "flux" else -2.5 * np.log10(np.maximum(light, 1e-3)),
+        error=None if fitted else np.full(rows, 0.03),
+        upper_limit=np.arange(rows) >= measured,
+    )
+    for effects in (
+        [],
+        ["jitter"],
+        ["outliers"],
+        ["red_noise"],
+        ["outliers", "jitter"],
+        ["red_noise", "jitter"],
+    ):
+        if fitted and "jitter" in effects:
+            continue  # the level is fitted
+        likelihood = Likelihood(LightCurve(scene, recording, effects=effects))
+        free = likelihood.model.parameter_set.free
+        start = likelihood.model.theta().detach()
+        dull = start.clone()
+        dull[[k for k, one in enumerate(free) if "r_" in one.name]] = 0.0
+        ends = [[one.prior.low for one in free], [min(one.prior.high, 1e9) for one in free]]
+        for theta in (start, dull, *torch.tensor(ends, dtype=torch.float64)):
+            leaf = theta.clone().requires_grad_()
+            value = likelihood.log_likelihood(leaf)
+            (slope,) = torch.autograd.grad(value, leaf)
+            assert torch.isfinite(value) and torch.isfinite(slope).all(), (effects, theta, slope)
+            batch = likelihood.log_likelihood(theta.repeat(3, 1))
+            torch.testing.assert_close(batch, value.detach().expand(3), rtol=1e-10, atol=1e-9)
 
 
 def test_the_gain_is_that_of_the_measured_rows(seven):
@@ -416,6 +466,24 @@ def test_albedo_at_low_signal_to_noise(tmp_path, ratio, spread):
     found = fit_map(Likelihood(LightCurve(scene, recording)), starts=2, adam_steps=20)
     assert 2.5 * math.log10(float(found.theta) / 0.5) == pytest.approx(0.0, abs=0.01)
     assert 1e-4 < found.p_value < 1 - 1e-4
+
+
+def test_short_curves_with_errors_that_also_scatter(tmp_path):
+    """200 curves of 20 rows at a signal-to-noise ratio of 3, errors scattered by 0.3 from row to row: the most probable albedo
+    is on average within 0.01 mag of the mean of the fluxes by their known errors, the best there is (0.006 +- 0.002).
+    Magnitudes are 0.13 mag off; where one curve in nine misses its law, 0.018."""
+    albedos = torch.linspace(0.25, 0.85, 61, dtype=torch.float64)[:, None]
+    off = []
+    for seed in range(200):
+        scene, recording, measured, sigma = faint(tmp_path, 3, 20, 1000 + seed, 0.3)
+        likelihood = Likelihood(LightCurve(scene, recording))
+        with torch.no_grad():
+            spline = interpolate.CubicSpline(albedos[:, 0], -likelihood.log_likelihood(albedos))
+        found = optimize.minimize_scalar(spline, bounds=(0.25, 0.85), method="bounded").x
+        full = 10 ** (-0.4 * float(LightCurve(still(PLATE, KNOWN), recording)()[0].detach())) / 0.5
+        known = np.sum(measured / sigma**2) / np.sum(1 / sigma**2) / full
+        off.append(2.5 * math.log10(found / known))
+    assert abs(np.mean(off)) < 0.01
 
 
 @pytest.mark.parametrize(

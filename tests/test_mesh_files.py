@@ -100,6 +100,34 @@ def test_a_face_that_is_not_flat_is_told_of(tmp_path):
     assert any("3 faces" in text and "not flat" in text for text in measured(tmp_path / "bent.obj")[2])
 
 
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [(0, 0), (1, 0), (0, 1), (1, 1)],
+        [(0, 0), (2, 1), (2, 0), (0, 3)],
+        [(math.cos(0.8 * k * math.pi), math.sin(0.8 * k * math.pi)) for k in range(5)],
+    ],
+    ids=["equal halves", "unequal halves", "pentagram"],
+)
+def test_a_face_that_crosses_itself_is_refused(tmp_path, outline):
+    """The areas of its halves cancel, or count twice: 4.0 for 2.0 of the second."""
+    square = [(5, 5, 0), (6, 5, 0), (6, 6, 0), (5, 6, 0)]
+    corners = [*square, *((*point, 0) for point in outline)]
+    faces = [(1, 2, 3, 4), tuple(range(5, 5 + len(outline)))]
+    (tmp_path / "a.obj").write_text(obj(corners, faces))
+    with pytest.raises(
+        InputError, match=f"face 2, of {len(outline)} corners, has an outline that crosses itself"
+    ):
+        measured(tmp_path / "a.obj")
+
+
+def test_an_outline_that_runs_round_a_hole_keeps_its_area(tmp_path):
+    """A square of 3 m with a square hole of 1 m, to which a cut leads and back: 8 m2."""
+    corners = [(0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 0), (1, 1, 0), (1, 2, 0), (2, 2, 0), (2, 1, 0)]
+    (tmp_path / "a.obj").write_text(obj(corners, [(1, 2, 3, 4, 1, 5, 6, 7, 8, 5)]))
+    assert measured(tmp_path / "a.obj")[0] == pytest.approx(8, rel=1e-12)
+
+
 FORMS = {
     "texture": lambda k: f"{k}/1", "normal": lambda k: f"{k}//1", "both": lambda k: f"{k}/1/1",
     "negative": lambda k: str(k - 9), "negative both": lambda k: f"{k - 9}/-1/-1", "plus": lambda k: f"+{k}",
@@ -221,6 +249,7 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
             "corner 1 has a coordinate that is no finite number",
         ),
         ("a.obj", "v 1_0 0 0\n" + CORNERS + "f 1 2 3\n", "line 1: '1_0 0 0'; expected numbers"),
+        ("a.obj", "v \uff11 0 0\n" + CORNERS + "f 1 2 3\n", "line 1: '\uff11 0 0'; expected numbers"),
         ("a.obj", CORNERS, "a mesh without faces"),
         ("a.obj", CORNERS + "f 1 1 2\n", "a mesh without area"),
         ("a.obj", "", "a mesh without faces"),
@@ -238,6 +267,16 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
             "1900000 rows of vertex are declared, 6 bytes follow",
         ),
         ("a.ply", PLY.format(3, 10**9) + "0 0 0\n", "at most 200000"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1_0 0 0\n0 1 0\n3 0 1 2\n", "'1_0' is not a number"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1 0 0\n0 1 0\n3.0 0 1 2\n", "a list of '3.0' numbers"),
+        ("a.ply", PLY.format(3, 1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 2 1\n", "'3' after the last row"),
+        (
+            "a.ply",
+            PLY.format(3, 1).replace("ascii", "binary_little_endian").encode()
+            + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+            + struct.pack("<B3i", 3, 0, 1, 2) * 2,
+            "13 bytes after the last row",
+        ),
         ("a.ply", PLY.format(3, 1).replace("float x", "float t") + "0 0 0\n", "a header without"),
         ("a.ply", "ply\n", "no header"),
     ],

@@ -397,6 +397,13 @@ class TestNumbers:
         with pytest.raises(InputError, match=r"row 2, column mag_err: .*expected > 0: 1e-12 to 90 mag"):
             read(f"time,mag,mag_err\n2459140.4,12,0.1\n2459140.5,12,{error}\n")
 
+    def test_an_error_whose_weight_is_infinite_is_refused(self, read):
+        """Beside a flux as small, for which 1 % is no small error: 1 / error^2 has no number."""
+        with pytest.raises(
+            InputError, match=r"row 1, column flux_err: 1e-300; expected > 0: 1e-60 to 1e\+30"
+        ):
+            read("time,flux,flux_err\n2459140.4,1e-298,1e-300\n2459140.5,2e-298,1e-300\n")
+
     @pytest.mark.parametrize("scale", [1.0, 1e-16, 1e6])
     def test_errors_of_a_flux_are_measured_by_it(self, read, scale: float):
         text = "time,flux,flux_err\n2459140.4,{0},{1}\n2459140.5,{0},{2}\n"

@@ -117,6 +117,8 @@ class TestWhatTimesAre:
     @pytest.mark.parametrize("said, moved", [
         ("start of exposure (UTC)", 15), ("UTC at the beginning of the exposure", 15), ("exposure start", 15),
         ("shutter open", 15), ("end of exposure", -15), ("exposure end, UTC", -15), ("shutter closed", -15),
+        ("obs start", 15), ("t_start", 15), ("start time", 15), ("UTC at start", 15), ("time_end", -15), ("end of obs", -15),
+        ("start of the list", 0), ("time since start", 0),
         ("mid-exposure", 0), ("middle of the exposure", 0), ("UTC (clock kept by GPS)", 0), ("", 0),
         ("TAI", -37), ("TT", -69.184), ("terrestrial time (TT)", -69.184),
         ("Terrestrial Time at mid-exposure", -69.184), ("International Atomic Time", -37), ("universal time", 0),
@@ -127,6 +129,13 @@ class TestWhatTimesAre:
         assert recording.time.scale == "utc"
         assert (recording.time[0] - Time(NOON)).to_value(u.s) == pytest.approx(moved, abs=1e-6)
         assert bool(recording.warnings) == (moved != 0)
+
+    @pytest.mark.parametrize("seconds", ["3_0", "\uff13\uff10"])
+    def test_numbers_of_the_option_are_written_as_in_a_file(self, read, seconds: str):
+        """Python reads both as 30."""
+        text = plain_ecsv(self.COLUMNS.format("start of exposure"), f"{NOON} 1", f"{LATER} 2")
+        with pytest.raises(InputError, match=seconds):
+            read(text, columns=f"exptime={seconds}")
 
     @pytest.mark.parametrize("meta, moved", [
         ("{TIMESYS: TT}", -69.184), ("{time_scale: tai}", -37), ("{time_reference: start of exposure}", 15),

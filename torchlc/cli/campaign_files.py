@@ -11,6 +11,7 @@ from typing import Any
 
 from torchlc.campaigns.manifest import TASKS
 from torchlc.campaigns.matching import match_files
+from torchlc.campaigns.summary import plain_cell
 from torchlc.cli.scaffold import check_scene, nearest_set, new_scene
 from torchlc.errors import InputError
 from torchlc.files.writing import check_replaceable, write_whole
@@ -90,6 +91,12 @@ def write_campaign(
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(["scene", "recording", "task", "id"])
     for path in matched:
-        writer.writerow([f"{path.stem}.toml", path.name, task, path.stem])
+        names = (_plain_path(f"{path.stem}.toml"), _plain_path(path.name))
+        writer.writerow([*names, task, plain_cell(path.stem)])
     write_whole(manifest, lambda partial: partial.write_text(table.getvalue(), encoding="utf-8"))
     return CampaignFiles(manifest, matched, left_out)
+
+
+def _plain_path(name: str) -> str:
+    """The name of a file as a path that no spreadsheet takes for a formula."""
+    return name if plain_cell(name) == name else f"./{name}"

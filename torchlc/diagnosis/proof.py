@@ -22,7 +22,8 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.posterior import Fitted, Posterior, fit, fitted_at
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
-from torchlc.stages.noise import HALF_LOG_2PI, Law
+from torchlc.stages.noise import Law
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 BLOCKS = 5
 RUNS, SHORTEST_RUN = 3, 10

@@ -22,6 +22,7 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import noise_columns
 from torchlc.inference.reflectances import about, linear_columns, linear_light
 from torchlc.noise.error_law import MAG_PER_LN
+from torchlc.tensors.normal_tail import hazard, log_ndtr
 
 WIDER = 1.2
 """The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
@@ -214,7 +215,7 @@ class CutNormal:
     def __init__(self, a: Tensor, b: Tensor) -> None:
         self.mirrored = a + b > 0
         self.low, self.high = torch.where(self.mirrored, -b, a), torch.where(self.mirrored, -a, b)
-        self.log_low, self.log_high = torch.special.log_ndtr(torch.stack([self.low, self.high])).unbind()
+        self.log_low, self.log_high = log_ndtr(torch.stack([self.low, self.high])).unbind()
 
     def log_density(self, x: Tensor) -> Tensor:
         """At x inside [a, b]."""
@@ -233,8 +234,6 @@ class CutNormal:
         if bool(far.any()):
             x = torch.where(log_p < -600.0, -torch.sqrt(-2.0 * log_p), x)
             for _ in range(4):
-                value = torch.special.log_ndtr(x)
-                slope = torch.exp(-0.5 * x * x - 0.5 * math.log(2 * math.pi) - value)
-                x = torch.where(far, x - (value - log_p) / slope.clamp(min=1e-300), x)
+                x = torch.where(far, x - (log_ndtr(x) - log_p) / hazard(x), x)
         x = torch.minimum(torch.maximum(x, self.low), self.high)
         return torch.where(self.mirrored, -x, x)

@@ -239,8 +239,7 @@ class Likelihood(Rows):
         its measured rows."""
         share = len(self.model.names) * self.count / self.measured.sum().clamp(min=1)
         share = torch.minimum(share + (1 if self.gains else 0), self.count - 1)
-        level = torch.sqrt(self.squares(delta) / (self.count - share).clamp(min=1.0))
-        return torch.maximum(level, 1e-3 * self.noise_level)
+        return self.level_of(self.squares(delta) / (self.count - share).clamp(min=1.0))
 
     def log_likelihood(self, theta: Tensor, noise: Noise | None = None) -> Tensor:
         """Log density of the recording, (...), at natural values theta (..., P)."""

@@ -23,6 +23,7 @@ from torchlc.noise.correlated import correlated_parts, white_levels
 from torchlc.noise.orthant import POINTS
 from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE
 from torchlc.tensors.least_squares import Minimum, minimise
+from torchlc.tensors.normal_tail import hazard
 
 DISTINCT_CHI2 = 10.0
 """Minima within this of the best are kept as modes."""
@@ -249,12 +250,6 @@ def whitener(
         return likelihood.deviance_rows(found.delta / sigma + shift)
 
     return independent
-
-
-def hazard(k: Tensor) -> Tensor:
-    """phi(k) / Phi(k) of the standard normal distribution, also far out: by how much the mean of a normal cut off
-    k below its centre is above it, in standard deviations."""
-    return torch.exp(-0.5 * k * k - 0.5 * math.log(2 * math.pi) - torch.special.log_ndtr(k))
 
 
 def noise_columns(likelihood: Likelihood) -> list[int]:

@@ -28,8 +28,9 @@ from torchlc.inference.reflectances import linear_columns
 from torchlc.inference.starts import regressed
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals
-from torchlc.stages.noise import HALF_LOG_2PI, Law, Normal
+from torchlc.stages.noise import Law, Normal
 from torchlc.tensors.least_squares import Colours, differences, minimise
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 SCALE_SIGMA = 0.3
 """What is believed of quoted errors: a third too small or too large."""

@@ -19,7 +19,8 @@ from torch import Tensor
 from torchlc.errors import InputError
 from torchlc.noise.orthant import log_orthant
 from torchlc.noise.rows import Residuals, Rows
-from torchlc.stages.noise import HALF_LOG_2PI, Noise, Process
+from torchlc.stages.noise import Noise, Process
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 MOST_LIMITS = 150
 """Upper limits in one curve whose joint probability is worked out: a tenth of a second for a single model."""

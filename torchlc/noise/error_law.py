@@ -26,8 +26,10 @@ from torch import Tensor
 MAG_PER_LN = 2.5 / math.log(10)
 LEAST_STEPS = 3
 """Steps between rows from which a power is worked out: one or two agree with a line too easily."""
-CHANCE = 1e-4
-"""Probability, by Student's t, below which a relation of errors to light is not taken for chance."""
+CHANCE = 1e-2
+"""Probability, by Student's t, below which a relation of errors to light is not taken for chance. Of curves of 20 rows at a
+signal-to-noise ratio of 3, whose errors also scatter by 0.3, 4 % then miss the law of their noise (11 % at 1e-4), and the level is
+0.008 mag off on average (0.015). Errors that have nothing to do with the light move it by 0.003 mag."""
 LOG_RATIOS = np.linspace(-8.0, 8.0, 33)
 """ln of variance by photons over variance by the sky, at the median flux, from which the best is looked for: beyond, one of the
 two is less than 0.04 % and is taken for none."""

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from torchlc.noise.rows import Residuals, Rows
 from torchlc.noise.white import row_densities
-from torchlc.stages.noise import HALF_LOG_2PI, Noise
+from torchlc.stages.noise import Noise
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 NODES, LEVELS = 64, 4
 """Of the quadrature over the level of noise: each level looks closer at where the one before found the integrand."""

@@ -15,8 +15,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchlc.stages.noise import HALF_LOG_2PI
 from torchlc.tensors.autodiff_state import readable
+from torchlc.tensors.normal_tail import hazard, hazard_fall, log_ndtr
 
 POINTS = 1024
 FAR_LOG_P = -15.0
@@ -37,7 +37,7 @@ def log_orthant(factor: Tensor, bound: Tensor) -> Tensor:
     total = torch.zeros_like(left[..., 0])
     for i in range(number):
         mean = tilt[..., i, None]
-        share = torch.special.log_ndtr(left[..., 0] / factor[..., i, i, None] - mean)
+        share = log_ndtr(left[..., 0] / factor[..., i, i, None] - mean)
         z = mean + log_quantile(share + torch.log(points[:, i]))
         total = total + share + mean * (0.5 * mean - z)
         left = left[..., 1:] - z[..., None] * factor[..., None, i + 1 :, i]
@@ -55,9 +55,9 @@ def exponential_tilt(factor: Tensor, bound: Tensor) -> Tensor:
     def unsettled(x: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
         """The two gradients (..., 2 n) and by how much the hazard falls with its argument (..., n)."""
         argument = edge - mean - (lower @ x[..., None])[..., 0]
-        hazard = _hazard(argument)
-        pull = (lower.mT @ hazard[..., None])[..., 0]
-        return torch.cat([-mean - pull, mean - x - hazard], -1), hazard * (hazard + argument)
+        ratio = hazard(argument)
+        pull = (lower.mT @ ratio[..., None])[..., 0]
+        return torch.cat([-mean - pull, mean - x - ratio], -1), hazard_fall(argument)
 
     def curvature(fall: Tensor) -> Tensor:
         """Jacobian (..., 2 n, 2 n) of the gradients."""
@@ -85,25 +85,14 @@ def log_quantile(log_p: Tensor) -> Tensor:
     with torch.no_grad():
         x = torch.special.ndtri(torch.exp(log_p.clamp(min=LEAST_LOG_P)))
         far = log_p < FAR_LOG_P
-        value = torch.special.log_ndtr(x)
+        value = log_ndtr(x)
         if not readable(far) or bool(far.any()):
             x = torch.where(far, -torch.sqrt(-2.0 * log_p), x)
             for _ in range(POLISH):
-                value = torch.special.log_ndtr(x)
-                x = torch.where(far, x + (log_p - value) / _slope(x, value), x)
-            value = torch.special.log_ndtr(x)
-        slope = _slope(x, value)
+                x = torch.where(far, x + (log_p - log_ndtr(x)) / hazard(x), x)
+            value = log_ndtr(x)
+        slope = hazard(x)
     return x + (log_p - value) / slope
-
-
-def _hazard(x: Tensor) -> Tensor:
-    """Slope of ln Phi."""
-    return _slope(x, torch.special.log_ndtr(x))
-
-
-def _slope(x: Tensor, log_phi: Tensor) -> Tensor:
-    """Slope of ln Phi, whose value is at hand."""
-    return torch.exp(-0.5 * x * x - HALF_LOG_2PI - log_phi).clamp(min=1e-300)
 
 
 @lru_cache(maxsize=8)

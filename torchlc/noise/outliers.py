@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Quantity
-from torchlc.stages.noise import HALF_LOG_2PI, Law
+from torchlc.stages.noise import Law
 from torchlc.stages.showing import NIGHT, Shown
+from torchlc.tensors.normal_tail import HALF_LOG_2PI, log_ndtr
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Mixture(Law):
         return self._mixed(_log_normal(u), wide)
 
     def log_below(self, u):
-        return self._mixed(torch.special.log_ndtr(u), torch.special.log_ndtr(u / self.width))
+        return self._mixed(log_ndtr(u), log_ndtr(u / self.width))
 
     def log_mixed(self, u, sigma):
         log_sigma = torch.log(sigma)
@@ -87,7 +88,8 @@ class Outliers(NoiseKind):
     )  # fmt: skip
 
     def noise(self, noise, p, context):
-        above_zero = torch.finfo(p["fraction"].dtype).tiny  # where the slope of the mixture's log is finite
+        # where the slope of the mixture's log, 1 / fraction a row that is all but impossible, has a finite sum over rows
+        above_zero = 1e8 * torch.finfo(p["fraction"].dtype).tiny
         return noise.with_law(Mixture(p["fraction"] + above_zero, p["width"]))
 
     def trials(self, facts):

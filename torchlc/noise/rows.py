@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchlc.noise.error_law import above_zero, error_powers
 from torchlc.readers import Recording
+from torchlc.tensors.normal_tail import log_ndtr
 
 
 @dataclass(frozen=True)
@@ -96,14 +97,18 @@ class Rows:
         alike = (torch.diff(together[order]) == 0).to(delta)
         step = torch.zeros_like(delta).index_copy(-1, order[1:], torch.diff(delta[..., order]) * alike)
         steps = self.by_curve(torch.zeros_like(self.observed).index_copy(-1, order[1:], alike))
-        level = torch.sqrt(self.by_curve(step**2) / (2 * steps.clamp(min=1.0)))
-        return torch.maximum(level, 1e-3 * self.noise_level)
+        return self.level_of(self.by_curve(step**2) / (2 * steps.clamp(min=1.0)))
+
+    def level_of(self, variance: Tensor) -> Tensor:
+        """Noise level of each curve, (..., C), from the variance of its residuals: at least a thousandth of the starting one,
+        so that a model through every row has a density, and slopes (the root has none at 0)."""
+        return torch.sqrt(torch.maximum(variance, (1e-3 * self.noise_level) ** 2))
 
     def log_below(self, u: Tensor) -> Tensor:
         """ln of the probability of each upper limit, (..., T), at residuals over their standard deviation u (...,
         T), limit minus model: that normal noise is above u in magnitudes, below it in flux; 0 for measured rows."""
         fainter = self.fainter * torch.where(self.limit, u, 0.0)
-        return torch.where(self.limit, torch.special.log_ndtr(fainter), 0.0)
+        return torch.where(self.limit, log_ndtr(fainter), 0.0)
 
     def normalised(self, found: Residuals) -> Tensor:
         """Residuals over their errors, (..., T); for an upper limit the square root of its deviance."""

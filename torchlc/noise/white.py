@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from torchlc.noise.rows import Residuals, Rows
-from torchlc.stages.noise import HALF_LOG_2PI, Noise
+from torchlc.stages.noise import Noise
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 
 def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:

@@ -47,15 +47,16 @@ AT_THE_SUN = re.compile(
     r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*(?![ _-](dynamical|coordinate)))(?![A-Za-z])",
     re.IGNORECASE,
 )
-_EXPOSED = r"(expos\w*|integration|frame|shutter|observation)"
+_EXPOSED = r"(expos\w*|integration|frame|shutter|obs|observation)"
+_CLOCK = r"(t|times?|dates?|m?jd|utc?)"
 _OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
 MARKS = {
-    "start": re.compile(
-        rf"\b{_OPENS}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_OPENS}\b|^{_OPENS}$", re.I
-    ),
-    "end": re.compile(
-        rf"\b{_CLOSES}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{_CLOSES}\b|^{_CLOSES}$", re.I
-    ),
+    mark: re.compile(
+        rf"\b{word}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{word}\b"
+        rf"|^({_CLOCK}[ _-]*((of|at)[ _-]*)?)?{word}([ _-]{_CLOCK})?$",
+        re.I,
+    )
+    for mark, word in (("start", _OPENS), ("end", _CLOSES))
 }
 """How people say that a time stamp is not the middle of its exposure."""
 MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)

@@ -51,6 +51,8 @@ NO_STATION = "unknown"
 SHORTEST_KM = 1e-6
 """Of a vector to Sun or observer: a millimetre is no distance between bodies."""
 ABOVE_0 = 5e-324
+LEAST_FLUX_ERROR = 1e-60
+"""In whatever unit: the square of a weight, 1 / error^2, is then still a number. A source of 30 mag is 4e-35 W / m2 / Hz."""
 LEAST_ERROR, LARGEST_ERROR = 1e-12, 1e12
 """Of an error, of the size of what it belongs to (1 for magnitudes): beyond it, it is no measured error, and
 weights of its inverse square lose the other rows.
@@ -72,7 +74,7 @@ LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
     "mag_err": (LEAST_ERROR, BEYOND_MAG),
-    "flux_err": (ABOVE_0, 1e30),
+    "flux_err": (LEAST_FLUX_ERROR, 1e30),
     "exptime": (0.0, 86400.0),
     "alt": (-90.0, 90.0),
     "az": (-360.0, 720.0),
@@ -415,8 +417,8 @@ class _Reader:
             )
             if bad.size:
                 expected = f"> 0 and at most {high:g}" if low == ABOVE_0 else f"{low:g} to {high:g}"
-                if name == "mag_err":
-                    expected = f"> 0: {low:g} to {high:g} mag"
+                if name in ("mag_err", "flux_err"):
+                    expected = f"> 0: {low:g} to {high:g}{' mag' if name == 'mag_err' else ''}"
                 place = row_place(int(self.rows[bad[0]]), name)
                 hint = "Leave a missing value blank." if name == self.kind else None
                 raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError
 
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 from torchlc.files.numbers import Real, Table, between, problem
 from torchlc.scene.problems import of_validation
 
@@ -105,10 +106,10 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
         columns["exptime"] = str(table.pop("exptime"))
     for name in ("exptime", "longest_gap"):
         if _is_number(table.get(name)):
-            table[name] = float(table[name])
+            table[name] = decimal(str(table[name]))
     if isinstance(table.get("direction"), str):
         parts = table["direction"].replace(",", " ").split()
-        table["direction"] = [float(part) if _is_number(part) else part for part in parts]
+        table["direction"] = [decimal(part) if _is_number(part) else part for part in parts]
     if columns:
         table["columns"] = {**table.get("columns", {}), **columns}
     try:
@@ -131,7 +132,7 @@ def _pairs(text: str) -> dict[str, str]:
 
 def _is_number(value: Any) -> bool:
     try:
-        float(value)
+        decimal(str(value))
     except (TypeError, ValueError):
         return False
     return True

@@ -16,7 +16,7 @@ from torchlc.files.numbers import SIDES, WHOLE, Direction, Real, between, proble
 from torchlc.shapes.component import Component, Side
 from torchlc.shapes.mesh_files import MOST_FACES, Faces, read_faces
 from torchlc.shapes.part import Facets, Part, Surroundings, frame_about, number, unit
-from torchlc.shapes.triangulation import FLAT, triangles
+from torchlc.shapes.triangulation import FLAT, CrossingError, triangles
 
 AXES_OF_A_MESH = "u = [x, y, z], projected on each facet, or u_around = [x, y, z], an axis that u runs round"
 """What a mesh needs for an anisotropic material."""
@@ -158,7 +158,7 @@ def read_mesh(path: Path, place: str) -> tuple[np.ndarray, list[str]]:
         raise InputError(
             path, place, f"{path.stat().st_size / 1e6:.0f} MB", f"at most {MOST_BYTES / 1e6:.0f} MB"
         )
-    whole, warnings = _cut(read_faces(path, place), path.name)
+    whole, warnings = _cut(read_faces(path, place), path, place)
     try:
         return _repaired(path, place, whole, warnings)
     except (InputError, MemoryError):
@@ -199,7 +199,7 @@ def _repaired(path: Path, place: str, whole: Faces, warnings: list[str]) -> tupl
     return np.asarray(mesh.vertices, dtype=float)[np.asarray(mesh.faces)[sound]], warnings
 
 
-def _cut(mesh: Faces, name: str) -> tuple[Faces, list[str]]:
+def _cut(mesh: Faces, path: Path, place: str) -> tuple[Faces, list[str]]:
     """The mesh with its polygons cut into triangles, and what is to be said of them; polygons without area are left
     as a triangle of none, which is counted later."""
     cut: list[list[int]] = []
@@ -207,7 +207,7 @@ def _cut(mesh: Faces, name: str) -> tuple[Faces, list[str]]:
     seen: set[tuple[int, ...]] = set()
     _, same = np.unique(mesh.corners, axis=0, return_inverse=True)
     same = same.reshape(-1).tolist()
-    for face in mesh.faces:
+    for number_of_face, face in enumerate(mesh.faces, 1):
         # the same corners in the same sense, wherever the face begins; the other sense is the back of a sheet
         loop = [same[corner] for corner in face]
         least = loop.index(min(loop))
@@ -219,15 +219,20 @@ def _cut(mesh: Faces, name: str) -> tuple[Faces, list[str]]:
         if len(face) == 3:
             cut.append(face)
             continue
-        found, bend = triangles(mesh.corners[face])
+        try:
+            found, bend = triangles(mesh.corners[face])
+        except CrossingError:
+            told = f"face {number_of_face}, of {len(face)} corners, has an outline that crosses itself"
+            hint = "Put its corners in the order of its outline, or cut it into triangles."
+            raise InputError(path, place, told, "faces that do not", hint) from None
         bent += bend > FLAT
         cut += [[face[i] for i in three] for three in found] or [[face[0], face[0], face[0]]]
     warnings = []
     if again:
-        warnings.append(f"{name}: {again} faces are there twice and count once")
+        warnings.append(f"{path.name}: {again} faces are there twice and count once")
     if bent:
         warnings.append(
-            f"{name}: {bent} faces of four corners or more are not flat; they are bent along the cuts into triangles"
+            f"{path.name}: {bent} faces of four corners or more are not flat; they are bent along the cuts into triangles"
         )
     return Faces(mesh.corners, cut), warnings
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from torchlc.errors import InputError
+from torchlc.files.decimals import decimal
 
 MOST_FACES = 200_000
 MOST_CORNERS = 2_000_000
@@ -125,9 +126,7 @@ def _obj_index(word: str, corners: int, refuse: Refuse, line: int) -> int:
 
 def _numbers(words: list[str], refuse: Refuse, line: int) -> list[float]:
     try:
-        if any("_" in word for word in words):  # which Python takes for a number
-            raise ValueError
-        return [float(word) for word in words]
+        return [decimal(word) for word in words]
     except ValueError:
         raise refuse(f"{' '.join(words)[:60]!r}", "numbers", at=f"line {line}") from None
 
@@ -201,7 +200,7 @@ def read_ply(content: bytes, refuse: Refuse) -> Faces:
             "the file ends before its last row", "a whole file", "Copy or export it again."
         ) from None
     except (ValueError, OverflowError) as error:
-        raise refuse(f"a row that cannot be read ({error})", "numbers") from None
+        raise refuse(f"a row that cannot be read ({error})", "numbers, as many as the header says") from None
     if any(len(row[axis]) != 1 for row in rows["vertex"] for axis in ("x", "y", "z")):
         raise refuse("a corner whose x, y or z is a list", "a number each")
     corners = [[row[axis][0] for axis in ("x", "y", "z")] for row in rows["vertex"]]
@@ -264,10 +263,19 @@ def _ply_text(
         for _ in range(count):
             row = {}
             for key, counts, _ in properties:
-                length = 1 if counts is None else int(next(words))
-                row[key] = [float(next(words)) for _ in range(length)]
+                length = 1 if counts is None else _count(next(words))
+                row[key] = [decimal(next(words)) for _ in range(length)]
             rows[name].append(row)
+    left = next(words, None)
+    if left is not None:
+        raise ValueError(f"{left[:40]!r} after the last row that the header declares")
     return rows
+
+
+def _count(text: str) -> int:
+    if not re.fullmatch(r"\d{1,10}", text, re.ASCII):
+        raise ValueError(f"a list of {text[:40]!r} numbers")
+    return int(text)
 
 
 def _ply_binary(
@@ -290,4 +298,6 @@ def _ply_binary(
                 row[key] = list(struct.unpack_from(layout, rest, at))
                 at += struct.calcsize(layout)
             rows[name].append(row)
+    if rest[at:].strip():
+        raise ValueError(f"{len(rest) - at} bytes after the last row that the header declares")
     return rows

@@ -18,7 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+from torchlc.tensors.normal_tail import HALF_LOG_2PI, log_ndtr
+
 NEAR_CENTRE = 1e-3
 """Deviate below which the weight of a law is that at this deviate: a density with a cusp has none at its centre."""
 FARTHEST = 1e8
@@ -71,7 +72,7 @@ class Law(ABC):
     def deviates(self, normal: Tensor, random: np.random.Generator) -> Tensor:
         """Deviates (T,) of the law, made of standard normal ones (T,): the quantile of what lies below each. A law that
         needs further numbers takes them from ``random``."""
-        target = torch.special.log_ndtr(-normal.abs())
+        target = log_ndtr(-normal.abs())
         low, high = torch.full_like(normal, -FARTHEST), torch.zeros_like(normal)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
@@ -114,7 +115,7 @@ class Normal(Law):
         return -0.5 * u * u - HALF_LOG_2PI
 
     def log_below(self, u):
-        return torch.special.log_ndtr(u)
+        return log_ndtr(u)
 
     def weight(self, u):
         return torch.ones_like(u)

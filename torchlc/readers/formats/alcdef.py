@@ -16,6 +16,22 @@ from torchlc.readers.table import BEYOND_MAG, Header, lines_of
 MAG_PER_LN = 2.5 / math.log(10)
 NOT_APPLIED = ("", "NONE", "FALSE", "NO", "N")
 BEGINS = ("STARTMETADATA", "STARTBLOCK")
+COUNTED = frozenset(
+    {
+        "DELIMITER",
+        "DIFFERMAGS",
+        "EXPJD",
+        "EXPOSURE",
+        "FILTER",
+        "LTCAPP",
+        "LTCTYPE",
+        "MAGADJUST",
+        "MAGBAND",
+        "OBJECTNAME",
+    }
+    | {"OBJECTNUMBER", "REDUCEDMAGS", "SESSIONDATE", "UCORMAG"}
+)
+"""Keywords on which the rows depend."""
 DELIMITERS = {"PIPE": "|", "TAB": "\t", "SPACE": " ", "COMMA": ",", "SEMICOLON": ";"}
 MOST_NOTES = 5
 DAY_S = 86400.0
@@ -223,6 +239,11 @@ def _alcdef_lines(path: Path) -> Iterator[tuple[_Block, int, list[str]]]:
                 raise InputError(
                     path, f"line {number}", "DATA outside a session's data", "ENDMETADATA before it"
                 )
+            if value and key.upper() in COUNTED and block.said.get(key.upper(), value) != value:
+                found = (
+                    f"{key.upper()} again, {block.said[key.upper()][:40]} in line {block.lines[key.upper()]}"
+                )
+                raise InputError(path, f"line {number}", found, "each keyword once in a session")
             if value:
                 block.said[key.upper()], block.lines[key.upper()] = value, number
         else:

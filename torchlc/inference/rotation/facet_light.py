@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -86,6 +87,12 @@ class FacetLight:
         """Reflectances: diffuse ones, then those of the lobes."""
         return len(self.names) + sum(self.lobed)
 
+    @cached_property
+    def _painted(self) -> tuple[Tensor | None, ...]:
+        """Of each material the facets that have it, None for all: a lobe costs an exponential a facet."""
+        facets = [torch.nonzero(area)[:, 0] for area in self.area.T]
+        return tuple(None if len(one) == len(self.normal) else one for one in facets)
+
     def light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         """Light (..., K) at unit directions (..., 3) in the body, times the square of the range, for one of each
         reflectance; ``exponent`` (..., L) of the materials with a lobe."""
@@ -106,11 +113,15 @@ class FacetLight:
             found.append((shape * seen) @ self.area[:, k])
         base = torch.minimum(cos_i, cos_r) * seen / (4 * math.pi * length)
         number = 0
-        for k, lobed in enumerate(self.lobed):
+        for lobed, on, area in zip(self.lobed, self._painted, self.area.T, strict=True):
             if not lobed:
                 continue
             n = exponent[..., number, None]
-            found.append((base * (n + 1) * torch.exp((n * log_half).clamp(min=-80.0))) @ self.area[:, k])
+            strength, steep = (base, log_half) if on is None else (base[..., on], log_half[..., on])
+            found.append(
+                (strength * (n + 1) * torch.exp((n * steep).clamp(min=-80.0)))
+                @ (area if on is None else area[on])
+            )
             number += 1
         return torch.stack(found, -1)
 

@@ -57,8 +57,9 @@ from torchlc.scene import Free, Scene
 POLES = 500
 STEPS_A_TURN = 12.0
 """Frequencies of the grid: steps of 1/12 turn over the longest pass."""
-STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-6
-"""CPU seconds for the first least squares, of a start, and of each pair of row and facet of a start, as measured on one core."""
+STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-7
+"""CPU seconds for the first least squares, of a start, and of each pair of row and facet and coordinate of a start, as measured on one
+core."""
 LEAST_STARTS, MOST_STARTS = 24, 200
 FLOOR, SHARP = 0.05, 0.01
 """Relative error of the light of facets, and where that alone explains the rows."""
@@ -141,7 +142,8 @@ def search_rotation(
             progress=lambda share: say("poles", share),
         ),
     )
-    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux)))
+    coordinates = 3 + 2 * rows.passes + sum(body.lobed)
+    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux) * coordinates))
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)

@@ -24,6 +24,8 @@ SAME_WAY = 1e-6
 """Distance of unit normals that count as one."""
 MOST_FACETS = 400
 """Directions beyond which normals are gathered on a coarser grid."""
+AT_ONCE = 100_000
+"""Pairs of facet and direction worked out together: arrays that stay in the cache of a core, in half the time of twelve times as many."""
 ROUND = 12
 """The symmetry up to which bodies are told; one of more is round."""
 
@@ -96,6 +98,14 @@ class FacetLight:
     def light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         """Light (..., K) at unit directions (..., 3) in the body, times the square of the range, for one of each
         reflectance; ``exponent`` (..., L) of the materials with a lobe."""
+        size = max(1, AT_ONCE // (len(self.normal) * math.prod(to_sun.shape[1:-1])))
+        if to_sun.dim() < 3 or len(to_sun) <= size:
+            return self._light(to_sun, to_observer, exponent)
+        exponents = exponent.expand(*to_sun.shape[:-2], 1, exponent.shape[-1])
+        pieces = zip(to_sun.split(size), to_observer.split(size), exponents.split(size), strict=True)
+        return torch.cat([self._light(*one) for one in pieces])
+
+    def _light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         cos_i, cos_r = to_sun @ self.normal.T, to_observer @ self.normal.T
         bisector = to_sun + to_observer
         length = torch.linalg.vector_norm(bisector, dim=-1, keepdim=True).clamp(min=1e-9)

@@ -19,6 +19,7 @@ from torchlc.inference.rotation.modes import RotationMode, verdict
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.search import _changed
 from torchlc.scene import Scene
 
 PERIOD_S, POLE, PHASE = 61.7, (143.0, 36.0), 77.0
@@ -292,3 +293,26 @@ def test_a_free_rotation_is_not_told_from_a_pass_that_holds_no_second_cycle() ->
     decided, words = verdict([mode], 100, 1, 62.0)
     assert not decided and words.startswith("cannot tell")
     assert verdict([mode], 100, 1, 200.0)[0]
+
+
+def test_passes_of_unlike_turns_years_apart_are_not_searched_for_a_free_rotation() -> None:
+    """Euler's equations without torque have no time in them, so both frequencies are one in all passes. Turns of 11.82 and 12.36 s six
+    years apart, known to 0.004 s, differ by 100 standard deviations; of passes a week apart such a difference would be another alias."""
+    direction = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).expand(4, 3)
+    known = torch.tensor([0.004 / 12.0**2] * 2 + [0.01] * 2, dtype=torch.float64)
+
+    def changed(days: float, turns: tuple[float, float]) -> bool:
+        seconds = torch.tensor([0.0, 60.0, 86400 * days, 86400 * days + 80.0], dtype=torch.float64)
+        one = torch.ones(4, dtype=torch.float64)
+        rows = Rows(
+            torch.arange(4), seconds, direction, direction, one, 0.1 * one, torch.tensor([0, 0, 1, 1]),
+            torch.tensor([30.0, 86400 * days + 40.0], dtype=torch.float64), torch.tensor([60.0, 80.0], dtype=torch.float64), False,
+        )  # fmt: skip
+        frequencies = 1 / torch.tensor(turns, dtype=torch.float64)
+        zero = torch.zeros(2, dtype=torch.float64)
+        best = Local(direction[0], frequencies, zero, zero, zero, zero, 1.0, torch.diag(known.square()))
+        return _changed(rows, best)
+
+    assert changed(2365.0, (11.82, 12.36))
+    assert not changed(2365.0, (12.36, 12.361))
+    assert not changed(7.0, (11.82, 12.36))

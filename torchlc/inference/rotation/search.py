@@ -81,6 +81,9 @@ OF_A_BODY = 2
 """States of one body with one pair of frequencies among the first."""
 TUMBLES = 2
 """Solutions of free rotation, and counts of turns of each, that the model is fitted to."""
+UNLIKE = 0.01
+"""Relative difference that the periods of passes may have, from which on these are asked before a free rotation. Nights of two weeks are
+below it, so what tumbles is not taken for what changes."""
 MIN_ROWS = 12
 MOST_CHANGE = 0.1
 """Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
@@ -173,7 +176,15 @@ def search_rotation(
             locals_, steady, symmetry = unlike, unlike[0].chi2, 1
             tilted = "tilt" in scene.attitude.model_fields_set
     tumbles: list[Tumble] = []
-    if scene.attitude.mode == "rigid-body" or steady / dof > STRUCTURE:
+    free = scene.attitude.mode == "rigid-body" or steady / dof > STRUCTURE
+    if free and _changed(rows, locals_[0]):
+        free = False
+        least, most = (1 / float(one) for one in (locals_[0].frequencies.max(), locals_[0].frequencies.min()))
+        warnings.append(
+            f"the passes have turns of {least:.5g} to {most:.5g} s: no one free rotation holds over them, and none was looked for; "
+            "search one pass to look for it"
+        )
+    if free:
         tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, steady, say))
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
@@ -213,6 +224,12 @@ def search_rotation(
         modes, len(rows.flux), left, rows.passes, symmetry, (1 / high, 1 / low), frequency, power,
         (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)), loose,
     )  # fmt: skip
+
+
+def _changed(rows: Rows, best: Local) -> bool:
+    """Whether passes are so far apart that their periods may differ by UNLIKE, and those of the best turn do: free of torques the
+    frequencies of a body are the same in every pass."""
+    return pole_grid.DRIFT_SD * float(rows.drift.max()) > UNLIKE and not alike(best)
 
 
 def _explains(one: Candidate, rows: Rows) -> bool:

@@ -525,7 +525,8 @@ def _fitted(
             if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
-            tried = JOINED if number == 0 else 1
+            # of counts that are some of many, one fit tells what any leaves
+            tried = JOINED if number == 0 and joined.complete else 1
             for one in near[:tried]:
                 trial = steady_trial(
                     scene, recording, rows, local, one, symmetry, changing=changing, tilted=tilted

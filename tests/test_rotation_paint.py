@@ -56,3 +56,24 @@ def test_opposite_sides_of_unlike_paint_are_not_taken_for_a_free_rotation(tmp_pa
     assert one_paint.chi2 > 5 * len(rows.flux)
     assert two_paints.chi2 < STRUCTURE * len(rows.flux)
     assert abs(two_paints.frequency * PERIOD_S - 1) < 0.02
+
+
+def test_light_of_painted_facets_adds_up_to_that_of_one_paint() -> None:
+    """Light is linear in area: of paints of one exponent, each on facets of its own or sharing one, the columns add up to the light of
+    the areas as one paint. To rounding, since both are sums of the same 40 numbers."""
+    rng = np.random.default_rng(4)
+    normal, sun, observer = (
+        torch.nn.functional.normalize(torch.from_numpy(rng.standard_normal((count, 3))), dim=-1)
+        for count in (40, 30, 30)
+    )
+    area = torch.zeros(40, 3, dtype=torch.float64)
+    area[:15, 0], area[15:, 1] = torch.from_numpy(rng.random(15)), torch.from_numpy(rng.random(25))
+    area[10:20, 2] = 0.5
+    painted = FacetLight(normal, area, ("a", "b", "c"), (True,) * 3, (False,) * 3)
+    plain = FacetLight(normal, area.sum(-1, keepdim=True), ("all",), (True,), (False,))
+    exponent = torch.full((30, 1), 7.0, dtype=torch.float64)
+    parts = painted.light(sun, observer, exponent.expand(30, 3))
+    whole = plain.light(sun, observer, exponent)
+    torch.testing.assert_close(parts[:, :3].sum(-1), whole[:, 0], rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(parts[:, 3:].sum(-1), whole[:, 1], rtol=1e-12, atol=1e-14)
+    assert bool((whole > 0).any(0).all())

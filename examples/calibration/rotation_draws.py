@@ -1,14 +1,15 @@
 """Is the rotation found? Bodies that turn, drawn at random, looked for by ``torchlc rotation`` and scored.
 
-    python examples/calibration/rotation_draws.py [RESULTS.jsonl] [--kind steady|tumbling] [--first SEED] [--count 7]
+    python examples/calibration/rotation_draws.py [RESULTS.jsonl] [--kind steady|changing|tumbling] [--first SEED] [--count 7]
     python examples/calibration/rotation_draws.py RESULTS.jsonl --summary
 
 The light is that of examples/reference: its orbit, Sun, station, faces and law of reflection, none of which torchlc shares; the
-rotation is Euler's equations integrated by scipy. Two kinds are drawn:
+rotation is Euler's equations integrated by scipy. Three kinds are drawn:
 
 - steady: boxes and cylinders (half of them with three sectors of other paint) about body z, seen in three passes of a low or a
   middle orbit over one to eight days, errors of 0.03 to 0.15 mag. The search knows the shape and that the period is within a
   factor of ten.
+- changing: the same bodies over eight to ten days, the period known to 3 per cent; it grows or shrinks by 0.1 to 5 ms a day.
 - tumbling: boxes about no fixed axis, in the short- or the long-axis mode, seen in two passes of a middle orbit. The period of the
   long axis is known to 3 per cent, as a periodogram tells it; body, angular momentum and the other period are not.
 
@@ -48,7 +49,8 @@ STRIPS = 720
 BAND_SUN = -26.7
 NEAR_CHI2 = 10.0
 """Modes this near to the best in -2 ln likelihood are among the answers."""
-BARS = {"pole_deg": 3.0, "period": 1e-3, "axis_deg": 5.0, "periods": 5e-3, "inertia": 0.05}
+BARS = {"pole_deg": 3.0, "period": 1e-3, "axis_deg": 5.0, "periods": 5e-3, "inertia": 0.05, "rate_sd": 3.0}
+KINDS = ("steady", "changing", "tumbling")
 SHADOW_KM = 6500.0
 """Radius of the cylinder behind the Earth in which nothing is seen."""
 
@@ -208,12 +210,14 @@ def unknown_scene(seen: Seen, component: Tree, names: list[str], bracket: tuple[
     }
 
 
-def steady(seed: int) -> Case:
-    """A body that turns about its z axis."""
-    rng = np.random.default_rng([17, seed])
+def steady(seed: int, changing: bool = False) -> Case:
+    """A body that turns about its z axis; ``changing``: at a period that grows or shrinks steadily."""
+    rng = np.random.default_rng([19 if changing else 17, seed])
     high = bool(rng.random() < 0.4)
     span = draw(rng, 300, 900) if high else draw(rng, 120, 240)
-    seen = passes(rng, high, 3, span, int(rng.integers(120, 250)), draw(rng, 4.0, 8.0))
+    seen = passes(
+        rng, high, 3, span, int(rng.integers(120, 250)), draw(rng, *((8.0, 10.0) if changing else (4.0, 8.0)))
+    )
     period = span / np.exp(rng.uniform(np.log(2.5), np.log(10.0)))
     component: Tree
     materials = {"body": paint(rng)}
@@ -233,16 +237,24 @@ def steady(seed: int) -> Case:
             ]
     component |= {"centre": [0.0, 0.0, 0.0], "material": "body"}
     pole, phase = random_pole(rng), float(rng.random())
+    rate = 0.0  # of the period, s a second
+    if changing:
+        rate = rng.choice([-1.0, 1.0]) * draw_log(rng, 0.1, 5.0) / 86400e3
 
     def turned(seconds: np.ndarray) -> np.ndarray:
-        turn = 2 * np.pi * ((seconds - seen.time[0]) / period + phase)
+        since = seconds - seen.time[0]
+        turns = np.log1p(rate * since / period) / rate if rate else since / period
+        turn = 2 * np.pi * (turns + phase)
         return Rotation.from_euler("z", -turn[:, None]).as_matrix() @ pole_frame(pole)
 
     mag, error, kept = recorded(rng, seen, component, materials, turned)
     low = period * 10 ** -rng.uniform(0.15, 0.85)
+    bracket = (0.97 * period, 1.03 * period) if changing else (low, 10 * low)
     truth = {"pole": angles(pole), "period_s": period, "size": component.get("size") or [component["radius"], component["length"]],
              "sectors": len(component.get("sectors", [])), "turns_a_pass": span / period}  # fmt: skip
-    scene = unknown_scene(seen, component, list(materials), (low, 10 * low))
+    scene = unknown_scene(seen, component, list(materials), bracket)
+    if changing:
+        truth |= {"period_rate_ms_per_day": 86400e3 * rate, "days": float(np.ptp(seen.time) / 86400)}
     return _case(scene, seen, mag, error, kept, truth)
 
 
@@ -378,8 +390,15 @@ def _compared(truth: dict[str, Any], mode: dict[str, Any]) -> dict[str, Any]:
     if "periods_s" not in truth:
         ratio = mode["period_s"] / truth["period_s"]
         right = pole < BARS["pole_deg"] and abs(ratio - 1) < BARS["period"] and mode["periods_s"] is None
+        rate: dict[str, float] = {}
+        if "period_rate_ms_per_day" in truth:
+            sd = mode["period_rate_sd_ms_per_day"] or 0.0
+            off = (mode["period_rate_ms_per_day"] or 0.0) - truth["period_rate_ms_per_day"]
+            rate = {"rate_off_ms_per_day": off, "rate_sd_ms_per_day": sd}
+            right = right and abs(off) < BARS["rate_sd"] * sd
         return {
             "right": bool(right),
+            **rate,
             "pole_deg": pole,
             "period_ratio": ratio,
             "multiple": bool(abs(ratio - 1) < 0.02),
@@ -413,7 +432,7 @@ def _unit(ra_dec: list[float]) -> np.ndarray:
 
 def run(kind: str, seed: int, folder: Path) -> dict[str, Any]:
     """One draw: its truth, score, verdict, processor time and memory."""
-    case = {"steady": steady, "tumbling": tumbling}[kind](seed)
+    case = {"steady": steady, "changing": lambda one: steady(one, True), "tumbling": tumbling}[kind](seed)
     scene, recording = write(case, folder)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "torchlc", "rotation", str(scene), str(recording), "--json"]
@@ -441,7 +460,7 @@ def summary(results: list[dict[str, Any]]) -> str:
         "| kind | draws | right | pole or L deg, median | decided | decided and wrong | CPU s, median and most |",
         "|---|---|---|---|---|---|---|",
     ]
-    for kind in ("steady", "tumbling"):
+    for kind in KINDS:
         some = [one for one in results if one["kind"] == kind]
         if not some:
             continue
@@ -460,7 +479,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("results", nargs="?", type=Path, default=RESULTS)
-    parser.add_argument("--kind", choices=("steady", "tumbling"))
+    parser.add_argument("--kind", choices=KINDS)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--count", type=int, default=7)
     parser.add_argument("--keep", type=Path, help="where to put the files of each draw")
@@ -472,7 +491,7 @@ def main() -> None:
         else []
     )
     if not given.summary:
-        kinds = [given.kind] if given.kind else ["steady", "tumbling"]
+        kinds = [given.kind] if given.kind else KINDS
         for seed in range(given.first, given.first + given.count):
             for kind in kinds:
                 if any((one["kind"], one["seed"]) == (kind, seed) for one in known):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -23,6 +24,8 @@ SAME_WAY = 1e-6
 """Distance of unit normals that count as one."""
 MOST_FACETS = 400
 """Directions beyond which normals are gathered on a coarser grid."""
+AT_ONCE = 100_000
+"""Pairs of facet and direction worked out together: arrays that stay in the cache of a core, in half the time of twelve times as many."""
 ROUND = 12
 """The symmetry up to which bodies are told; one of more is round."""
 
@@ -86,9 +89,23 @@ class FacetLight:
         """Reflectances: diffuse ones, then those of the lobes."""
         return len(self.names) + sum(self.lobed)
 
+    @cached_property
+    def _painted(self) -> tuple[Tensor | None, ...]:
+        """Of each material the facets that have it, None for all: a lobe costs an exponential a facet."""
+        facets = [torch.nonzero(area)[:, 0] for area in self.area.T]
+        return tuple(None if len(one) == len(self.normal) else one for one in facets)
+
     def light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         """Light (..., K) at unit directions (..., 3) in the body, times the square of the range, for one of each
         reflectance; ``exponent`` (..., L) of the materials with a lobe."""
+        size = max(1, AT_ONCE // (len(self.normal) * math.prod(to_sun.shape[1:-1])))
+        if to_sun.dim() < 3 or len(to_sun) <= size:
+            return self._light(to_sun, to_observer, exponent)
+        exponents = exponent.expand(*to_sun.shape[:-2], 1, exponent.shape[-1])
+        pieces = zip(to_sun.split(size), to_observer.split(size), exponents.split(size), strict=True)
+        return torch.cat([self._light(*one) for one in pieces])
+
+    def _light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         cos_i, cos_r = to_sun @ self.normal.T, to_observer @ self.normal.T
         bisector = to_sun + to_observer
         length = torch.linalg.vector_norm(bisector, dim=-1, keepdim=True).clamp(min=1e-9)
@@ -106,11 +123,15 @@ class FacetLight:
             found.append((shape * seen) @ self.area[:, k])
         base = torch.minimum(cos_i, cos_r) * seen / (4 * math.pi * length)
         number = 0
-        for k, lobed in enumerate(self.lobed):
+        for lobed, on, area in zip(self.lobed, self._painted, self.area.T, strict=True):
             if not lobed:
                 continue
             n = exponent[..., number, None]
-            found.append((base * (n + 1) * torch.exp((n * log_half).clamp(min=-80.0))) @ self.area[:, k])
+            strength, steep = (base, log_half) if on is None else (base[..., on], log_half[..., on])
+            found.append(
+                (strength * (n + 1) * torch.exp((n * steep).clamp(min=-80.0)))
+                @ (area if on is None else area[on])
+            )
             number += 1
         return torch.stack(found, -1)
 

@@ -22,8 +22,6 @@ from torchlc.tensors.vectors import unit
 
 START_N = 40.0
 LEAST_N, MOST_N = 2.0, 2000.0
-AT_ONCE = 1_500_000
-"""Pairs of facet and row worked out together."""
 FAINT = math.log(100.0)
 """ln of the ratio to the datum beyond which a dark model counts no more."""
 STAGES = ((0.25, 0.5), (0.25, 0.25), (0.5, 0.25))
@@ -148,13 +146,12 @@ class Refiner:
 
     def _residual(self, y: Tensor, pole: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
         """Residuals (B, T) in units of their errors, and reflectances (B, K)."""
-        size = max(1, AT_ONCE // (len(self.body.normal) * len(self.rows.flux)))
-        pieces = [self._piece(*self._split(cut, pole, frequency)) for cut in y.split(size)]
-        return torch.cat([one for one, _ in pieces]), torch.cat([one for _, one in pieces])
+        return self.compared(self._light(*self._split(y, pole, frequency)))
 
-    def _piece(
+    def _light(
         self, pole: Tensor, frequency: Tensor, phases: Tensor, exponent: Tensor, tilt: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    ) -> Tensor:
+        """Columns of light (B, T, K)."""
         rows = self.rows
         elapsed = rows.seconds - rows.middle[rows.number]
         angle = 2 * math.pi * (phases[:, rows.number] + frequency[:, rows.number] * elapsed)
@@ -167,8 +164,7 @@ class Refiner:
             seen = torch.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
             return seen if turn is None else torch.einsum("bij,btj->bti", turn, seen)
 
-        light = self.body.light(in_body(rows.to_sun), in_body(rows.to_observer), exponent[:, None])
-        return self.compared(light)
+        return self.body.light(in_body(rows.to_sun), in_body(rows.to_observer), exponent[:, None])
 
     def compared(self, light: Tensor) -> tuple[Tensor, Tensor]:
         """Residuals (B, T) and reflectances (B, K) of columns of light (B, T, K)."""

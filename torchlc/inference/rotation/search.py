@@ -57,8 +57,9 @@ from torchlc.scene import Free, Scene
 POLES = 500
 STEPS_A_TURN = 12.0
 """Frequencies of the grid: steps of 1/12 turn over the longest pass."""
-STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-6
-"""CPU seconds for the first least squares, of a start, and of each pair of row and facet of a start, as measured on one core."""
+STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-7
+"""CPU seconds for the first least squares, of a start, and of each pair of row and facet and coordinate of a start, as measured on one
+core."""
 LEAST_STARTS, MOST_STARTS = 24, 200
 FLOOR, SHARP = 0.05, 0.01
 """Relative error of the light of facets, and where that alone explains the rows."""
@@ -80,6 +81,9 @@ OF_A_BODY = 2
 """States of one body with one pair of frequencies among the first."""
 TUMBLES = 2
 """Solutions of free rotation, and counts of turns of each, that the model is fitted to."""
+UNLIKE = 0.01
+"""Relative difference that the periods of passes may have, from which on these are asked before a free rotation. Nights of two weeks are
+below it, so what tumbles is not taken for what changes."""
 MIN_ROWS = 12
 MOST_CHANGE = 0.1
 """Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
@@ -141,7 +145,8 @@ def search_rotation(
             progress=lambda share: say("poles", share),
         ),
     )
-    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux)))
+    coordinates = 3 + 2 * rows.passes + sum(body.lobed)
+    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux) * coordinates))
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)
@@ -171,7 +176,15 @@ def search_rotation(
             locals_, steady, symmetry = unlike, unlike[0].chi2, 1
             tilted = "tilt" in scene.attitude.model_fields_set
     tumbles: list[Tumble] = []
-    if scene.attitude.mode == "rigid-body" or steady / dof > STRUCTURE:
+    free = scene.attitude.mode == "rigid-body" or steady / dof > STRUCTURE
+    if free and _changed(rows, locals_[0]):
+        free = False
+        least, most = (1 / float(one) for one in (locals_[0].frequencies.max(), locals_[0].frequencies.min()))
+        warnings.append(
+            f"the passes have turns of {least:.5g} to {most:.5g} s: no one free rotation holds over them, and none was looked for; "
+            "search one pass to look for it"
+        )
+    if free:
         tumbles = kept.of("free", Tumble, lambda: _tumbling(rows, body, low, high, dof, steady, say))
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
@@ -211,6 +224,12 @@ def search_rotation(
         modes, len(rows.flux), left, rows.passes, symmetry, (1 / high, 1 / low), frequency, power,
         (poles.numpy(), misfits), connected, decided, words, recording, tuple(dict.fromkeys(warnings)), loose,
     )  # fmt: skip
+
+
+def _changed(rows: Rows, best: Local) -> bool:
+    """Whether passes are so far apart that their periods may differ by UNLIKE, and those of the best turn do: free of torques the
+    frequencies of a body are the same in every pass."""
+    return pole_grid.DRIFT_SD * float(rows.drift.max()) > UNLIKE and not alike(best)
 
 
 def _explains(one: Candidate, rows: Rows) -> bool:
@@ -506,7 +525,8 @@ def _fitted(
             if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
-            tried = JOINED if number == 0 else 1
+            # of counts that are some of many, one fit tells what any leaves
+            tried = JOINED if number == 0 and joined.complete else 1
             for one in near[:tried]:
                 trial = steady_trial(
                     scene, recording, rows, local, one, symmetry, changing=changing, tilted=tilted

@@ -20,7 +20,7 @@ from torchlc.geometry.rotation.rigid_body import free_rotation, frequencies
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.pole_grid import frame_of
-from torchlc.inference.rotation.refine import AT_ONCE, LEAST_N, MOST_N, START_N, Refiner
+from torchlc.inference.rotation.refine import LEAST_N, MOST_N, START_N, Refiner
 from torchlc.inference.rotation.tumble_grid import TumbleState, wander
 from torchlc.inference.rotation.two_frequencies import FrequencyPair
 from torchlc.tensors.least_squares import Minimum, minimise
@@ -254,10 +254,9 @@ class TumbleRefiner:
         low[3:5], high[3:5] = -MOST_LOG, MOST_LOG
         lobes = FIXED + 2 * len(at)
         low[lobes:], high[lobes:] = math.log(LEAST_N), math.log(MOST_N)
-        size = max(1, AT_ONCE // (len(self.body.normal) * len(self.rows.flux)))
 
         def residual(y: Tensor) -> Tensor:
-            return torch.cat([self._light(cut, base, at, length)[0] for cut in y.split(size)])
+            return self._light(y, base, at, length)[0]
 
         return minimise(residual, start, low, high, iterations=iterations, tolerance=tolerance)
 

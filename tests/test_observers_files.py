@@ -86,6 +86,12 @@ EXPORTS = {
     "no names": table("# of last night"),
     "capitals": table("TIME,MAG,MAG_ERR"),
     "MPO Canopus": table("JD;ObjMag;ObjErr;CompMag", mark=";", more=";12.0"),
+    "MPO Canopus, lines above the names": "Object: SAT 1\nFilter: V\n\n" + table("JD   ObjMag   ObjErr", mark="   "),
+    "ZTF alerts": table("jd,magpsf,sigmapsf,fid", more=",2"),
+    "ZTF of a broker": table("MJD,unforced_mag,unforced_mag_error,filter", zero=2400000.5, more=",g"),
+    "French": table("Jour Julien;Magnitude;Erreur", mark=";", comma=True),
+    "Italian": table("Giorno Giuliano;Magnitudine;Errore", mark=";", comma=True),
+    "Spanish": table("Fecha juliana;Magnitud;Error", mark=";", comma=True),
     "Tycho Tracker": table("JD,Target Mag,Target Mag Err,SNR", more=",40"),
     "AAVSO": "#TYPE=Extended\n#OBSCODE=ABC\n#SOFTWARE=x\n#DELIM=,\n#DATE=JD\n#OBSTYPE=CCD\n"
     "#NAME,DATE,MAG,MERR,FILT,TRANS,MTYPE,CNAME,CMAG,KNAME,KMAG,AMASS,GROUP,CHART,NOTES\n"

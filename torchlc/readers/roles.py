@@ -45,6 +45,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
     **dict.fromkeys(("jdutc", "utcjd"), Stamp("jd", "utc")),
     **dict.fromkeys(("jd", "juliandate", "julianday", "juliandateutc", "obsjd", "jdobs"), _JD),
+    **dict.fromkeys(("jourjulien", "giornogiuliano", "fechajuliana", "datajuliana", "julianischesdatum"), _JD),
     "jdtdb": Stamp("jd", "tdb"),
     "jdtt": Stamp("jd", "tt"),
     **dict.fromkeys(("mjdutc",), Stamp("mjd", "utc")),
@@ -76,7 +77,7 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf",
+        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
@@ -91,7 +92,7 @@ OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
 ERRORS = (
     "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std",
 )  # fmt: skip
-ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr")  # fmt: skip
+ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
 """Names of errors of whatever brightness there is."""
 CLOCK = ("time", "ut", "utc", "timeutc", "utctime", "uttime", "uhrzeit", "heure", "hora", "ora")
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")

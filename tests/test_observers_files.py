@@ -144,9 +144,16 @@ def test_reduced_and_modified_dates_are_never_confused(read):
         ("JD-2400000.5", 2400000.5),
         ("MJD", 2400000.5),
         ("RJD", 2400000.0),
+        ("JD-2400000.0", 2400000.0),
     ):
         found = read(f"{text},mag\n61115.25,14.0\n").time[0]
         assert found.jd == pytest.approx(61115.25 + form, abs=1e-9)
+    for zero in (2450000, 2457000):
+        for text, options in ((f"JD-{zero}", {}), ("time", {"columns": f"time_format=jd-{zero}"})):
+            found = read(f"{text},mag\n{2459140.125 - zero},14.0\n", **options)
+            assert found.time[0].jd == pytest.approx(2459140.125, abs=1e-9)
+    with pytest.raises(InputError, match="jd- and a Julian date"):
+        read("time,mag\n9140.125,14.0\n", columns="time_format=jd-12")
     modified = Time(61115.25, format="mjd", scale="utc")
     assert read("MJD,mag\n61115.25,14.0\n").time[0].isot == modified.isot
 

@@ -170,7 +170,7 @@ class _Reader:
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
-                zero = declared.ZEROS[self.time_format]
+                zero = declared.zero_of(self.time_format)
                 days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero)
         except UnreadableTime as error:
             place = row_place(start + error.index, name)
@@ -208,7 +208,7 @@ class _Reader:
         if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
             mjd = declared.ways_to_say(self.header, "time_format", "mjd")
             return f"Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: {mjd}"
-        if self.time_format in ("mjd", "jd-2400000") and number > JULIAN_DATES_FROM:
+        if self.time_format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
             return f"A whole Julian date: {declared.ways_to_say(self.header, 'time_format', 'jd')}"
         return None
 

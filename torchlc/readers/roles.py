@@ -54,6 +54,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("mjd", "obsmjd", "mjdobs", "modifiedjuliandate"), _MJD),
     **dict.fromkeys(("jd2400000", "rjd", "jd24000000"), _REDUCED),
     **dict.fromkeys(("jd24000005",), _MJD),
+    **{f"jd{zero}": Stamp(f"jd-{zero}") for zero in range(2_401_000, 2_471_000, 1000)},
     **dict.fromkeys(
         ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime"),
         Stamp(),

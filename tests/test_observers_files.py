@@ -92,6 +92,8 @@ EXPORTS = {
     "French": table("Jour Julien;Magnitude;Erreur", mark=";", comma=True),
     "Italian": table("Giorno Giuliano;Magnitudine;Errore", mark=";", comma=True),
     "Spanish": table("Fecha juliana;Magnitud;Error", mark=";", comma=True),
+    "German dates": "Datum;Zeit;Helligkeit;Fehler\n"
+    + "".join(f"17.10.2020;{Time(jd, format='jd').isot[11:]};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "Tycho Tracker": table("JD,Target Mag,Target Mag Err,SNR", more=",40"),
     "AAVSO": "#TYPE=Extended\n#OBSCODE=ABC\n#SOFTWARE=x\n#DELIM=,\n#DATE=JD\n#OBSTYPE=CCD\n"
     "#NAME,DATE,MAG,MERR,FILT,TRANS,MTYPE,CNAME,CMAG,KNAME,KMAG,AMASS,GROUP,CHART,NOTES\n"

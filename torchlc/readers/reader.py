@@ -67,6 +67,8 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+DAY_FIRST = re.compile(r"^\s*(\d\d?)\.(\d\d?)\.(\d{4})(?=[T ])", re.ASCII)
+"""A date with dots, which no country writes with the month first; one with strokes may be either and is refused."""
 JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
@@ -97,6 +99,11 @@ def read_measurements(
     stations, what lies between gaps of more than 6 h.
     """
     return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
+
+
+def _year_first(date: re.Match[str]) -> str:
+    day, month, year = date.groups()
+    return f"{year}-{month:0>2}-{day:0>2}"
 
 
 class _Reader:
@@ -187,9 +194,11 @@ class _Reader:
         return np.stack(days, axis=-1)
 
     def _iso(self, cells: list[str]) -> list[str]:
-        """Cells with dashes in the date; none may hold an offset of its own where the user tells the zone."""
+        """Cells with the year first and dashes in the date, of 2020/10/17 or 17.10.2020; none may hold an offset of its own where the user tells the zone."""
         if "/" in "".join(cells):
             cells = [re.sub(r"^(\s*\d{4})/(\d\d)/(\d\d)", r"\1-\2-\3", cell) for cell in cells]
+        if "." in "".join(cell[:5] for cell in cells):
+            cells = [DAY_FIRST.sub(_year_first, cell) for cell in cells]
         if self.timing.zone is not None:
             for index, cell in enumerate(cells):
                 match = ISO.fullmatch(cell)

@@ -95,7 +95,22 @@ ERRORS = (
 )  # fmt: skip
 ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
 """Names of errors of whatever brightness there is."""
-CLOCK = ("time", "ut", "utc", "timeutc", "utctime", "uttime", "uhrzeit", "heure", "hora", "ora")
+CLOCK = (
+    "time",
+    "ut",
+    "utc",
+    "timeutc",
+    "utctime",
+    "uttime",
+    "uhrzeit",
+    "zeit",
+    "temps",
+    "tiempo",
+    "tempo",
+    "heure",
+    "hora",
+    "ora",
+)
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
 """Names of two columns that hold the time of day and the date."""
 BRACKETS = re.compile(r"\s*[\(\[]\s*([^()\[\]]*?)\s*[\)\]]\s*$")
@@ -207,7 +222,7 @@ def _date_and_time(
         return {}
     for day in days:
         for hour in hours:
-            whole_day = re.fullmatch(r"\s*\d{4}[-/]\d\d?[-/]\d\d?\s*", cells[day])
+            whole_day = re.fullmatch(r"\s*(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?\.\d\d?\.\d{4})\s*", cells[day])
             if whole_day and re.fullmatch(r"\s*\d\d?:\d\d(:\d\d(\.\d+)?)?\s*Z?\s*", cells[hour]):
                 return {"time": (day, hour)}
     return {}

@@ -86,6 +86,14 @@ EXPORTS = {
     "no names": table("# of last night"),
     "capitals": table("TIME,MAG,MAG_ERR"),
     "MPO Canopus": table("JD;ObjMag;ObjErr;CompMag", mark=";", more=";12.0"),
+    "MPO Canopus, lines above the names": "Object: SAT 1\nFilter: V\n\n" + table("JD   ObjMag   ObjErr", mark="   "),
+    "ZTF alerts": table("jd,magpsf,sigmapsf,fid", more=",2"),
+    "ZTF of a broker": table("MJD,unforced_mag,unforced_mag_error,filter", zero=2400000.5, more=",g"),
+    "French": table("Jour Julien;Magnitude;Erreur", mark=";", comma=True),
+    "Italian": table("Giorno Giuliano;Magnitudine;Errore", mark=";", comma=True),
+    "Spanish": table("Fecha juliana;Magnitud;Error", mark=";", comma=True),
+    "German dates": "Datum;Zeit;Helligkeit;Fehler\n"
+    + "".join(f"17.10.2020;{Time(jd, format='jd').isot[11:]};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "Tycho Tracker": table("JD,Target Mag,Target Mag Err,SNR", more=",40"),
     "AAVSO": "#TYPE=Extended\n#OBSCODE=ABC\n#SOFTWARE=x\n#DELIM=,\n#DATE=JD\n#OBSTYPE=CCD\n"
     "#NAME,DATE,MAG,MERR,FILT,TRANS,MTYPE,CNAME,CMAG,KNAME,KMAG,AMASS,GROUP,CHART,NOTES\n"
@@ -138,9 +146,16 @@ def test_reduced_and_modified_dates_are_never_confused(read):
         ("JD-2400000.5", 2400000.5),
         ("MJD", 2400000.5),
         ("RJD", 2400000.0),
+        ("JD-2400000.0", 2400000.0),
     ):
         found = read(f"{text},mag\n61115.25,14.0\n").time[0]
         assert found.jd == pytest.approx(61115.25 + form, abs=1e-9)
+    for zero in (2450000, 2457000):
+        for text, options in ((f"JD-{zero}", {}), ("time", {"columns": f"time_format=jd-{zero}"})):
+            found = read(f"{text},mag\n{2459140.125 - zero},14.0\n", **options)
+            assert found.time[0].jd == pytest.approx(2459140.125, abs=1e-9)
+    with pytest.raises(InputError, match="jd- and a Julian date"):
+        read("time,mag\n9140.125,14.0\n", columns="time_format=jd-12")
     modified = Time(61115.25, format="mjd", scale="utc")
     assert read("MJD,mag\n61115.25,14.0\n").time[0].isot == modified.isot
 

@@ -15,7 +15,7 @@ import numpy as np
 from torchlc.errors import InputError
 from torchlc.readers.roles import VECTORS, plain, stamp_of
 from torchlc.readers.table import METADATA, Header
-from torchlc.scene.reading import Reading
+from torchlc.scene.reading import LESS_A_DATE, Reading
 from torchlc.scene.timestamps import MJD_ZERO, REDUCED_ZERO
 from torchlc.suggest import did_you_mean
 
@@ -28,7 +28,8 @@ UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
 EQUATORIAL = re.compile(r"(icrs|icrf|gcrs|gcrf|eme ?2000|j2000|fk5|equatorial)\b")
 TIME_FORMATS = {"": "", "jd": "jd", "mjd": "mjd", "jd-2400000": "jd-2400000", "iso": "iso", "isot": "iso"}
 ZEROS = {"jd": 0.0, "mjd": MJD_ZERO, "jd-2400000": REDUCED_ZERO}
-"""Julian date from which the numbers of a time format count days."""
+"""Julian date from which the numbers of a time format count days; those that "jd-2450000" and its like name are told by
+:func:`zero_of`."""
 SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
 """Time scales that can be used, as people name them."""
 ON_A_CLOCK = re.compile(
@@ -78,6 +79,11 @@ FALSE_FRIENDS = (
     "flux_err",
 )
 """Columns of ours, never offered for another one that is missing."""
+
+
+def zero_of(time_format: str) -> float:
+    """Julian date from which the numbers of ``time_format``, "jd", "mjd" or "jd-" and a number, count days."""
+    return ZEROS[time_format] if time_format in ZEROS else float(time_format.removeprefix("jd-"))
 
 
 @dataclass(frozen=True)
@@ -305,12 +311,13 @@ def _time_format(header: Header) -> str:
         .replace(" ", "")
         .replace("2400000.0", "2400000")
     )
-    if text not in TIME_FORMATS:
-        raise InputError(header.source, "metadata time_format", repr(text[:40]), "jd, mjd, jd-2400000 or iso")
+    if text not in TIME_FORMATS and not LESS_A_DATE.fullmatch(text):
+        expected = "jd, mjd, jd- and a Julian date (as in jd-2400000), or iso"
+        raise InputError(header.source, "metadata time_format", repr(text[:40]), expected)
     unit = header.units.get("time", "d").lower()
     if unit not in ("d", "day", "days", "jd", "mjd", "utc"):
         raise InputError(header.source, "column time", f"unit {unit[:40]}", "d, for Julian dates")
-    return TIME_FORMATS[text] or ("mjd" if unit == "mjd" else "")
+    return TIME_FORMATS.get(text, text) or ("mjd" if unit == "mjd" else "")
 
 
 def frame(header: Header, scene: Scene | None) -> str | None:
@@ -473,7 +480,7 @@ def taken(
         text = f"{header.theirs[name]} as {name}"
         if name == "time":
             scale = "civil time" if timing.zone else timing.scale.upper()
-            text += f" ({FORMAT_WORDS[time_format]}, {scale}, {timing.light_path or MARK_WORDS[timing.mark]})"
+            text += f" ({FORMAT_WORDS.get(time_format) or time_format.upper().replace('-', ' - ')}, {scale}, {timing.light_path or MARK_WORDS[timing.mark]})"
         told.append(text)
     form = f"read as {header.format}: " if header.format else "columns: "
     comma = "; decimal commas" if header.decimal == "," else ""

@@ -69,6 +69,8 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+DAY_FIRST = re.compile(r"^\s*(\d\d?)\.(\d\d?)\.(\d{4})(?=[T ])", re.ASCII)
+"""A date with dots, which no country writes with the month first; one with strokes may be either and is refused."""
 JULIAN_DATES_FROM = 2_400_000.0
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
@@ -99,6 +101,11 @@ def read_measurements(
     stations, what lies between gaps of more than 6 h.
     """
     return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
+
+
+def _year_first(date: re.Match[str]) -> str:
+    day, month, year = date.groups()
+    return f"{year}-{month:0>2}-{day:0>2}"
 
 
 class _Reader:
@@ -172,7 +179,7 @@ class _Reader:
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
-                zero = declared.ZEROS[self.time_format]
+                zero = declared.zero_of(self.time_format)
                 days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero)
         except UnreadableTime as error:
             place = row_place(start + error.index, name)
@@ -189,9 +196,11 @@ class _Reader:
         return np.stack(days, axis=-1)
 
     def _iso(self, cells: list[str]) -> list[str]:
-        """Cells with dashes in the date; none may hold an offset of its own where the user tells the zone."""
+        """Cells with the year first and dashes in the date, of 2020/10/17 or 17.10.2020; none may hold an offset of its own where the user tells the zone."""
         if "/" in "".join(cells):
             cells = [re.sub(r"^(\s*\d{4})/(\d\d)/(\d\d)", r"\1-\2-\3", cell) for cell in cells]
+        if "." in "".join(cell[:5] for cell in cells):
+            cells = [DAY_FIRST.sub(_year_first, cell) for cell in cells]
         if self.timing.zone is not None:
             for index, cell in enumerate(cells):
                 match = ISO.fullmatch(cell)
@@ -210,7 +219,7 @@ class _Reader:
         if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
             mjd = declared.ways_to_say(self.header, "time_format", "mjd")
             return f"Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: {mjd}"
-        if self.time_format in ("mjd", "jd-2400000") and number > JULIAN_DATES_FROM:
+        if self.time_format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
             return f"A whole Julian date: {declared.ways_to_say(self.header, 'time_format', 'jd')}"
         return None
 

@@ -45,6 +45,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
     **dict.fromkeys(("jdutc", "utcjd"), Stamp("jd", "utc")),
     **dict.fromkeys(("jd", "juliandate", "julianday", "juliandateutc", "obsjd", "jdobs"), _JD),
+    **dict.fromkeys(("jourjulien", "giornogiuliano", "fechajuliana", "datajuliana", "julianischesdatum"), _JD),
     "jdtdb": Stamp("jd", "tdb"),
     "jdtt": Stamp("jd", "tt"),
     **dict.fromkeys(("mjdutc",), Stamp("mjd", "utc")),
@@ -53,6 +54,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("mjd", "obsmjd", "mjdobs", "modifiedjuliandate"), _MJD),
     **dict.fromkeys(("jd2400000", "rjd", "jd24000000"), _REDUCED),
     **dict.fromkeys(("jd24000005",), _MJD),
+    **{f"jd{zero}": Stamp(f"jd-{zero}") for zero in range(2_401_000, 2_471_000, 1000)},
     **dict.fromkeys(
         ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime"),
         Stamp(),
@@ -76,7 +78,7 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf",
+        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
@@ -91,9 +93,24 @@ OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
 ERRORS = (
     "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std",
 )  # fmt: skip
-ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr")  # fmt: skip
+ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
 """Names of errors of whatever brightness there is."""
-CLOCK = ("time", "ut", "utc", "timeutc", "utctime", "uttime", "uhrzeit", "heure", "hora", "ora")
+CLOCK = (
+    "time",
+    "ut",
+    "utc",
+    "timeutc",
+    "utctime",
+    "uttime",
+    "uhrzeit",
+    "zeit",
+    "temps",
+    "tiempo",
+    "tempo",
+    "heure",
+    "hora",
+    "ora",
+)
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
 """Names of two columns that hold the time of day and the date."""
 BRACKETS = re.compile(r"\s*[\(\[]\s*([^()\[\]]*?)\s*[\)\]]\s*$")
@@ -205,7 +222,7 @@ def _date_and_time(
         return {}
     for day in days:
         for hour in hours:
-            whole_day = re.fullmatch(r"\s*\d{4}[-/]\d\d?[-/]\d\d?\s*", cells[day])
+            whole_day = re.fullmatch(r"\s*(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?\.\d\d?\.\d{4})\s*", cells[day])
             if whole_day and re.fullmatch(r"\s*\d\d?:\d\d(:\d\d(\.\d+)?)?\s*Z?\s*", cells[hour]):
                 return {"time": (day, hour)}
     return {}

@@ -17,6 +17,8 @@ from torchlc.scene.problems import of_validation
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " ", "bar": "|"}
 OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?([0-5]\d))?", re.ASCII | re.IGNORECASE)
+LESS_A_DATE = re.compile(r"jd-(24[0-7]\d{4}(\.5)?)", re.ASCII)
+"""A time format of days since a Julian date, as in jd-2450000; from 1858 to 2050."""
 OPTION = "--columns"
 OBJECTS = {"objects": "object"}
 """How the column that names each row's object is told, for "object" is the one wanted."""
@@ -52,6 +54,12 @@ def _zone(text: str) -> str:
     return text.strip()
 
 
+def _time_format(text: str) -> str:
+    if text not in ("jd", "mjd", "iso") and not LESS_A_DATE.fullmatch(text):
+        raise problem(repr(text[:40]), "jd, mjd, jd- and a Julian date (as in jd-2400000), or iso")
+    return text
+
+
 class Reading(Table):
     """How a recording's file is to be read, where it does not say so itself.
 
@@ -65,7 +73,7 @@ class Reading(Table):
 
     columns: dict[str, str] = Field(default_factory=dict)
     units: dict[str, str] = Field(default_factory=dict)
-    time_format: Literal["jd", "mjd", "jd-2400000", "iso"] | None = None
+    time_format: Annotated[str, AfterValidator(_time_format)] | None = None
     time_scale: Literal["utc", "tai", "tt", "tdb"] | None = None
     time_zone: Annotated[str, AfterValidator(_zone)] | None = None
     time_mark: Literal["start", "middle", "end"] | None = None

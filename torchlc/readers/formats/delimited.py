@@ -74,7 +74,10 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 def table_header(head: Head) -> Header:
     """Delimiter, names, decimal sign and comments of a table."""
-    wanted = {role: list(names) for one in FORMATS.values() for role, names in one.columns.items()}
+    wanted: dict[str, list[str]] = {}
+    for one in FORMATS.values():
+        for role, names in one.columns.items():
+            wanted.setdefault(role, []).extend(names)
     header = (
         _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
     )

@@ -294,10 +294,11 @@ class Search:
 
     # ------------------------------------------------------------------ rounds
 
-    def probe_all(self, at: Fitted, entries: Sequence[str]) -> dict[str, Probe]:
+    def probe_all(self, at: Fitted, entries: Sequence[str], share: float = 0.8) -> dict[str, Probe]:
+        """Probes of candidates beside a fit, as long as less than a share of the budget is spent."""
         found = {}
         for entry in entries:
-            if not self.clock.left(0.8):
+            if not self.clock.left(share):
                 break
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
@@ -353,7 +354,7 @@ class Search:
         that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probes = self.probe_all(at, entries)
+        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
         slow = {
             entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes
         }

@@ -63,7 +63,9 @@ class Free(Table):
     low: Real | None = None
     high: Real | None = None
     sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
-    prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal", "cauchy"] = "uniform"
+    prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal", "cauchy"] = (
+        "uniform"
+    )
     per: Literal["curve", "station", "night", "object"] | None = None
     values: dict[str, Real] | None = None
 

@@ -141,8 +141,11 @@ def _prior(told: dict[str, Any]) -> str:
         "normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N", "cauchy": "C",
         "isotropic": "uniform on the sphere",
     }[told["prior"]]  # fmt: skip
-    numbers = {"normal": ("mean", "sigma"), "halfnormal": ("sigma",), "lognormal": ("mean", "sigma"), "cauchy": ("mean", "sigma")}.get(
-        told["prior"], ()
-    )
+    numbers = {
+        "normal": ("mean", "sigma"),
+        "halfnormal": ("sigma",),
+        "lognormal": ("mean", "sigma"),
+        "cauchy": ("mean", "sigma"),
+    }.get(told["prior"], ())
     given = [f"{told[key] or 0:g}" for key in numbers]
     return f"{short}({', '.join(given)})" if given else short

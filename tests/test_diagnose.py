@@ -20,7 +20,7 @@ from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.plan import Forecast, next_nights, told_by
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
 from torchlc.diagnosis.proof import log_density, make_blocks
-from torchlc.diagnosis.run import diagnose
+from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
 from torchlc.files.steps import Steps
@@ -407,6 +407,11 @@ def test_names_families_and_their_probability_are_read_off_one_object() -> None:
     assert weighed(unknown=0.9, nothing=0.1, sets=[], spare=0).verdict == "adequate", "too few rows"
     noisy = weighed(noise=0.9, nothing=0.1, sets=[], kinds={"jitter": 0.7, "outliers": 0.2})
     assert (noisy.verdict, noisy.named, noisy.told) == ("noise_model", ("jitter",), 0.9)
+
+
+def test_a_runner_up_was_refitted(demo_search) -> None:
+    """A set that was judged by its linear form alone has no fit that could be shown unseen rows."""
+    assert _runner_up(demo_search, weighed(sets=[(("a",), 0.6), (("b",), 0.3)])) is None
 
 
 @pytest.mark.parametrize(("p", "factor"), [(0.05, 2.46), (0.01, 7.99), (0.001, 53.3), (0.5, 1.0)])

@@ -19,7 +19,7 @@ from torch.distributions import constraints, transforms
 
 from torchlc.naming import NOBODY, Origin
 
-PRIORS = ("uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal")
+PRIORS = ("uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal", "cauchy")
 REFLECTANCE, LOBE_REFLECTANCE, FRESNEL = "reflectance", "reflectance of the lobe", "Fresnel reflectance"
 EXPONENT, WIDTH, INDEX, SHARE = "exponent", "width", "refractive index", "share"
 ROLES = {
@@ -43,7 +43,8 @@ class Quantity:
     ``low`` and ``high`` are its bounds in ``unit``; ``off`` is the value at which it has no effect at all,
     ``typical`` the size worth suspecting; ``prior`` (one of PRIORS) is the default, with ``mean`` and ``sigma``.
     A latitude in degrees whose direction may point anywhere alike declares ``isotropic``. What has a value ``unless_set``
-    keeps it where the scene says nothing. ``role`` says what kind of number it is, where that decides how it is
+    keeps it where the scene says nothing. Where an offset is divided and its values are alike but for a few, which may lie anywhere
+    within the bounds, ``apart`` is the width of the Cauchy distribution of these. ``role`` says what kind of number it is, where that decides how it is
     searched, sampled or judged: one of ROLES.
     """
 
@@ -59,6 +60,7 @@ class Quantity:
     sigma: float | None = None
     unless_set: float | None = None
     role: str = ""
+    apart: float | None = None
 
     def __post_init__(self) -> None:
         if self.role and self.role not in ROLES:
@@ -74,7 +76,9 @@ class Prior:
     its sine, which with a flat longitude makes directions uniform on the sphere. Every kind is truncated to
     [low, high] and normalised there.
 
-    A kind has a scale of its own, on which it is flat or normal: ln x, the sine of x, or x itself.
+    A kind has a scale of its own, on which it is flat or normal: ln x, the sine of x, or x itself. ``cauchy`` has half its mass
+    within ``sigma`` of ``centre`` and the rest in tails that fall as 1/x^2: numbers that are alike but for a few. Its own scale is the
+    normal quantile of its distribution, of width ``sigma`` about ``centre``.
     """
 
     kind: str
@@ -86,7 +90,7 @@ class Prior:
     @property
     def peaked(self) -> bool:
         """True if the prior pulls towards a centre."""
-        return self.kind in ("normal", "lognormal", "halfnormal")
+        return self.kind in ("normal", "lognormal", "halfnormal", "cauchy")
 
     @property
     def logarithmic(self) -> bool:
@@ -118,12 +122,18 @@ class Prior:
         """Values on the prior's own scale, same shape; ln is taken of 1e-300 at least."""
         if self.isotropic:
             return torch.sin(torch.deg2rad(x))
+        if self.kind == "cauchy":
+            share = 0.5 + torch.atan((x - self.centre) / self.sigma) / math.pi
+            return self.centre + self.sigma * torch.special.ndtri(share)
         return torch.log(x.clamp(min=1e-300)) if self.logarithmic else x
 
     def from_scale(self, y: Tensor) -> Tensor:
         """Inverse of :meth:`to_scale`."""
         if self.isotropic:
             return latitude(y)
+        if self.kind == "cauchy":
+            share = torch.special.ndtr((y - self.centre) / self.sigma)
+            return self.centre + self.sigma * torch.tan(math.pi * (share - 0.5))
         return torch.exp(y) if self.logarithmic else y
 
     def log_slope(self, y: Tensor) -> Tensor:
@@ -131,6 +141,10 @@ class Prior:
         if self.isotropic:
             square = ((1 - y) * (1 + y)).clamp(min=NEAR_POLE)
             return math.log(180 / math.pi) - 0.5 * torch.log(square)
+        if self.kind == "cauchy":
+            score = (y - self.centre) / self.sigma
+            away = torch.tan(math.pi * (torch.special.ndtr(score) - 0.5))
+            return 0.5 * math.log(math.pi / 2) - 0.5 * score * score + torch.log1p(away * away)
         return y if self.logarithmic else torch.zeros_like(y)
 
     def log_density(self, x: Tensor) -> Tensor:
@@ -189,6 +203,8 @@ class Prior:
             steps.append(transforms.ExpTransform())
         elif self.isotropic:
             steps.append(LatitudeTransform())
+        elif self.kind == "cauchy":
+            steps.append(CauchyTransform(self))
         return transforms.ComposeTransform(steps)
 
     def inside(self, x: Tensor) -> Tensor:
@@ -209,6 +225,9 @@ class Prior:
         """Bounds on the prior's own scale."""
         if self.isotropic:
             return math.sin(math.radians(self.low)), math.sin(math.radians(self.high))
+        if self.kind == "cauchy":
+            low, high = self.to_scale(torch.tensor([self.low, self.high], dtype=torch.float64)).tolist()
+            return low, high
         if not self.logarithmic:
             return self.low, self.high
         return (
@@ -254,6 +273,28 @@ class LatitudeTransform(transforms.Transform):
 
     def log_abs_det_jacobian(self, x: Tensor, y: Tensor) -> Tensor:
         return Prior("isotropic", -90.0, 90.0).log_slope(x)
+
+
+class CauchyTransform(transforms.Transform):
+    """From a Cauchy prior's own scale to natural values."""
+
+    domain = constraints.real
+    codomain = constraints.real
+    bijective = True
+    sign = 1  # pyright: ignore[reportAssignmentType]
+
+    def __init__(self, prior: Prior) -> None:
+        super().__init__()
+        self.prior = prior
+
+    def _call(self, x: Tensor) -> Tensor:
+        return self.prior.from_scale(x)
+
+    def _inverse(self, y: Tensor) -> Tensor:
+        return self.prior.to_scale(y)
+
+    def log_abs_det_jacobian(self, x: Tensor, y: Tensor) -> Tensor:
+        return self.prior.log_slope(x)
 
 
 @dataclass(frozen=True)
@@ -316,9 +357,11 @@ class ParameterSet:
         priors = [entry.prior for entry in self.free]
         self._bounds = self._row([one.low for one in priors]), self._row([one.high for one in priors])
         self._logarithmic = torch.tensor([one.logarithmic for one in priors], dtype=torch.bool, device=device)
-        self._isotropic = [index for index, one in enumerate(priors) if one.isotropic]
+        self._bent = [index for index, one in enumerate(priors) if one.isotropic or one.kind == "cauchy"]
         self._centre = self._row([one.flat_centre if one.peaked else 0.0 for one in priors])
-        self._precision = self._row([1 / one.sigma**2 if one.peaked else 0.0 for one in priors])
+        straight = [one.peaked and one.kind != "cauchy" for one in priors]
+        precision = [1 / one.sigma**2 if plain else 0.0 for one, plain in zip(priors, straight, strict=True)]
+        self._precision = self._row(precision)
         self._constant = self._row([one.log_constant for one in priors])
 
     def _row(self, numbers: Sequence[float]) -> Tensor:
@@ -383,9 +426,12 @@ class ParameterSet:
         density = self._constant - 0.5 * self._precision * (y - self._centre) ** 2
         density = density - torch.where(self._logarithmic, y, 0.0)
         total = torch.where(inside, density, -math.inf).sum(-1)
-        for index in self._isotropic:
+        for index in self._bent:
             prior = self.free[index].prior
-            total = total - prior.log_slope(prior.to_scale(safe[..., index]))
+            y = prior.to_scale(safe[..., index])
+            total = total - prior.log_slope(y)
+            if prior.peaked:
+                total = total - 0.5 * ((y - prior.flat_centre) / prior.sigma) ** 2
         for first, second in self.pairs:
             total = total + self._triangle[first, second]
             total = torch.where(theta[..., first] + theta[..., second] <= 1.0, total, -math.inf)
@@ -461,7 +507,8 @@ class ParameterSet:
             prior = entry.prior
             if prior.kind == "lognormal":
                 rows.append((torch.log(value.clamp(min=1e-300)) - math.log(prior.centre)) / prior.sigma)
-            elif prior.kind in ("normal", "halfnormal"):
+            elif prior.peaked:
+                value = prior.to_scale(value) if prior.kind == "cauchy" else value
                 rows.append((value - prior.centre) / prior.sigma)
         return torch.stack(rows, -1) if rows else theta.new_zeros(*theta.shape[:-1], 0)
 

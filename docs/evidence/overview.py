@@ -201,7 +201,7 @@ def visor() -> str:
 def tables() -> dict[str, str]:
     """What stands in the pages, by name."""
     fleets = read("evidence/fleets.json")
-    visors, dim = fleets["visor"], fleets["v2mini"]["dark"]
+    visors, dim, ways = fleets["visor"], fleets["v2mini"]["dark"], fleets["modes"]
     return {
         "evidence_overview": overview(),
         "evidence_nights": nights(),
@@ -214,6 +214,14 @@ def tables() -> dict[str, str]:
         "evidence_v2_rows": str(fleets["v2mini"]["rows"]),
         "evidence_v2_objects": str(fleets["v2mini"]["objects"]),
         "evidence_dark_others": str(dim["others_wholly_hidden"]),
+        "evidence_modes_passes": str(ways["passes"]),
+        "evidence_modes_second": str(ways["passes"] - ways["first_passes"]),
+        "evidence_modes_second_sigma": f"{ways['sigma'][1]:.2f}",
+        "evidence_modes_first_sigma": f"{ways['sigma'][0]:.1f}",
+        "evidence_modes_both": f"{ways['satellites_in_both']} of {ways['satellites_of_several_passes']}",
+        "evidence_modes_gain": f"{ways['log_density_gained']:.0f} ± {ways['standard_error']:.0f}",
+        "evidence_modes_unseen": f"{ways['unseen_in_its_mode']:.2f}",
+        "evidence_modes_single": f"{ways['unseen_one_model']:.2f}",
         "evidence_visor_fainter": f"{visors['fainter_with_visor']:.2f}",
         "evidence_visor_sigma": f"{visors['sigma']:.2f}",
         "evidence_visor_auc": f"{visors['auc_of_magnitude']:.2f}",

@@ -1,6 +1,6 @@
 """What diagnose says of real recordings left alone: Eros, Starlink over Pomenis, the tracks of Mini-MegaTORTORA.
 
-    python examples/calibration/real_recordings.py docs/real_data [--only TEXT]
+    python examples/calibration/real_recordings.py docs/real_data [--only TEXT] [--budget SECONDS]
 
 Results go to verdicts.json in the folder given, a recording after the other; those that are there are not done
 again. The recordings are looked for in ../shared/data.
@@ -50,11 +50,11 @@ def scatter(refit: Fitted) -> dict[str, float]:
     }
 
 
-def told(scene_file: Path, recording_file: Path) -> dict[str, Any]:
+def told(scene_file: Path, recording_file: Path, budget: float | None) -> dict[str, Any]:
     """Verdict, names, and what they rest on."""
     scene, recording = torchlc.load(scene_file, recording_file)
     began = time.process_time()
-    found = diagnose(scene, recording)
+    found = diagnose(scene, recording, budget=budget)
     content = found.to_json()
     keys = ("verdict", "named", "families", "global_p", "improvement", "remaining", "next_observation")
     return {
@@ -84,6 +84,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--only", default="", help="recordings whose name contains this")
+    parser.add_argument(
+        "--budget", type=float, help="CPU seconds of the search of each, after which the best so far is told"
+    )
     options = parser.parse_args()
     if not DATA.is_dir():
         print(f"{DATA} is not here: nothing to do")
@@ -95,7 +98,7 @@ def main() -> None:
     for name, scene, recording in recordings():
         if options.only not in name or name in known:
             continue
-        known[name] = told(scene, recording)
+        known[name] = told(scene, recording, options.budget)
         file.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
         one = known[name]
         print(f"{name}: {one['verdict']} {one['named']}, {one['cpu_seconds']:.0f} s", flush=True)

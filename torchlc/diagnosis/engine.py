@@ -27,7 +27,15 @@ from torchlc.diagnosis.hypotheses import (
     effect_columns,
     effect_starts,
 )
-from torchlc.diagnosis.probes import Probe, apart, probe, scanned_column, scanned_hours, turns
+from torchlc.diagnosis.probes import (
+    Probe,
+    apart,
+    least_seconds,
+    probe,
+    scanned_column,
+    scanned_hours,
+    turns,
+)
 from torchlc.effects import effect_class
 from torchlc.files.steps import Steps
 from torchlc.inference.budget import Budget
@@ -44,6 +52,7 @@ from torchlc.inference.posterior import (
     material_starts,
     merged,
 )
+from torchlc.stages.effect import Entry
 
 REACH = 12.0
 """Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
@@ -261,6 +270,8 @@ class Search:
         if found is not None and len(found.psi) and columns:
             likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
             psi[: len(likely)] = likely[:places]
+        if found is not None and found.begin is not None:
+            psi[0] = found.begin
         pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
         starts = torch.cat(
             [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
@@ -304,16 +315,22 @@ class Search:
 
     # ------------------------------------------------------------------ rounds
 
-    def probe_all(self, at: Fitted, entries: Sequence[str]) -> dict[str, Probe]:
+    def probe_all(self, at: Fitted, entries: Sequence[str], share: float = 0.8) -> dict[str, Probe]:
+        """Probes of candidates beside a fit, as long as less than a share of the budget is spent."""
         found = {}
         for entry in entries:
-            if not self.clock.left(0.8):
+            if not self.clock.left(share):
                 break
             hypothesis = at.hypothesis.with_effect(entry)
-            found[entry] = probe(
-                self.bench, at, self.posterior(hypothesis), entry, hypothesis.seed + self.seed
-            )
-            self.posterior(hypothesis).model.forget()
+            posterior = self.posterior(hypothesis)
+            cost = least_seconds(posterior, entry)
+            if self.clock.affords(cost):
+                found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
+            else:
+                self.unexamined[entry] = (
+                    f"{cost:.0f} s of light worked out anew before anything is known of it"
+                )
+            posterior.model.forget()
         return found
 
     def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
@@ -321,9 +338,21 @@ class Search:
         only if that could be the answer and there is time."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        cost = posterior.seconds_each * (1 + len(posterior.physical)) * DEAR_STEPS
+        colours = posterior.colours()
+        slopes = len(posterior.physical) if colours is None else len(colours.groups)
+        cost = posterior.seconds_each * (1 + slopes) * DEAR_STEPS
         if cost < DEAR_FIT_S:
             return True
+        if Entry.parse(entry).per is not None:
+            promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
+            if promised < self.log_odds(self.leader) - NEAR:
+                return False
+            if self.clock.affords(cost):
+                return True
+            self.unexamined[entry] = (
+                f"{cost:.0f} s of light worked out anew; its parts together promise enough"
+            )
+            return False
         if not len(found.scores):
             return False
         best = int(found.scores.argmax())
@@ -346,7 +375,7 @@ class Search:
         that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probes = self.probe_all(at, entries)
+        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
         slow = {
             entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes
         }

@@ -50,6 +50,8 @@ class Probe:
     """Whether any of the values changes what the scene's own parameters cannot take up by SEEN errors of a row."""
     together: float = 0.0
     """What the parts of a divided offset score together, less the one that each would in pure noise."""
+    begin: Tensor | None = None
+    """Values (k,) of a divided offset where each part is best by itself, of those that were tried of all parts alike."""
 
     @property
     def score(self) -> float:
@@ -76,7 +78,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
 
     basis = torch.linalg.qr(at.tangent)[0]
     u = torch.cat([at.delta / at.sigma, at.g])
-    psi = _tried(bench, posterior, entry, seed) if per is None else theta[:, columns] + divided_step(entry)
+    psi = _tried(bench, posterior, entry, seed) if per is None else _each_moved(entry, theta[:, columns])
     sought = psi[:0] if per is not None else _sought(bench, likelihood, entry, Target(u, basis, change))
     column = scanned_column(entry)
     if column is None or per is not None:
@@ -87,7 +89,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     psi, moved = torch.cat([psi, sought]), torch.cat([moved, change(sought)])
     if per is not None:
         part = bench.base.row_index[per][0]
-        moved = torch.where(part == torch.unique(part)[:, None], moved, 0.0)
+        moved = torch.where(part == torch.unique(part)[:, None, None], moved, 0.0).flatten(0, 1)
     padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
     projected = padded - (padded @ basis) @ basis.T
     norm = torch.linalg.vector_norm(projected, dim=1)
@@ -98,6 +100,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     signatures = unit[:, : len(at.delta)]
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
+        begin, gained = _each_best(bench, at, posterior, entry, theta)
         return Probe(
             entry,
             psi[:0],
@@ -106,7 +109,8 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             usable[:0],
             moved[:0],
             bool((norm > SEEN).any()),
-            together,
+            max(together, gained),
+            begin,
         )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
     return Probe(
@@ -152,15 +156,53 @@ def seconds_a_geometry(posterior: Posterior, entry: str) -> float:
     return posterior.seconds_each if turns(posterior, entry) else 0.0
 
 
+def least_seconds(posterior: Posterior, entry: str) -> float:
+    """CPU seconds that an effect's probe takes at least."""
+    return (GRID + 1 if _anywhere(entry) else FEWEST) * seconds_a_geometry(posterior, entry)
+
+
+def _anywhere(entry: str) -> bool:
+    """Whether the parts of a divided offset may lie anywhere within its bounds."""
+    quantities = effect_class(entry).quantities
+    return Entry.parse(entry).per is not None and len(quantities) == 1 and quantities[0].apart is not None
+
+
 def turns(posterior: Posterior, entry: str) -> bool:
     """Whether an effect's own parameters move the geometry."""
     return bool(posterior.turning(effect_columns(posterior.model.parameter_set, entry)))
 
 
-def divided_step(entry: str) -> float:
-    """The offset by which every part of a divided effect is moved to see what it does."""
-    (quantity,) = effect_class(entry).quantities
-    return quantity.typical - quantity.off  # pyright: ignore[reportOperatorIssue]
+def _each_best(
+    bench: Workbench, at: Fitted, posterior: Posterior, entry: str, theta: Tensor
+) -> tuple[Tensor | None, float]:
+    """Of a divided offset whose parts may lie anywhere within its bounds: the values (k,) at which each part has the least sum of
+    squares, of GRID that all parts are given alike, and what these take off the sum less what they cost in the prior. No descent
+    finds an offset that is farther than the light follows in proportion."""
+    if not _anywhere(entry):
+        return None, 0.0
+    parameters, (quantity,) = posterior.likelihood.model.parameter_set, effect_class(entry).quantities
+    columns = effect_columns(parameters, entry)
+    edges = torch.linspace(quantity.low, quantity.high, GRID + 1, dtype=theta.dtype)
+    tried = torch.cat([theta.new_tensor([quantity.off or 0.0]), 0.5 * (edges[1:] + edges[:-1])])
+    many = theta.repeat(len(tried), 1)
+    many[:, columns] = tried[:, None]
+    with torch.no_grad():
+        squares = (posterior.likelihood.residuals(many).delta / at.sigma).square()
+        prior = posterior.scores.scores(many)[:, columns].square()
+    part = bench.base.row_index[str(Entry.parse(entry).per)][0]
+    cost = torch.stack([squares[:, part == k].sum(1) for k in range(len(columns))], 1) + prior
+    cost = torch.nan_to_num(cost, nan=torch.inf)
+    least, chosen = cost.min(0)
+    return tried[chosen], float((cost[0] - least).sum())
+
+
+def _each_moved(entry: str, offsets: Tensor) -> Tensor:
+    """Offsets (Q, k) of the parts of a divided effect, each part's Q quantities in the order of theta, moved from where
+    they are (1, k): every part alike, one quantity at a time, by what is typical of it."""
+    quantities = effect_class(entry).quantities
+    many = offsets.shape[1] // len(quantities)
+    steps = [(one.typical or 0.0) - (one.off or 0.0) for one in quantities]
+    return offsets + torch.diag(offsets.new_tensor(steps)).repeat_interleave(many, 1)
 
 
 def scanned_column(entry: str) -> int | None:

@@ -23,9 +23,9 @@ from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.effects import with_title
-from torchlc.files.numbers import Free
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.inference.posterior import BAD_ROW, Fitted
+from torchlc.lightcurve.assembly import divided_offset
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
@@ -442,12 +442,7 @@ def completed_scene(scene: Scene, effects: Sequence[Effect]) -> Scene:
     """``scene`` with these effects as its list; an offset that is divided gets its prior in the parameters, one value
     for each curve or night."""
     divided = {
-        effect.origin(quantity.name).full_name(): Free(
-            value=quantity.off or 0.0,
-            sigma=effect.width or quantity.sigma or 1.0,
-            prior="normal",
-            per=cast(Any, effect.by),
-        )
+        effect.origin(quantity.name).full_name(): divided_offset(effect, quantity)
         for effect in effects
         if effect.by is not None
         for quantity in effect.quantities

@@ -27,7 +27,6 @@ from torchlc.scene import Scene
 QUICK_S = 20.0
 GROSS_P = 1e-6
 """p-value of what the leader leaves below which other laws of reflection compete."""
-DEAR = "each of its geometries costs a pass over the whole mesh"
 
 
 def diagnose(
@@ -54,11 +53,8 @@ def diagnose(
     bench = Workbench(scene, recording)
     if effects is not None:
         check_candidates(effects, bench.base)
-    possible = bench.candidates(effects)
-    bench.entries = [
-        entry for entry in possible if not bench.likelihood(Hypothesis((entry,))).model.unaffordable
-    ]
-    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
+    bench.entries = bench.candidates(effects)
+    untried = bench.not_carried(effects)
     search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
     clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
@@ -159,9 +155,15 @@ def _proof(search: Search, odds: Probabilities, null: Fitted, final: Fitted) -> 
 
 
 def _runner_up(search: Search, odds: Probabilities) -> Fitted | None:
-    """The best set of effects beside the named one that is not that with more in it."""
+    """The best set of effects beside the named one that is not that with more in it, of those that were refitted: others were
+    judged by their linear form alone."""
     named = set(odds.best) if odds.verdict == "missing_physics" else set()
-    rivals = [entries for entries, _ in odds.sets if entries and not named <= set(entries)]
+    fitted = {frozenset(one.plain) for one in search.visited}
+    rivals = [
+        entries
+        for entries, _ in odds.sets
+        if entries and not named <= set(entries) and frozenset(entries) in fitted
+    ]
     if not rivals:
         return None
     return search.best(*rivals[0])

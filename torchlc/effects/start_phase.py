@@ -6,6 +6,9 @@ from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import LABORATORY, TIME, Shown
 
+APART_DEG = 0.3
+"""Of curves that begin together but for a few: a frame of a camera that takes some hundred a turn."""
+
 
 class StartPhase(Effect):
     """A constant turn about the axis of spin: of each curve or night for itself where a camera of a laboratory begins elsewhere, or where
@@ -22,7 +25,7 @@ class StartPhase(Effect):
     quantities = (
         Quantity(
             "deg", "deg", -180.0, 180.0, "true less assumed phase of the spin",
-            off=0.0, typical=5.0, prior="normal", mean=0.0, sigma=15.0,
+            off=0.0, typical=5.0, prior="normal", mean=0.0, sigma=15.0, apart=APART_DEG,
         ),
     )  # fmt: skip
 

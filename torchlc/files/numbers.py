@@ -51,7 +51,7 @@ class Free(Table):
     """A number to be fitted: where to start and what is believed of it before the data.
 
     ``sigma`` is the standard deviation of a normal prior centred on ``value``, that of the logarithm for a
-    lognormal one with median ``value``, or the scale of a halfnormal one. ``low`` and ``high`` truncate it; a
+    lognormal one with median ``value``, the scale of a halfnormal one, or half the width that holds half of a cauchy one. ``low`` and ``high`` truncate it; a
     bound that the scene leaves open is the physical one where there is one. An isotropic prior is for the latitude
     of a direction, deg, from pole to pole unless bounds are given.
 
@@ -63,7 +63,9 @@ class Free(Table):
     low: Real | None = None
     high: Real | None = None
     sigma: Annotated[Real, Field(ge=SMALLEST)] | None = None
-    prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal"] = "uniform"
+    prior: Literal["uniform", "loguniform", "isotropic", "normal", "lognormal", "halfnormal", "cauchy"] = (
+        "uniform"
+    )
     per: Literal["curve", "station", "night", "object"] | None = None
     values: dict[str, Real] | None = None
 

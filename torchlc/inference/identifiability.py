@@ -238,7 +238,7 @@ def judge(likelihood: Likelihood, best: Tensor, draws: Tensor, view: View, seed:
             warnings.append(f"{name} is set by its prior: {reason}")
     for i, entry in enumerate(parameters.free):
         prior_i = entry.prior
-        if not prior_i.peaked:
+        if not prior_i.peaked or prior_i.kind == "cauchy":  # whose tails hold what is far
             continue
         middle = float(draws[:, i].median())
         logarithmic = prior_i.kind == "lognormal"

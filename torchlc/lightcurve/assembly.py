@@ -829,11 +829,7 @@ def _parameters(
         for quantity in effect.quantities:
             name, origin = effect.full_name(quantity.name), effect.origin(quantity.name)
             if effect.by is not None:
-                sigma = effect.width or quantity.sigma or 1.0
-                offset = SceneFree(
-                    value=quantity.off or 0.0, sigma=sigma, prior="normal", per=cast(Any, effect.by)
-                )
-                divide(name, origin, offset, quantity)
+                divide(name, origin, divided_offset(effect, quantity), quantity)
                 continue
             number = _given_number(effect, quantity, scene)
             if isinstance(number, SceneFree):
@@ -856,6 +852,18 @@ def _parameters(
         for a, b in zip(effect.simplex, effect.simplex[1:], strict=False)
     ]
     return ParameterSet(free, fixed, simplex), divided, origins
+
+
+def divided_offset(effect: Effect, quantity: Quantity) -> SceneFree:
+    """The prior of an offset that an effect divides, as a scene would give it."""
+    alone = effect.width is None and quantity.apart is not None
+    sigma = quantity.apart if alone else effect.width or quantity.sigma or 1.0
+    return SceneFree(
+        value=quantity.off or 0.0,
+        sigma=sigma,
+        prior="cauchy" if alone else "normal",
+        per=cast(Any, effect.by),
+    )
 
 
 def _unmet(name: str, number: SceneFree, members: Sequence[str]) -> list[str]:

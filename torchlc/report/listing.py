@@ -138,11 +138,14 @@ def _prior(told: dict[str, Any]) -> str:
     if told["unless_set"] is not None:
         return f"{told['unless_set']:g} unless the scene sets it"
     short = {
-        "normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N",
+        "normal": "N", "halfnormal": "H", "uniform": "U", "loguniform": "log U", "lognormal": "log N", "cauchy": "C",
         "isotropic": "uniform on the sphere",
     }[told["prior"]]  # fmt: skip
-    numbers = {"normal": ("mean", "sigma"), "halfnormal": ("sigma",), "lognormal": ("mean", "sigma")}.get(
-        told["prior"], ()
-    )
+    numbers = {
+        "normal": ("mean", "sigma"),
+        "halfnormal": ("sigma",),
+        "lognormal": ("mean", "sigma"),
+        "cauchy": ("mean", "sigma"),
+    }.get(told["prior"], ())
     given = [f"{told[key] or 0:g}" for key in numbers]
     return f"{short}({', '.join(given)})" if given else short

@@ -46,6 +46,8 @@ myst_substitutions = {
     "near": f"{engine.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",
     "odd_odds": f"{discrepancy.ODDS:g}",
+    "far": f"{discrepancy.FAR:g}",
+    "refitted": str(discrepancy.REFITTED),
     "quick_s": f"{run.QUICK_S:g}",
     "reach": f"{engine.REACH:g}",
     "scale_sigma": f"{posterior.SCALE_SIGMA:g}",

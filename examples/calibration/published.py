@@ -71,6 +71,10 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
                 x, y = zip(*kept, strict=True)
                 middle.plot(x, y, "o-", color=colour, label=label)
         middle.set_xscale("log")
+        middle.set_xticks(
+            [1, 2, 5, 10, 20, 50, 100], labels=["1", "2", "5", "10", "20", "50", "100"], minor=False
+        )
+        middle.minorticks_off()
         middle.set(
             xlabel="size of the effect: root of its chi-square", ylabel="share of recordings", ylim=(0, 1.02)
         )

@@ -141,7 +141,16 @@ def test_every_member_for_laboratories_is_asked(one_late):
 
 
 def test_pixels_that_record_a_power_are_named(tmp_path):
-    found = diagnose(*Bench(power=0.5).recording(tmp_path), budget=25.0)
+    """Among what a detector does, and a camera that stands near."""
+    among = [
+        "radiance_power",
+        "radiance_threshold",
+        "radiance_pedestal",
+        "near_field",
+        "saturation",
+        "background",
+    ]
+    found = diagnose(*Bench(power=0.5).recording(tmp_path), effects=among)
     assert found.named == ("radiance_power",)
     values = dict(zip(found.final.names, found.final.theta.tolist(), strict=True))
     assert values["radiance_power.power"] == pytest.approx(

@@ -32,6 +32,7 @@ from torchlc.diagnosis.probes import (
     apart,
     least_seconds,
     probe,
+    rescored,
     scanned_column,
     scanned_hours,
     turns,
@@ -78,7 +79,8 @@ RIVALS_SHARE = 2
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
 DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
-"""CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all."""
+"""CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all; and of a probe,
+beyond which that of the first round serves for all sets."""
 
 
 class Clock(Budget):
@@ -117,6 +119,8 @@ class Search:
     seed: int
     visited: dict[Hypothesis, Fitted] = field(default_factory=dict)
     probes: dict[str, Probe] = field(default_factory=dict)
+    """Of the first round, beside ``probed``."""
+    probed: Hypothesis = field(default_factory=Hypothesis)
     odd: list[Discrepancy] = field(default_factory=list)
     unexamined: dict[str, str] = field(default_factory=dict)
     """Why, by entry, a candidate was not refitted."""
@@ -316,15 +320,21 @@ class Search:
     # ------------------------------------------------------------------ rounds
 
     def probe_all(self, at: Fitted, entries: Sequence[str], share: float = 0.8) -> dict[str, Probe]:
-        """Probes of candidates beside a fit, as long as less than a share of the budget is spent."""
+        """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
+        it is. Those that take long are made once, beside the scene's own model."""
         found = {}
-        for entry in entries:
+        for entry in sorted(
+            entries, key=lambda one: turns(self.posterior(at.hypothesis.with_effect(one)), one)
+        ):
             if not self.clock.left(share):
                 break
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
             cost = least_seconds(posterior, entry)
-            if self.clock.affords(cost):
+            known = self.probes.get(entry)
+            if cost > DEAR_FIT_S and known is not None:
+                found[entry] = rescored(known, self.visited[self.probed], at)
+            elif self.clock.affords(cost):
                 found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
             else:
                 self.unexamined[entry] = (
@@ -375,6 +385,7 @@ class Search:
         that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
+        self.probed = at.hypothesis
         self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
         slow = {
             entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes

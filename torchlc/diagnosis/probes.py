@@ -90,14 +90,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     if per is not None:
         part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None, None], moved, 0.0).flatten(0, 1)
-    padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
-    projected = padded - (padded @ basis) @ basis.T
-    norm = torch.linalg.vector_norm(projected, dim=1)
-    raw = torch.linalg.vector_norm(moved, dim=1)
-    usable = (norm > 1e-3) & (norm > 1e-7 * raw)
-    unit = projected[usable] / norm[usable, None]
-    scores = (unit @ u) ** 2
-    signatures = unit[:, : len(at.delta)]
+    signatures, scores, usable, visible = _scored(moved, basis, u)
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
         begin, gained = _each_best(bench, at, posterior, entry, theta)
@@ -108,13 +101,37 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             scores[:0],
             usable[:0],
             moved[:0],
-            bool((norm > SEEN).any()),
+            visible,
             max(together, gained),
             begin,
         )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
+    return Probe(entry, psi[usable], signatures, scores, aimed[usable], moved[usable], visible)
+
+
+def _scored(moved: Tensor, basis: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor, bool]:
+    """Of changes (G, T) in errors of a row, off an orthonormal ``basis`` of rows and priors: unit signatures and scores against
+    residuals u of those that are usable, which are, (G,), and whether any may be seen."""
+    padded = torch.cat([moved, moved.new_zeros(len(moved), len(u) - moved.shape[1])], 1)
+    projected = padded - (padded @ basis) @ basis.T
+    norm = torch.linalg.vector_norm(projected, dim=1)
+    raw = torch.linalg.vector_norm(moved, dim=1)
+    usable = (norm > 1e-3) & (norm > 1e-7 * raw)
+    unit = projected[usable] / norm[usable, None]
+    return unit[:, : moved.shape[1]], (unit @ u) ** 2, usable, bool((norm > SEEN).any())
+
+
+def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
+    """A probe that was made beside another fit, held against the residuals of this one: the same changes of the light, where new ones
+    would take long."""
+    if not len(known.psi):
+        return known
+    moved = known.moved * before.sigma / at.sigma
+    basis = torch.linalg.qr(at.tangent)[0]
+    u = torch.cat([at.delta / at.sigma, at.g])
+    signatures, scores, usable, visible = _scored(moved, basis, u)
     return Probe(
-        entry, psi[usable], signatures, scores, aimed[usable], moved[usable], bool((norm > SEEN).any())
+        known.entry, known.psi[usable], signatures, scores, known.aimed[usable], moved[usable], visible
     )
 
 

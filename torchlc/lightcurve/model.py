@@ -19,6 +19,8 @@ from torch import Tensor, nn
 
 from torchlc.lightcurve.assembly import Assembly, assemble
 from torchlc.lightcurve.evaluators import Evaluator, chosen
+from torchlc.lightcurve.evaluators.clock import MOST_TRACED_PAIRS
+from torchlc.lightcurve.evaluators.exact import ExactGeometry
 from torchlc.lightcurve.evaluators.expansion import Expansion
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
@@ -237,6 +239,12 @@ class LightCurve(nn.Module):
     def parts_meet(self) -> bool:
         """True if parts shadow or light each other, which every new geometry has to have worked out anew."""
         return self.assembly.parts_meet
+
+    @property
+    def unaffordable(self) -> bool:
+        """True if fits would work out the whole of a large mesh anew for every value of a parameter."""
+        anew = isinstance(self.evaluator, ExactGeometry)
+        return anew and self.assembly.traced_pairs > MOST_TRACED_PAIRS
 
     def expanded(self, theta: Tensor, scale: Tensor) -> LightCurve:
         """A model that works light out to second order about natural values theta (P,), several times as fast, where the

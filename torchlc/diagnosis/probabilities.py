@@ -207,11 +207,13 @@ def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
     they are as many as are tried at once, or they take too little of the misfit."""
     if not hypothesis.added:
         return False
-    if search.stranger_alone > search.log_odds(hypothesis) or len(hypothesis.added) == MOST_EFFECTS:
+    if search.stranger_alone > search.log_odds(hypothesis):
         return True
     if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
         return False
-    return share_taken(search, hypothesis) < 1 - (1 - LEAST_TAKEN) ** len(hypothesis.added)
+    return len(hypothesis.added) == MOST_EFFECTS or share_taken(search, hypothesis) < 1 - (
+        1 - LEAST_TAKEN
+    ) ** len(hypothesis.added)
 
 
 def share_taken(search: Search, hypothesis: Hypothesis) -> float:

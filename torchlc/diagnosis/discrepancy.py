@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -131,7 +131,7 @@ def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbenc
         kinds = [(name, best) for name, best in found if best is not None]
         log_odds = math.log(ODDS / len(kinds))
         kinds.sort(key=lambda one: -one[1].gain)
-        return [_refitted(at, name, best, plain, log_odds) for name, best in kinds[:REFITTED]]
+        return [_refitted(at, scan.sigma, name, best, plain, log_odds) for name, best in kinds[:REFITTED]]
 
 
 # ------------------------------------------------------------------ shapes
@@ -280,23 +280,20 @@ class Scan:
         finer = self.best([cycles(seconds, near)])
         assert finer is not None
         # the places between are as many more
-        return Found(max(found.gain, finer.alone + found.gain - found.alone), finer.alone, *_rest(finer))
+        return replace(finer, gain=max(found.gain, finer.alone + found.gain - found.alone))
 
 
-def _rest(found: Found) -> tuple[Tensor, Tensor, float]:
-    return found.columns, found.rows, found.period
-
-
-def _refitted(at: Fitted, name: str, best: Found, plain: float, log_odds: float) -> Discrepancy:
-    """The best shape fitted together with the noise, from where the scene's own model stands and from where a row counts as FAR
-    errors at most."""
+def _refitted(
+    at: Fitted, bounded: Tensor, name: str, best: Found, plain: float, log_odds: float
+) -> Discrepancy:
+    """The best shape fitted together with the noise, from where the scene's own model stands and from where errors are ``bounded``
+    (T,), as in a scan."""
     basis = best.columns
     posterior = Linear(at, basis)
     start = torch.cat([at.g, at.g.new_zeros(basis.shape[1])])
-    wide = at.wide * (at.delta / at.wide / FAR).abs().clamp(min=1.0)
-    tangent = torch.cat([at.slopes, -basis], 1) / wide[:, None]
-    system = tangent.T @ tangent + torch.eye(tangent.shape[1], dtype=wide.dtype)
-    step = torch.linalg.solve(system, tangent.T @ (at.delta / wide) + start)
+    tangent = torch.cat([at.slopes, -basis], 1) / bounded[:, None]
+    system = tangent.T @ tangent + torch.eye(tangent.shape[1], dtype=bounded.dtype)
+    step = torch.linalg.solve(system, tangent.T @ (at.delta / bounded) + start)
     other = start - step
     other[at.posterior.noise_columns] = start[at.posterior.noise_columns]
     found = max(

@@ -305,14 +305,7 @@ class Search:
             return torch.where(begun, first, last)
 
         with torch.no_grad():
-            ends = at.posterior.residuals(g[[0, -1]])
-            every = replace(
-                ends,
-                delta=at_every(ends.delta),
-                sigma=at_every(ends.sigma),
-                scale=at_every(ends.scale),
-                prediction=at_every(ends.prediction),
-            )
+            every = at.posterior.residuals(g[[0, -1]]).each(at_every)
             density = at.posterior.held_density(every, g)
         best = torch.argsort(density, descending=True)[:PLACES]
         return self.refit(at.hypothesis, theta[best], at, turns=1, most=1)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
+from torchlc.diagnosis.discrepancy import FAR
 from torchlc.diagnosis.engine import NEAR, Search
 from torchlc.diagnosis.hypotheses import MOST_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
@@ -19,7 +20,7 @@ UNKNOWN_ODDS = 0.02
 """Prior odds of something that no hypothesis here describes, beside the leader."""
 FAMILY_SHARE = 0.1
 """Of the named effect's probability that another in its place must have to be told beside it."""
-LEAST_TAKEN, FAR = 0.5, 6.0
+LEAST_TAKEN = 0.5
 """Effects that leave structure, more likely than not, stand in for something else unless each takes this share of the misfit
 that the others leave, of which a row counts for FAR errors at most: several bend a model to much that is none of them."""
 WEIGHED = 1e-3

@@ -386,13 +386,7 @@ def _row_slopes(rows: Callable[[Residuals], Tensor], found: Residuals, slopes: T
         return one.expand(found.delta.shape)[:, None].expand(shape).flatten(0, 1)
 
     step = torch.nan_to_num(slopes).transpose(1, 2).reshape(-1, shape[-1])
-    held = replace(
-        found,
-        delta=each(found.delta),
-        sigma=each(found.sigma),
-        scale=each(found.scale),
-        prediction=each(found.prediction),
-    )
+    held = found.each(each)
     size = 1e-6 / step.abs().amax(-1, keepdim=True).clamp(min=1.0)
     change = (rows(replace(held, delta=held.delta + size * step)) - rows(held)) / size
     change = change.reshape(*shape[:2], -1).transpose(1, 2)

@@ -5,7 +5,8 @@ Letters: T rows, C curves, (...) any batch axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -31,6 +32,16 @@ class Residuals:
     scale: Tensor
     gain: Tensor | None
     prediction: Tensor
+
+    def each(self, change: Callable[[Tensor], Tensor]) -> Residuals:
+        """The same after a change of what every row has: delta, sigma, scale and prediction."""
+        return replace(
+            self,
+            delta=change(self.delta),
+            sigma=change(self.sigma),
+            scale=change(self.scale),
+            prediction=change(self.prediction),
+        )
 
 
 class Rows:

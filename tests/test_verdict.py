@@ -13,7 +13,7 @@ from scipy import stats
 import torchlc
 from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
 from torchlc.diagnosis.engine import Clock, Search
-from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
+from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
@@ -242,3 +242,16 @@ def test_the_course_of_an_event_has_unit_variance() -> None:
     assert float(columns.square().sum(1)[0]) == pytest.approx(1.0)
     gram = columns.T @ columns / len(columns)
     assert torch.allclose(gram, torch.diag(torch.diagonal(gram)), atol=2e-3)
+
+
+def test_red_noise_in_the_place_of_an_effect_says_nothing_of_how_rows_err_beside_the_effect(ball) -> None:
+    """A wave and a drift: rows that err together describe both. The drift is told under each way to err that is of use, and not
+    under the robust one alone."""
+    hours = ball[1].seconds / 3600
+    wave = 0.015 * np.sin(2 * np.pi * hours / 1.5) + 0.006 * hours
+    search = searched(changed(ball, wave))
+    search.singles(["zero_point_drift"])
+    search.noise_of_leaders()
+    assert search.leader == Hypothesis().under("red_noise")
+    drift = Hypothesis(("zero_point_drift",))
+    assert {drift.under("red_noise"), drift.under(SCALE), drift.under("jitter")} <= set(search.visited)

@@ -486,29 +486,35 @@ class Search:
                 self.extend(at, entry, found[entry])
 
     def noise_of_leaders(self) -> None:
-        """What is within reach under every way to err, then its evidence."""
+        """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
+        of the leader and of the leading effects."""
         top = self.log_odds(self.leader)
         near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
+        together = {*sets[:1], *[one for one in sets if one.added][:1]}
         noises = self.noises()
         for number, one in enumerate(dict.fromkeys((*sets, null))):
             if one not in self.visited:
                 continue
             for noise in noises:
-                joint = self.correlated(one.under(*noise))
-                if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
+                asked = one in together or not self.correlated(one.under(*noise))
+                if asked and one.under(*noise) not in self.visited and self.clock.left(0.9):
                     self.renoise(self.visited[one], noise)
-            if number == 0:  # what the leader has no use for, its rivals are not asked under
-                leader = max(
-                    self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited
-                )
-                noises = [
-                    noise
-                    for noise in noises
-                    if one.under(*noise) in self.visited and self.log_odds(one.under(*noise)) > leader - NEAR
-                ]
+            if number == 0:
+                noises = self.useful(one, noises)
         self.integrate()
+
+    def useful(self, one: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+        """Ways to err that a set of effects has a use for, those of rows that err together told apart from the others: they may stand in
+        for what an effect does, and say nothing then of how its rows err."""
+        visited = [one.under(*noise) for noise in noises if one.under(*noise) in self.visited]
+        found = []
+        for joint in (False, True):
+            alike = [other for other in visited if self.correlated(other) == joint]
+            best = max(map(self.log_odds, alike), default=-math.inf)
+            found += [other.noise for other in alike if self.log_odds(other) > best - NEAR]
+        return found
 
     def integrate(self) -> None:
         """Evidence by importance sampling of what is near the leader, until the order of the leaders stands."""

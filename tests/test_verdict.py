@@ -18,6 +18,7 @@ from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.inference.posterior import fitted_at
 
 BALL = """
 format = "torchlc-scene/1"
@@ -110,6 +111,20 @@ def test_the_unseen_share_of_a_drift_is_that_of_its_normal_posterior(ball, slope
         expected,
         abs=0.08,  # 200 draws: two and a half standard deviations at one half
     )
+
+
+@pytest.mark.parametrize("shift", [-3.0, 2.0])
+def test_the_unseen_share_does_not_depend_on_where_the_fit_without_the_effect_stands(ball, shift) -> None:
+    """What the zero point has already paid for, to take up some of a change, is not had for nothing. All is linear here."""
+    hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
+    search = searched(changed(ball, 0.006 * hours), "zero_point_drift")
+    drift, without = search.visited[Hypothesis(("zero_point_drift",))], search.visited[Hypothesis()]
+    expected = unseen_share(drift, without, "zero_point_drift")
+    assert 0.02 < expected < 0.98
+    moved = fitted_at(without.hypothesis, without.posterior, without.g + shift)
+    assert unseen_share(drift, moved, "zero_point_drift") == pytest.approx(
+        expected, abs=0.011
+    )  # two of 200 draws
 
 
 def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:

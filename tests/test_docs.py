@@ -7,13 +7,12 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.run_page import blocks
-from tests.warm import call, server
+from tests.warm import call
 
 ROOT = Path(__file__).parent.parent
 NEEDS_SHARED = "<!-- needs ../shared -->"
@@ -26,12 +25,6 @@ PAGES = sorted(
 )
 WITHOUT_NUMBERS = (ROOT / "README.md", ROOT / "docs" / "how_to" / "runs.md")
 """Pages whose code holds no result to a number: every fourth row of the demo's recording is enough to run it."""
-
-
-@pytest.fixture(scope="module")
-def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    with server(tmp_path_factory.mktemp("warm")) as started:
-        yield started
 
 
 @pytest.mark.timeout(900)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ import pytest
 
 from tests.killed_runs import alive, check_files
 from tests.small_case import write_case
+from tests.warm import said
 from torchlc.files.writing import LOCK_NAME
 
 KILLS = 8
@@ -40,20 +40,18 @@ def write_manifest(folder: Path) -> Path:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("verb", ["fit", "diagnose", "campaign"])
-def test_killed_again_and_again(verb: str, tmp_path: Path):
+def test_killed_again_and_again(verb: str, tmp_path: Path, warm: tuple[str, Path]):
     scene, recording = map(str, write_case(tmp_path, rows=9))
     command = {  # one worker: two that are forked hold open what tells the other that its campaign is gone
         "fit": ["fit", scene, recording, "--steps", "160", "--walkers", "10", "--seed", "3"],
         "diagnose": ["diagnose", scene, recording, *QUICK],
         "campaign": ["campaign", str(write_manifest(tmp_path)), "--workers", "1"],
     }
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "tests.killed_runs", str(tmp_path / "runs"), str(KILLS),
-         *command[verb], "--quiet"],
-        env=ENVIRONMENT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    told = json.loads(done.stdout.splitlines()[-1])
+    code, output, error = said(
+        warm[0], ["killed", str(tmp_path / "runs"), str(KILLS), *command[verb], "--quiet"], env=ENVIRONMENT
+    )
+    assert code == 0, error[-2000:]
+    told = json.loads(output.splitlines()[-1])
     assert told["killed"] == KILLS and told["left"] > 0
 
 
@@ -84,20 +82,17 @@ def until(condition: Callable[[], bool], seconds: float = 200) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.skipif(shutil.which("prlimit") is None, reason="needs prlimit")
 @pytest.mark.parametrize("verb", ["diagnose", "campaign"])
-def test_no_room_on_disk_is_3_and_leaves_no_half_file(verb: str, tmp_path: Path):
+def test_no_room_on_disk_is_3_and_leaves_no_half_file(verb: str, tmp_path: Path, warm: tuple[str, Path]):
     scene, recording = map(str, write_case(tmp_path, rows=9))
     command = {
         "diagnose": ["diagnose", scene, recording, *QUICK],
         "campaign": ["campaign", str(write_manifest(tmp_path)), "--workers", "1"],
     }
-    limited = subprocess.run(
-        ["prlimit", "--fsize=3000", sys.executable, "-m", "torchlc", *command[verb], "-o", str(tmp_path / "out")],
-        env=ENVIRONMENT | {"MPLCONFIGDIR": str(tmp_path)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert limited.returncode == 3, limited.stderr
-    assert limited.stderr.startswith("torchlc: error: no room on disk")
-    assert len(limited.stderr.splitlines()) == 1 and not limited.stdout
+    arguments = ["torchlc", *command[verb], "-o", str(tmp_path / "out")]
+    code, output, error = said(warm[0], arguments, env=ENVIRONMENT, most_bytes=3000)
+    assert code == 3, error
+    assert error.startswith("torchlc: error: no room on disk")
+    assert len(error.splitlines()) == 1 and not output
     check_files(tmp_path / "out")
     assert not list((tmp_path / "out").rglob(".*"))

@@ -141,7 +141,11 @@ def serve(address: str) -> None:
 
 def said(address: str, command: list[str], **options: Any) -> tuple[int, str, str]:
     """As ``call``; with what was written to standard output and standard error."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, Path(os.devnull).open("rb") as nothing:
+    with (
+        tempfile.TemporaryFile() as out,
+        tempfile.TemporaryFile() as err,
+        Path(os.devnull).open("rb") as nothing,
+    ):
         code = call(address, command, streams=(nothing.fileno(), out.fileno(), err.fileno()), **options)
         texts = []
         for stream in (out, err):

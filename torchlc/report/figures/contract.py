@@ -131,9 +131,7 @@ def by_section(
 def png(drawn: Drawn) -> bytes:
     """A figure on white ground."""
     stream = io.BytesIO()
-    saving.save(
-        drawn.figure, stream, format="png", dpi=PNG_DPI, bbox_inches=drawn.extent, facecolor="white"
-    )
+    saving.save(drawn.figure, stream, format="png", dpi=PNG_DPI, bbox_inches=drawn.extent, facecolor="white")
     return stream.getvalue()
 
 
@@ -143,9 +141,7 @@ def svg(drawn: Drawn, alt: str) -> Any:
     from markupsafe import Markup
 
     stream = io.StringIO()
-    saving.save(
-        drawn.figure, stream, format="svg", bbox_inches=drawn.extent, transparent=True, dpi=PNG_DPI
-    )
+    saving.save(drawn.figure, stream, format="svg", bbox_inches=drawn.extent, transparent=True, dpi=PNG_DPI)
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)

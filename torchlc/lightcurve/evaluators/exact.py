@@ -39,7 +39,7 @@ class Sized:
     """Surfaces of planes that only change their areas, each with the part and the facets of its patches; ``tables`` of one of
     these geometries."""
 
-    kept: Sequence[tuple[Surface | StillPairs | None, Sequence[tuple[int, slice | Tensor]]]]
+    kept: Sequence[tuple[Surface | StillPairs | None, Sequence[tuple[int, Tensor]]]]
     tables: Tables
 
     def at(self, areas: Sequence[Tensor]) -> Tables:
@@ -235,9 +235,7 @@ class ExactGeometry(Evaluator):
                     still = self.still_surfaces(detail)
                     patches = sorted_patches(view, detail)
                     if all(key in still for key, _, _ in patches):
-                        kept = [
-                            (still[key], [(one.part, one.select) for one in own]) for key, _, own in patches
-                        ]
+                        kept = [(still[key], [_facets_of(one) for one in own]) for key, _, own in patches]
                         made = Sized(
                             kept, self.pipeline.make_tables(view, detail, compact=False, still=still)
                         )
@@ -275,3 +273,9 @@ class ExactGeometry(Evaluator):
     def forget(self) -> None:
         """Drops the tables of recent geometries, which an optimiser at work comes back to."""
         self._recent.clear()
+
+
+def _facets_of(patch: Patch) -> tuple[int, Tensor]:
+    """The part that a patch is of, and which of its facets. Patches of no part are made at the stage of surfaces."""
+    assert patch.part is not None and patch.select is not None
+    return patch.part, patch.select

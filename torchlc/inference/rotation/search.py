@@ -24,10 +24,12 @@ from torchlc.inference.rotation.connect import Connection, Connections, connecti
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.model_fit import (
     Candidate,
+    Count,
     Trial,
     alike,
     fitted,
     loose_trial,
+    sharpened,
     steady_trial,
     tumbling_trial,
 )
@@ -36,6 +38,7 @@ from torchlc.inference.rotation.modes import (
     KEPT_CHI2,
     NOISY,
     SAME_DEG,
+    SAME_PERIOD,
     RotationSearch,
     apart_deg,
     fits_the_rows,
@@ -198,7 +201,14 @@ def search_rotation(
     found = [one for one in found if math.isfinite(one.chi2)]
     modes, loose = merged(found, rows), []
     if len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows):
-        apart = _apart(scene, recording, rows, locals_, found, tilted, say)
+        apart, sharp = _apart(scene, recording, rows, locals_, found, tilted, say)
+        if sharp:
+            joined, told = _fitted(
+                scene, recording, rows, sharp, symmetry, tilted, (low, high), say, changing=True
+            )
+            found = joined + [one for one in found if not any(_one_turn(one, other) for other in joined)]
+            warnings += told
+            modes = merged(found, rows)
         loose = merged(apart, rows)
         if loose and _one_rate_fails(apart, found, rows):
             if modes:
@@ -261,26 +271,41 @@ def _apart(
     found: Sequence[Candidate],
     tilted: bool,
     say: Progress,
-) -> list[Candidate]:
+) -> tuple[list[Candidate], list[Local]]:
     """The model fitted at the leading poles with a phase for each night; where the passes have unlike periods, or one for all leaves
-    structure, with a period for each too."""
+    structure, with a period for each too. Where a count of turns explains the light, also the solutions with the phases and periods of
+    the passes as the model has them, by which fewer counts are possible than by the light of facets."""
     explained = any(_fits(one, rows) for one in found)
     fits: list[Candidate] = []
+    sharp: list[Local] = []
     tried = locals_[: APART if explained else LOCALS]
     for number, local in enumerate(tried):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
             break
+        enough = False
         for periods in (False, True):
-            if not periods and not alike(local):
+            if (not periods and not alike(local)) or (enough and not explained):
                 continue
             trial = loose_trial(scene, recording, rows, local, periods=periods, tilted=tilted)
             one = fitted(trial, recording)
-            if math.isfinite(one.chi2):
+            if not math.isfinite(one.chi2):
+                continue
+            if not enough:
                 fits.append(one)
-                if _fits(one, rows):
-                    break
+                enough = _fits(one, rows)
+            better = sharpened(recording, rows, local, one) if periods and explained else None
+            sharp += [] if better is None else [better]
         say("nights apart", (number + 1) / len(tried))
-    return fits
+    return fits, sharp
+
+
+def _one_turn(one: Candidate, other: Candidate) -> bool:
+    """Whether two fits of a turn about an axis are of one pole and period."""
+    return (
+        "nutation" not in one.numbers
+        and apart_deg(one.pole, other.pole) < SAME_DEG
+        and abs(one.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
+    )
 
 
 def _one_rate_fails(apart: Sequence[Candidate], found: Sequence[Candidate], rows: Rows) -> bool:
@@ -506,30 +531,33 @@ def _fitted(
     tilted: bool,
     bounds: tuple[float, float],
     say: Progress,
+    *,
+    changing: bool = False,
 ) -> tuple[list[Candidate], list[str]]:
-    """The model fitted at the solutions and counts of turns that may be right, and what there is to say."""
+    """The model fitted at the solutions and counts of turns that may be right, and what there is to say. ``changing``: a change of the
+    period is tried even where a steady turn explains the light."""
     told: list[str] = []
     rate = scene.attitude.period_rate
     may_change = isinstance(rate, Free) or rows.passes > 2
-    always = isinstance(rate, Free)
+    always = changing or isinstance(rate, Free)
     wide = (bounds[0] * (1 - 1e-9), bounds[1] * (1 + 1e-9))
     tasks: list[Trial] = []
     for number, local in enumerate(locals_[:LOCALS]):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
             break
         changes = connections(rows, local, symmetry, changing=True, bounds=wide) if rows.passes > 1 else None
-        for changing in (False, True) if may_change else (False,):
-            joined = changes if changing and changes else connections(
+        for drifts in (False, True) if may_change else (False,):
+            joined = changes if drifts and changes else connections(
                 rows, local, symmetry, changing=False, bounds=wide
             )  # fmt: skip
-            if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
+            if not drifts and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
             # of counts that are some of many, one fit tells what any leaves
             tried = JOINED if number == 0 and joined.complete else 1
             for one in near[:tried]:
                 trial = steady_trial(
-                    scene, recording, rows, local, one, symmetry, changing=changing, tilted=tilted
+                    scene, recording, rows, local, one, symmetry, changing=drifts, tilted=tilted
                 )
                 tasks.append(_with_spread(trial, one, near, joined, changes, symmetry))
     if not tasks:
@@ -572,7 +600,12 @@ def _with_spread(
         spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - _rate(one)) ** 2))
     base = np.array(differences(one.counts, symmetry))
     likely = tuple(
-        (tuple((np.array(differences(other.counts, symmetry)) - base).tolist()), float(chance))
+        Count(
+            tuple((np.array(differences(other.counts, symmetry)) - base).tolist()),
+            float(chance),
+            1 / other.frequency,
+            _rate(other),
+        )
         for other, chance in list(zip(near, chances, strict=True))[:LIKELY]
     )
     return replace(

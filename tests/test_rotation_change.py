@@ -15,6 +15,7 @@ from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.model_fit import fitted, loose_trial, sharpened
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.search import _period_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import iso_times
 
@@ -26,7 +27,7 @@ STARTS = (0.0, 1.2 * DAY_S, 2.9 * DAY_S)
 def test_nights_as_the_model_has_them_say_which_counts_of_turns_are_possible(tmp_path: Path) -> None:
     """A box whose turn of 51.2 s grows by 9 ms a day, on three nights of 215 s. Turns and frequencies are those of the law P + p t,
     ln(1 + p t / P) / p and 1 / (P + p t). The fit starts 1 deg, 0.01 turns and 1e-5/s off; in its own covariance the six numbers are off
-    by a chi-square below 22.5, which one of 1000 draws exceeds. The true count is possible, gives the rate to 1 %, and by the rate of all
+    by a chi-square below 22.5, which one of 1000 draws exceeds. The true count is possible, gives the rate to 1 % and the period at the epoch to 1e-5, and by the rate of all
     that are possible, weighted by their probabilities, 9 ms is within 3 standard deviations. With the error that phases of flat facets
     have of themselves, 2e-3 turns, more counts are possible."""
     rng = np.random.default_rng(5)
@@ -79,6 +80,7 @@ def test_nights_as_the_model_has_them_say_which_counts_of_turns_are_possible(tmp
         if [n - one.counts[0] for n in one.counts] == (whole - whole[0]).tolist()
     ]
     assert len(true) == 1 and abs(rates[true[0]] / RATE_MS - 1) < 0.01
+    assert abs(_period_at(near[true[0]], -float(first)) / PERIOD_S - 1) < 1e-5
     chances = np.exp(-0.5 * np.array([one.distance for one in near]))
     chances /= chances.sum()
     mean = chances @ rates

@@ -43,7 +43,7 @@ MODEL_ERROR = 1e-4
 @dataclass(frozen=True)
 class Count:
     """One count of turns between passes that is possible: turns more than in the fit, probability among the counts of its kind, and
-    the period, s, at the middle of all passes and its change, ms a day, that go with it."""
+    the period, s, at the epoch of the fit and its change, ms a day, that go with it."""
 
     more: tuple[float, ...]
     probability: float
@@ -148,7 +148,7 @@ def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
     return torch.from_numpy(icrs_from_ecliptic()) @ way if scene.orbit.vectors == "ecliptic" else way
 
 
-def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
+def epoch_seconds(scene: Scene, recording: Recording) -> tuple[Any, float]:
     """Epoch of the states and its seconds from row 0: the scene's, if it is one and within a day of the rows, else the first
     row."""
     seconds, *others = epochs_seconds(scene, recording, "epoch")
@@ -169,7 +169,7 @@ def steady_trial(
     tilted: bool,
 ) -> Trial:
     """A turn about one axis with one count of turns between passes, free near it."""
-    epoch, seconds = _epoch_s(scene, recording)
+    epoch, seconds = epoch_seconds(scene, recording)
     away = seconds - one.middle
     frequency = one.frequency + one.change * away
     phase = one.phase + one.frequency * away + one.change * away**2 / 2
@@ -347,7 +347,7 @@ def _periods(local: Local) -> tuple[tuple[float, float], ...]:
 
 def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble) -> Trial:
     """A free rotation, free near a state with phases at one instant."""
-    epoch, seconds = _epoch_s(scene, recording)
+    epoch, seconds = epoch_seconds(scene, recording)
     moments = state.moments[None]
     nutation, long = moments.new_tensor([state.nutation]), moments.new_tensor([state.long])
     reference = int(state.at.shape[0] > 1) * rows.longest

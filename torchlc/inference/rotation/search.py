@@ -27,6 +27,7 @@ from torchlc.inference.rotation.model_fit import (
     Count,
     Trial,
     alike,
+    epoch_seconds,
     fitted,
     loose_trial,
     sharpened,
@@ -541,6 +542,7 @@ def _fitted(
     may_change = isinstance(rate, Free) or rows.passes > 2
     always = changing or isinstance(rate, Free)
     wide = (bounds[0] * (1 - 1e-9), bounds[1] * (1 + 1e-9))
+    epoch = epoch_seconds(scene, recording)[1]
     tasks: list[Trial] = []
     for number, local in enumerate(locals_[:LOCALS]):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
@@ -559,7 +561,7 @@ def _fitted(
                 trial = steady_trial(
                     scene, recording, rows, local, one, symmetry, changing=drifts, tilted=tilted
                 )
-                tasks.append(_with_spread(trial, one, near, joined, changes, symmetry))
+                tasks.append(_with_spread(trial, one, near, joined, changes, symmetry, epoch))
     if not tasks:
         told.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
@@ -585,15 +587,15 @@ def _with_spread(
     joined: Connections,
     changes: Connections | None,
     symmetry: int,
+    epoch: float,
 ) -> Trial:
-    """A trial with what the counts of turns that are as possible leave open of its period and rate. Where the period is
-    taken as steady, the rate that would not show is that of all counts with one."""
+    """A trial with what the counts of turns that are as possible leave open of its period, at the ``epoch`` in seconds of the rows,
+    and of its rate. Where the period is taken as steady, the rate that would not show is that of all counts with one."""
     chances = _chances(near)
-    middle = 1 / one.frequency
     spread: dict[str, float] = {}
     if len(near) > 1:
-        periods = np.array([1 / other.frequency for other in near]) / 3600
-        spread["period"] = float(np.sqrt(chances @ (periods - middle / 3600) ** 2))
+        periods = np.array([_period_at(other, epoch) for other in near]) / 3600
+        spread["period"] = float(np.sqrt(chances @ (periods - _period_at(one, epoch) / 3600) ** 2))
     if changes is not None and changes.found:
         most = [other for other in changes.found if other.distance < changes.found[0].distance + KEPT_CHI2]
         rates = np.array([_rate(other) for other in most])
@@ -603,7 +605,7 @@ def _with_spread(
         Count(
             tuple((np.array(differences(other.counts, symmetry)) - base).tolist()),
             float(chance),
-            1 / other.frequency,
+            _period_at(other, epoch),
             _rate(other),
         )
         for other, chance in list(zip(near, chances, strict=True))[:LIKELY]
@@ -615,6 +617,11 @@ def _with_spread(
         spread=spread,
         likely=likely if len(near) > 1 else (),
     )
+
+
+def _period_at(one: Connection, seconds: float) -> float:
+    """Period, s, at a time in seconds of the rows."""
+    return 1 / (one.frequency + one.change * (seconds - one.middle))
 
 
 def _chances(near: Sequence[Connection]) -> np.ndarray:

@@ -35,6 +35,7 @@ from torchlc.inference.rotation.model_fit import (
     tumbling_trial,
 )
 from torchlc.inference.rotation.modes import (
+    ALIKE_DEG,
     CHANGED,
     KEPT_CHI2,
     NOISY,
@@ -88,6 +89,9 @@ TUMBLES = 2
 UNLIKE = 0.01
 """Relative difference that the periods of passes may have, from which on these are asked before a free rotation. Nights of two weeks are
 below it, so what tumbles is not taken for what changes."""
+MOST_HALVES, SIDES = 3, 2
+"""Passes up to which all sets of their sides are tried, 7 of three (of more passes each by itself), and how many of them the model is
+fitted to."""
 MIN_ROWS = 12
 MOST_CHANGE = 0.1
 """Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
@@ -193,6 +197,10 @@ def search_rotation(
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
         tumbles = [one for one in tumbles if one.chi2 < steady - CHANGED]
+    if rows.passes > 1 and symmetry % 2 and not tilted:
+        say("sides of each pass", 0.0)
+        wide = (low * (1 - 1e-9), high * (1 + 1e-9))
+        locals_ = [*_sides_taken(rows, refiner, locals_[0], symmetry, wide), *locals_[1:]]
     say("model", 0.0)
     found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
     if not any(_explains(one, rows) for one in found):
@@ -435,6 +443,51 @@ def _unlike(
         )
         for one in found
     ]
+
+
+def _sides_taken(
+    rows: Rows, refiner: Refiner, best: Local, symmetry: int, bounds: tuple[float, float]
+) -> list[Local]:
+    """The best solution and those half a turn on in some of the passes that fit about as well, up to SIDES of them, first those whose
+    passes join best. A body that but for its paint is its own image after half a turn may shine so much alike from both sides
+    that a pass alone does not tell them apart; a wrong one would let the period change to join the passes."""
+    if not connections(rows, best, symmetry, changing=True, bounds=bounds).complete:
+        return [best]  # passes too far apart to be joined: a side that is taken wrongly changes nothing
+    count = rows.passes
+    halves = 0.5 * torch.eye(count, dtype=torch.float64)
+    if count <= MOST_HALVES:
+        sets = list(itertools.product((0.0, 0.5), repeat=count))[1:]
+        halves = torch.tensor(sets, dtype=torch.float64)
+    starts = [
+        GridState(
+            best.pole,
+            tuple(best.frequencies.tolist()),
+            tuple((best.phases + on).tolist()),
+            best.chi2,
+            best.weights,
+        )
+        for on in halves
+    ]
+    others = [
+        one
+        for one in refiner.refined(starts, [best.tilt] * len(starts))
+        if one.chi2 < best.chi2 + KEPT_CHI2 and apart_deg(one.pole, best.pole) < ALIKE_DEG
+    ]
+
+    def joins(one: Local) -> float:
+        steady, drifting = (
+            min(
+                (
+                    way.distance
+                    for way in connections(rows, one, symmetry, changing=changing, bounds=bounds).found
+                ),
+                default=math.inf,
+            )
+            for changing in (False, True)
+        )
+        return one.chi2 + min(steady, drifting + CHANGED)
+
+    return sorted([best, *others], key=joins)[:SIDES] if others else [best]
 
 
 def _distinct(found: Sequence[Local]) -> list[Local]:

@@ -50,6 +50,8 @@ myst_substitutions = {
     "refitted": str(discrepancy.REFITTED),
     "quick_s": f"{run.QUICK_S:g}",
     "reach": f"{engine.REACH:g}",
+    "few_effects": hypotheses.FEW_EFFECTS,
+    "alone_s": f"{run.MOST_ALONE_S:g}",
     "scale_sigma": f"{posterior.SCALE_SIGMA:g}",
     "seen_sigma": f"{where.SEEN_SIGMA:g}",
     "unknown_odds": f"{odds.UNKNOWN_ODDS:g}",

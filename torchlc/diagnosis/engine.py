@@ -79,7 +79,7 @@ RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
-DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
+DEAR_FIT_S, MOST_FIT_S = 2.0, 150.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all; and of a probe,
 beyond which that of the first round serves for all sets."""
 

@@ -27,7 +27,7 @@ from torchlc.scene import Scene
 QUICK_S = 20.0
 GROSS_P = 1e-6
 """p-value of what the leader leaves below which other laws of reflection compete."""
-MOST_ALONE_S = 10.0
+MOST_ALONE_S = 25.0
 """CPU seconds of an effect's probe or refit beyond which it waits for a budget: a search makes some tens of either."""
 DEAR = "each of its geometries costs a pass over the whole mesh; --budget SECONDS has it asked as far as there is time"
 

@@ -99,7 +99,7 @@ def tracks() -> str:
                 one["object"].partition(",")[0],
                 name.partition(" ")[2],
                 named(one),
-                f"{one['probability']:.2f}",
+                probability(one),
                 *(before if before == after else f"{before} to {after}" for before, after in pair),
             )
         )
@@ -148,6 +148,7 @@ def overview() -> str:
     low, high = visor["auc_of_magnitude_90"]
     tracks = [found for name, found in diagnoses.items() if name.startswith("mmt9")]
     silent = sum(not found["named"] for found in tracks)
+    told = [found for found in tracks if found.get("probability") is not None]
     body = diagnoses["hac_body03"]
     wrong = [f"`{name}`" for name in body["named"] if name in NOT_THERE]
     rows = [
@@ -203,7 +204,7 @@ def overview() -> str:
             f"[Mini-MegaTORTORA](../real_data/index.md), {len(tracks)} tracks",
             "none documented; shapes and attitudes are nominal",
             f"clocks, wobbles and others in {len(tracks) - silent}, nothing in {silent}",
-            between([found["probability"] for found in tracks if found["named"]]),
+            between([found["probability"] for found in told if found["named"]]) if told else "not stored",
             "not shown: nominal shapes may be behind these names",
             DIAGNOSES.format("mmt9"),
         ),
@@ -219,13 +220,13 @@ def overview() -> str:
     ]  # fmt: skip
     for page in ("paper_story", "concealed"):
         for one in read(f"evidence/{page}.json")["overview"]:
-            told = one["probability"]
+            likely = one["probability"]
             rows.append(
                 (
                     f"[{one['recording']}]({page}.md)",
                     one["cause"],
                     one["named"],
-                    "" if told is None else f"{told:.2f}",
+                    "" if likely is None else f"{likely:.2f}",
                     one["right"],
                     f"`{one['command']}`",
                 )

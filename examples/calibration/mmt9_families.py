@@ -29,11 +29,11 @@ from torchlc.readers import Recording
 from torchlc.terminal import quiet_libraries
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "mmt9"
-THIN = 8
-"""Of the rows, which come at 10 Hz: what a model leaves lasts longer than 0.8 s."""
-STARTS, ADAM_STEPS = 12, 120
+THIN = 12
+"""Of the rows, which come at 10 Hz: what a model leaves lasts longer than 1.2 s."""
+STARTS, ADAM_STEPS = 8, 100
 FREED = """[model]
-effects = ["attitude_offset", "panel_offset", "self_shadowing", "sun_distance", "jitter"]
+effects = ["attitude_offset", "panel_offset", "sun_distance", "jitter"]
 [model.parameters]
 zero_point = { value = 0.0, sigma = 0.2, per = "object" }
 "jitter.mag" = { value = 0.1, sigma = 0.3, prior = "halfnormal" }

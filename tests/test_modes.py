@@ -71,4 +71,6 @@ def test_what_is_gained_of_unseen_satellites_is_what_one_model_misses(told):
     """One model of two modes 1 mag apart leaves half of that; the scatter alone is left where the mode is known."""
     assert told["unseen_in_its_mode"] == pytest.approx(SCATTER, rel=0.2)
     assert told["unseen_one_model"] > 5 * SCATTER
-    assert told["log_density_gained"] > 5 * told["standard_error"] > 0  # 25 passes: chance would be below 1e-4 of Student's t
+    assert (
+        told["log_density_gained"] > 5 * told["standard_error"] > 0
+    )  # 25 passes: chance would be below 1e-4 of Student's t

@@ -475,8 +475,6 @@ class Search:
             if (clean and len(alike[0].added) < size) or ahead > REACH + further * self.gain_alone:
                 break
             beyond = size >= FEW_EFFECTS
-            if beyond and clean:
-                break
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
             for number, stem in enumerate(stems):
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)

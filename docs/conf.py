@@ -38,7 +38,6 @@ myst_substitutions = {
     "draws": gate.DRAWS,
     "draws_z": engine.DRAWS,
     "family": f"{100 * odds.FAMILY_SHARE:g} %",
-    "gross_p": f"{run.GROSS_P:g}",
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",

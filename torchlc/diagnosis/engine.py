@@ -62,6 +62,8 @@ NEAR = 6.0
 """The same within which its evidence is integrated, and told under every noise: one in 400."""
 STARTS = 12
 """Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed."""
+LAW_STARTS = 48
+"""The same under another law, of whose lobes the scene says nothing."""
 PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 CLEAN_P = 0.05
@@ -149,9 +151,14 @@ class Search:
         return self.ranked()[0]
 
     @property
+    def foremost(self) -> Hypothesis:
+        """The leader under the robust noise."""
+        return self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+
+    @property
     def mark(self) -> float:
-        """Log odds of the best under the noise that candidates are compared with, which those have to come near."""
-        return max(self.log_odds(one) for one in self.visited if one.noise == self.robust)
+        """Log odds of the foremost, which candidates under the same noise have to come near."""
+        return self.log_odds(self.foremost)
 
     def best(self, *added: str) -> Fitted:
         """The best of what was visited with exactly these effects."""
@@ -467,12 +474,12 @@ class Search:
         behind if each further effect gained as much as the best one alone."""
         grown: set[frozenset[str]] = set()
         for size in itertools.count(1):
-            alike = [one for one in self.ranked() if one.noise == self.robust]
-            sized = [one for one in alike if len(one.added) == size]
-            clean = left(self.visited[alike[0]]) > CLEAN_P
-            ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike[0])
+            sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+            alike = self.foremost
+            clean = left(self.visited[alike]) > CLEAN_P
+            ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
             further = max(FEW_EFFECTS - size, 1)
-            if (clean and len(alike[0].added) < size) or ahead > REACH + further * self.gain_alone:
+            if not sized or (clean and len(alike.added) < size) or ahead > REACH + further * self.gain_alone:
                 break
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
@@ -504,7 +511,11 @@ class Search:
         leaves."""
         at = self.visited[stem]
         seen = [entry for entry in entries if entry not in self.invisible]
-        possible = [entry for entry in seen if self.bench.compatible(stem, entry)]
+        possible = [
+            entry
+            for entry in seen
+            if self.bench.compatible(stem, entry) and self.bench.carries(stem.with_effect(entry))
+        ]
         found = self.probe_all(at, possible, anew=anew)
         for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
             members = frozenset((*stem.plain, entry))
@@ -516,28 +527,23 @@ class Search:
                 self.extend(at, entry, found[entry])
 
     def noise_of_leaders(self) -> None:
-        """What is within reach under every way to err, then its evidence."""
+        """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
+        of the leader and of the leading effects."""
         top = self.log_odds(self.leader)
         near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
+        together = {*sets[:1], *[one for one in sets if one.added][:1]}
         noises = self.noises()
         for number, one in enumerate(dict.fromkeys((*sets, null))):
             if one not in self.visited:
                 continue
             for noise in noises:
-                joint = self.correlated(one.under(*noise))
-                if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
+                asked = one in together or not self.correlated(one.under(*noise))
+                if asked and one.under(*noise) not in self.visited and self.clock.left(0.9):
                     self.renoise(self.visited[one], noise)
-            if number == 0:  # what the leader has no use for, its rivals are not asked under
-                leader = max(
-                    self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited
-                )
-                noises = [
-                    noise
-                    for noise in noises
-                    if one.under(*noise) in self.visited and self.log_odds(one.under(*noise)) > leader - NEAR
-                ]
+            if number == 0:
+                noises = self.useful(one, noises)
         self.pruned()
         self.integrate()
 
@@ -554,6 +560,17 @@ class Search:
                     self.refit(fewer, carried(parameters, at.theta[None], at.names), at, turns=1)
             if self.leader == best:
                 break
+
+    def useful(self, one: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+        """Ways to err that a set of effects has a use for, those of rows that err together told apart from the others: they may stand in
+        for what an effect does, and say nothing then of how its rows err."""
+        visited = [one.under(*noise) for noise in noises if one.under(*noise) in self.visited]
+        found = []
+        for joint in (False, True):
+            alike = [other for other in visited if self.correlated(other) == joint]
+            best = max(map(self.log_odds, alike), default=-math.inf)
+            found += [other.noise for other in alike if self.log_odds(other) > best - NEAR]
+        return found
 
     def integrate(self) -> None:
         """Evidence by importance sampling of what is near the leader, until the order of the leaders stands."""
@@ -583,10 +600,21 @@ class Search:
         if len(kept) < len(self.leader.added) and self.bench.has_free_sizes:
             self.alternatives([NOMINAL], [kept])
 
-    def laws(self) -> None:
-        """Other laws of reflection, where the leader leaves structure: the scene's own model and the leading effects."""
-        leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:2]
-        self.alternatives(self.bench.laws, list(dict.fromkeys([(), *leaders])))
+    def laws(self, entries: Sequence[str]) -> None:
+        """The scene's own model under other laws of reflection. Under one that describes the rows better than the scene's own law, the
+        leading effects are refitted and others looked for: beside the wrong law others lead."""
+        self.alternatives(self.bench.laws, [()])
+        null = Hypothesis().under(*self.robust)
+        better = [law for law in self.bench.laws if self.ahead(replace(null, law=law), null)]
+        if better:
+            leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
+            self.alternatives(better, list(dict.fromkeys(leaders))[:2])
+        if self.foremost.law:
+            self.grow(replace(null, law=self.foremost.law), entries, set(), GROWN, anew=True)
+
+    def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether a hypothesis was visited and is better than another."""
+        return one in self.visited and self.log_odds(one) > self.log_odds(other)
 
     def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
         """Sets of effects in other scenes than the given one."""
@@ -599,13 +627,16 @@ class Search:
                 if not self.bench.carries(hypothesis):
                     continue
                 posterior = self.posterior(hypothesis)
-                at = self.best(*(Hypothesis(added).plain))
+                # a set of the leader without one of its members may not have been fitted: then from the leader's own numbers
+                members = set(Hypothesis(added).plain)
+                alike = self.ranked(one for one in self.visited if set(one.plain) == members)
+                at = self.visited[[*alike, self.leader][0]]
                 theta = carried(posterior.model.parameter_set, at.theta[None], at.names)[0]
                 generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+                starts = theta[None]
                 if not posterior.dear:
-                    self.refit(hypothesis, material_starts(posterior, theta, STARTS, generator), at)
-                    continue
-                self.refit(hypothesis, theta[None], at)
+                    starts = material_starts(posterior, theta, LAW_STARTS, generator)
+                self.refit(hypothesis, starts, at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:
         """What the library does not hold, beside nothing and beside the leading set, each under the best noise that is independent

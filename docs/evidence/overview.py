@@ -4,13 +4,11 @@ wrote; docs/conf.py has the tables, docs/fill_numbers.py writes them into the pa
 from __future__ import annotations
 
 import json
-import statistics
 from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 DIAGNOSES = "`python examples/calibration/real_recordings.py docs/real_data --only {}`"
-FAMILIES = "`python examples/calibration/mmt9_families.py docs/evidence`"
 BODY, THERE = "hac_body03", ("self_shadowing", "near_field", "radiance_power", "start_phase")
 """The laboratory's body, and the effects that its rendering is known to have."""
 NOT_THERE = ("finite_sun", "background", "radiance_threshold")
@@ -58,58 +56,6 @@ def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
 def between(numbers: list[float]) -> str:
     """The least and the largest of some probabilities."""
     return f"{min(numbers):.2f} to {max(numbers):.2f}"
-
-
-def shared_families() -> list[tuple[str, ...]]:
-    """A row for each family of tracks: what one model of all leaves of tracks that it has seen and of those that it has not."""
-    rows = []
-    for name, found in stored_families().items():
-        tracks = found["tracks"].values()
-        near = sum(one["unseen_rms_about_own_offset"] < 1.5 * one["noise"] for one in tracks)
-        rows.append(
-            (
-                f"[{name}](mmt9.md), {len(tracks)} tracks in one fit",
-                "none documented; sizes, attitude, materials free and shared",
-                f"left of tracks in the fit: {median(tracks, 'rms')} mag; of a track left out: {median(tracks, 'unseen_rms')} mag; "
-                f"noise of successive rows: {median(tracks, 'noise')} mag (medians)",
-                "",
-                f"{near} of {len(tracks)} unseen tracks within 1.5 times their noise, an offset of each apart",
-                FAMILIES,
-            )
-        )
-    return rows
-
-
-def stored_families() -> dict[str, Any]:
-    """Fits of families by name, those that were made."""
-    file = "evidence/mmt9_families.json"
-    return read(file) if (DOCS / file).exists() else {}
-
-
-def median(rows: Any, key: str) -> str:
-    return f"{statistics.median(row[key] for row in rows):.2f}"
-
-
-def families() -> str:
-    """What the model that a family shares leaves, track by track."""
-    rows = [
-        (
-            name,
-            number,
-            *(
-                f"{one[key]:.3f}"
-                for key in ("noise", "recorded", "rms", "rms_about_own_offset", "unseen_rms", "unseen_rms_about_own_offset")
-            ),
-            f"{one['unseen_rms'] / one['noise']:.1f}",
-        )
-        for name, found in stored_families().items()
-        for number, one in found["tracks"].items()
-    ]  # fmt: skip
-    head = (
-        "family", "track", "noise of successive rows", "scatter of what was recorded", "left by the shared fit", "an offset apart",
-        "left of it by the others' fit", "an offset apart", "over the noise",
-    )  # fmt: skip
-    return table([head, *rows])
 
 
 def tracks() -> str:
@@ -241,7 +187,6 @@ def overview() -> str:
             "not shown: nominal shapes may be behind these names",
             DIAGNOSES.format("mmt9"),
         ),
-        *shared_families(),
         (
             "[Tumbling bodies](../tutorials/tumbling.md)",
             "a made-up recording of known rotation",
@@ -360,7 +305,6 @@ def tables() -> dict[str, str]:
         **body(),
         "evidence_overview": overview(),
         "evidence_tracks": tracks(),
-        "evidence_families": families(),
         "evidence_nights": nights(),
         "evidence_classes": classes(),
         "evidence_splits": splits(),

@@ -25,6 +25,8 @@ from torchlc.readers import Recording
 from torchlc.scene import Scene
 
 QUICK_S = 20.0
+MOST_ALONE_S = 25.0
+"""CPU seconds of an effect's probe or refit beyond which it waits for a budget: a search makes some tens of either."""
 DEAR = "each of its geometries costs a pass over the whole mesh; --budget SECONDS has it asked as far as there is time"
 
 
@@ -55,13 +57,9 @@ def diagnose(
     possible = bench.candidates(effects)
     # somebody who names an effect, or says how long it may take, waits for it
     bounded = clock.bounded or effects is not None
-    bench.entries = [
-        entry
-        for entry in possible
-        if bounded or not bench.likelihood(Hypothesis((entry,))).model.unaffordable
-    ]
-    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
+    bench.entries = [entry for entry in possible if bounded or search.seconds_of(entry) < MOST_ALONE_S]
+    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
     found = coordinates(search.best().model, search.best().theta)

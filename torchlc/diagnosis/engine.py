@@ -488,7 +488,8 @@ class Search:
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
                 break
-            close = not clean and self.log_odds(best[0]) > self.log_odds(sized[0]) - REACH
+            gained = self.log_odds(best[0]) - self.log_odds(sized[0])
+            close = not clean and gained > (REACH if beyond else -REACH)
             for entry in best[0].added if close else ():  # shrink, then swap
                 fewer = best[0].without(entry)
                 at = self.visited[best[0]]
@@ -519,18 +520,30 @@ class Search:
         found = self.probe_all(at, possible, anew=anew)
         for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
             members = frozenset((*stem.plain, entry))
-            promising = found[entry].score > LEAST_SCORE or not found[entry].psi.shape[-1]
+            promising = found[entry].score > self.least_score(stem, entry) or not found[entry].psi.shape[-1]
             if members in grown or not self.clock.left(0.8) or not promising:
                 continue
             if self.affordable(entry, at, found[entry]):
                 grown.add(members)
                 self.extend(at, entry, found[entry])
 
+    def least_score(self, stem: Hypothesis, entry: str) -> float:
+        """What a signature has to promise that an effect is added to a set: LEAST_SCORE, and beyond FEW_EFFECTS, where each has to gain
+        REACH beyond its prior odds, two thirds of that."""
+        if len(stem.added) < FEW_EFFECTS:
+            return LEAST_SCORE
+        cost = self.bench.log_odds(stem) - self.bench.log_odds(stem.with_effect(entry))
+        return 2 * (REACH + cost) / 1.5
+
     def noise_of_leaders(self) -> None:
         """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
-        of the leader and of the leading effects."""
+        of the leader and of the leading effects; and sets whose geometry is dear are only asked where they are near."""
         top = self.log_odds(self.leader)
-        near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
+        near = [
+            one
+            for one in self.ranked()
+            if self.log_odds(one) > top - (NEAR if self.visited[one].posterior.dear else REACH)
+        ]
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
         together = {*sets[:1], *[one for one in sets if one.added][:1]}
@@ -549,13 +562,13 @@ class Search:
 
     def pruned(self) -> None:
         """A leader whose rows err together without each of its effects, as long as one fewer is better: what the others were added for
-        may be what rows share."""
+        may be what rows share. One whose geometry is dear stays."""
         while self.correlated(self.leader) and len(self.leader.added) > 1:
             best = self.leader
             at = self.visited[best]
             for entry in best.added:
                 fewer = _sorted_as(self.visited, best.without(entry))
-                if fewer not in self.visited and self.clock.left(0.9):
+                if fewer not in self.visited and not at.posterior.dear and self.clock.left(0.9):
                     parameters = self.bench.likelihood(fewer).model.parameter_set
                     self.refit(fewer, carried(parameters, at.theta[None], at.names), at, turns=1)
             if self.leader == best:

@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -117,7 +117,7 @@ FALSE_FRIENDS = (
 def count_of(time_format: str, scale: str) -> tuple[tuple[float, float], float]:
     """Two-part Julian date from which the numbers of ``time_format`` count, and how many there are in a day."""
     if since := SINCE.fullmatch(time_format):
-        start = instant(since[2], scale)
+        start: Any = instant(since[2], scale)
         return (float(start.jd1), float(start.jd2)), UNITS_A_DAY[since[1]]
     return COUNTS.get(time_format) or ((float(time_format.removeprefix("jd-")), 0.0), 1.0)
 

@@ -49,6 +49,12 @@ def test_a_share_of_a_day(share: float):
     assert abs((found - expected).to_value(u.s)) < 2e-6  # written to the microsecond
 
 
+@pytest.mark.parametrize("text", ["2020-000", "2021-366", "0000-001", "9999-366", "2020-367"])
+def test_a_day_that_a_year_has_not_is_refused(read, text: str):
+    with pytest.raises(InputError, match="row 1, column time: .*a day of the year from 1 to 36[56]"):
+        read(f"time,mag\n{text}T01:00:00,5.0\n{text}T02:00:00,5.0\n")
+
+
 class TestOrder:
     """10/11/2020 is no date until somebody tells, or another row does."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import calendar
 import datetime
 import re
 from collections.abc import Sequence
@@ -99,10 +100,11 @@ class Calendar:
         return text
 
     def _of_day(self, index: int, text: str, counted: re.Match[str]) -> str:
-        day = int(counted["day"])
-        if not 1 <= day <= 366:
-            raise UnreadableTime(index, text, "a day of the year from 1 to 366")
-        date = datetime.date(int(counted["year"]) or 1, 1, 1) + datetime.timedelta(days=day - 1)
+        day, year = int(counted["day"]), counted["year"]
+        days = 366 if calendar.isleap(int(year)) else 365
+        if not 1 <= day <= days or year == "0000":
+            raise UnreadableTime(index, text, f"a day of the year from 1 to {days}")
+        date = datetime.date(int(year), 1, 1) + datetime.timedelta(days=day - 1)
         return date.isoformat() + _clock("T" + text[counted.end() :])
 
     def _year_last(self, index: int, text: str, date: re.Match[str]) -> str:

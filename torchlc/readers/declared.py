@@ -142,7 +142,7 @@ def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
     others = [other for other in header.names if other and other not in FALSE_FRIENDS]
     hint = did_you_mean(name, others)
-    if len(header.names) == 1:
+    if len(header.names) == 1 and header.rows is None:
         hint = "The header holds one name only: is the delimiter a comma?"
     elif name in ("time", "mag", "flux"):
         offered = _offered(name, header)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import random
+import time
 
 import astropy.units as u
 import numpy as np
@@ -51,7 +52,7 @@ def test_a_share_of_a_day(share: float):
 
 @pytest.mark.parametrize("text", ["2020-000", "2021-366", "0000-001", "9999-366", "2020-367"])
 def test_a_day_that_a_year_has_not_is_refused(read, text: str):
-    with pytest.raises(InputError, match="row 1, column time: .*a day of the year from 1 to 36[56]"):
+    with pytest.raises(InputError, match=r"row 1, column time: .*a day of the year from 1 to 36[56]"):
         read(f"time,mag\n{text}T01:00:00,5.0\n{text}T02:00:00,5.0\n")
 
 
@@ -163,3 +164,12 @@ def test_days_at_the_sun_are_refused_until_that_can_be_taken_back(read, name: st
     )
     moved = read(text, columns='direction="120.5 -3.2"')
     assert 1.0 < abs((moved.time[0] - taken.time[0]).to_value(u.s)) < 499.1  # at most the way from the Sun
+
+
+@pytest.mark.parametrize("name", ["time" + " " * 60_000 + "x", "time " + "(a)" * 20_000, "(" * 60_000])
+def test_a_long_name_is_read_at_once(read, name: str):
+    """A pattern that looks for brackets at the end from every blank takes a minute."""
+    start = time.process_time()
+    with pytest.raises(InputError):
+        read(f"{name},mag\n1,2\n")
+    assert time.process_time() - start < 3.0

@@ -127,12 +127,20 @@ CLOCK = (
 )
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
 """Names of two columns that hold the time of day and the date."""
-BRACKETS = re.compile(r"\s*[\(\[]\s*([^()\[\]]*?)\s*[\)\]]\s*$")
+
+
+def without_brackets(name: str) -> tuple[str, str]:
+    """A name, and what stands in brackets at its end: "JD (UTC)" as "JD" and "UTC"; "" where nothing does."""
+    text = name.rstrip()
+    opens = max(text.rfind("("), text.rfind("["))
+    if not text.endswith((")", "]")) or opens < 0 or re.search(r"[)\]]", text[opens:-1]):
+        return name, ""
+    return text[:opens].rstrip(), text[opens + 1 : -1].strip()
 
 
 def plain(name: str) -> str:
     """A name's letters and digits, lower case, without what stands in brackets at its end."""
-    return re.sub(r"[\W_]+", "", BRACKETS.sub("", name).lower())
+    return re.sub(r"[\W_]+", "", without_brackets(name)[0].lower())
 
 
 LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
@@ -141,8 +149,7 @@ LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
 
 def stamp_named(name: str) -> Stamp | None:
     """What the name of a column says of times, "Time (BJD_TDB-2457000)" included; None where it names none."""
-    bracket = BRACKETS.search(name)
-    outside, inside = (_one_stamp(text) for text in (BRACKETS.sub("", name), bracket[1] if bracket else ""))
+    outside, inside = map(_one_stamp, without_brackets(name))
     if inside is not None and inside.format and (outside or Stamp()).format == "":
         return replace(inside, mark=outside.mark) if outside is not None else None
     return outside
@@ -288,9 +295,9 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
             names.append(role)
         units[role] = header.units.get(source, "")
         descriptions[role] = header.descriptions.get(source, "")
-        bracket = BRACKETS.search(source)
-        if source != role and bracket and not units[role] and _is_unit(role, bracket[1]):
-            units[role] = bracket[1]
+        unit = without_brackets(source)[1]
+        if source != role and not units[role] and _is_unit(role, unit):
+            units[role] = unit
         if role == "time" and source != role:
             said = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
             descriptions[role] = f"{descriptions[role]} {said}".strip()

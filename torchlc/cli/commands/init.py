@@ -93,4 +93,6 @@ def init(
         if place is None:
             say("warning: the station is a placeholder: edit [[stations]] before use")
         start = scaffold.to_the_minute(chosen.epoch if wanted is None else wanted)
-        print(f"next: torchlc simulate {shlex.quote(str(scene))} --start {start} --hours 24 --cadence 60 -o out")
+        print(
+            f"next: torchlc simulate {shlex.quote(str(scene))} --start {start} --hours 24 --cadence 60 -o out"
+        )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.warm import server
 from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene
 
@@ -16,6 +18,13 @@ def pytest_configure() -> None:
     start and interrupt: these inherit what is ignored, not what is handled."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """The address of a server of processes that have their libraries loaded, and a folder for PATH whose ``torchlc`` asks it."""
+    with server(tmp_path_factory.mktemp("warm")) as started:
+        yield started
 
 
 @pytest.fixture

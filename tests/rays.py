@@ -35,20 +35,20 @@ def jittered_points(parallelogram, count, generator):
 
 
 def blocked(points, direction, triangles):
-    """Which lines (M,) from points (M, 3) along a direction meet a triangle of (K, 3, 3)."""
+    """Which lines (M,) from points (M, 3) along a direction, (3,) or (M, 3), meet a triangle of (K, 3, 3)."""
     hit = np.zeros(len(points), dtype=bool)
     for a, b, c in triangles:
         e1, e2 = b - a, c - a
         p = np.cross(direction, e2)
-        determinant = e1 @ p
-        if abs(determinant) < 1e-14:
-            continue
+        determinant = p @ e1
+        level = np.abs(determinant) < 1e-14
+        determinant = np.where(level, 1.0, determinant)
         offset = points - a
-        u = offset @ p / determinant
+        u = (offset * p).sum(-1) / determinant
         q = np.cross(offset, e1)
-        v = q @ direction / determinant
+        v = (q * direction).sum(-1) / determinant
         distance = q @ e2 / determinant
-        hit |= (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 1e-9)
+        hit |= (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 1e-9) & ~level
     return hit
 
 

@@ -96,7 +96,7 @@ def test_lobes_of_a_curved_shape_are_tabulated(tmp_path):
     """Light of a cylinder under a Sun with a disc, from each pair of facet and direction, and from the table: the same."""
     free = '[materials.white]\nn = { value = 50.0, low = 1.0, high = 1e5, prior = "loguniform" }\n'
     scene = still(CYLINDER, free + "r_spec = { value = 0.3, low = 0.0, high = 1.0 }\nr_diff = 0.2\n")
-    directions = unit(np.random.default_rng(3).normal(size=(2, 2000, 3)))
+    directions = unit(np.random.default_rng(3).normal(size=(2, 300, 3)))
     model = torchlc.LightCurve(scene, seen_from(scene, tmp_path, *directions), effects=["finite_sun"])
     theta = torch.tensor([[n, 0.4] for n in (3.0, 80.0, 2e3, 6e4)], dtype=torch.float64)
     with torch.no_grad():

@@ -28,7 +28,9 @@ import pyarrow.parquet
 import pytest
 
 import torchlc
+from tests.campaign_tasks import deadly, raises, tells
 from tests.chromium import PROGRAM, Page
+from tests.killed_runs import check_files
 from tests.paper_orbits import ORBIT_1
 from tests.small_case import write_case
 from torchlc.campaigns.cluster import connected, spread
@@ -41,6 +43,7 @@ from torchlc.files.writing import LOCK_NAME, OutputDirectory
 
 HOSTILE = "../../R/B <img src=x onerror=alert(1)> 100%"
 BAD = "no such recording"
+ROWS = 13
 OVERHEAD_S = 40.0
 """CPU s of an object beside its search: libraries, one step begun before the budget was spent, figures and files. Measured: 12 on a
 quiet machine, 20 on one with six other runs. Without a budget the fit below was not done after 160."""
@@ -60,9 +63,12 @@ def write_manifest(path: Path, rows: list[dict[str, str]]) -> Path:
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three fits, a diagnosis and a recording that does not exist; the paths are relative."""
     folder = tmp_path_factory.mktemp("manifest")
-    write_case(folder, rows=25)
+    write_case(folder, rows=ROWS)
     files = {"scene": "scene.toml", "recording": "recording.ecsv"}
-    fits = [{"id": name, **files, "task": "fit", "options": "--steps 30"} for name in (HOSTILE, "b", "c")]
+    fits = [
+        {"id": name, **files, "task": "fit", "options": "--steps 30 --walkers 10"}
+        for name in (HOSTILE, "b", "c")
+    ]
     diagnosis = {"id": "d", **files, "task": "diagnose", "options": "--quick --effects panel_offset --seed 9"}
     missing = {"id": BAD, "scene": "scene.toml", "recording": "none.ecsv", "task": "fit"}
     return write_manifest(folder / "manifest.csv", [*fits, missing, diagnosis])
@@ -161,7 +167,7 @@ def test_results_are_those_of_one_after_another_bit_for_bit(manifest: Path, dist
             content = json.loads((folder / "diagnosis.json").read_text())
             assert without_times(alone.to_json()) == without_times(content)
             continue
-        result = torchlc.fit(job.scene, job.recording, steps=30, seed=job.seed)
+        result = torchlc.fit(job.scene, job.recording, steps=30, walkers=10, seed=job.seed)
         content = json.loads((folder / "fit.json").read_text())
         assert without_times(result.to_json()) == without_times(content)
         assert content["provenance"]["seed"] == job.seed
@@ -192,7 +198,7 @@ def test_the_summary_says_what_the_objects_say(manifest: Path, disturbed: Path):
     assert list(table.status) == ["done", "done", "done", "failed", "done"]
     assert "none.ecsv: no such file" in table.reason[BAD]
     fitted = json.loads((disturbed / table.directory["b"] / "fit.json").read_text())
-    assert table.chi2["b"] == fitted["chi2"] and table["rows"]["b"] == 25
+    assert table.chi2["b"] == fitted["chi2"] and table["rows"]["b"] == ROWS
     parameters = {row["name"]: row for row in table.parameters["b"]}
     assert parameters["panel.n"]["median"] == fitted["parameters"]["panel.n"]["median"]
     assert set(parameters) == set(fitted["parameters"])
@@ -340,13 +346,6 @@ def test_without_dask_the_pip_line_is_said(manifest: Path, tmp_path: Path):
     assert len(done.stderr.splitlines()) == 1 and not (tmp_path / "out").exists()
 
 
-def deadly(number: int) -> str:
-    """Kill the worker for one number."""
-    if number == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return str(number)
-
-
 def test_an_object_that_kills_every_worker_stops_nothing():
     with connected(None, 2, 1) as client:
         outcomes = dict(spread(client, deadly, range(8)))
@@ -356,23 +355,11 @@ def test_an_object_that_kills_every_worker_stops_nothing():
     assert isinstance(outcomes[3], TorchlcError) and "died" in str(outcomes[3])
 
 
-def raises(number: int) -> str:
-    raise InputError("file.csv", f"line {number}", "nothing", "something", "a hint")
-
-
 def test_what_a_worker_raises_arrives_whole():
     with connected(None, 1, 1) as client:
         ((_, error),) = spread(client, raises, [7])
     assert isinstance(error, InputError)
     assert str(error) == "file.csv: line 7: nothing; expected something. a hint" and error.hint == "a hint"
-
-
-def tells(number: int, tell: Any) -> str:
-    """Says two thirds, and waits until it may say more."""
-    tell(2 / 3)
-    time.sleep(0.6)
-    tell(0.9)
-    return str(number)
 
 
 def test_shares_of_a_task_are_heard(cluster: tuple[str, list[subprocess.Popen[bytes]]]):
@@ -425,16 +412,16 @@ def test_a_budget_bounds_each_object_and_keeps_the_best_so_far(
 
     began, shares, out = used(), [], tmp_path / "out"
     result = torchlc.campaign(
-        tumbling, out=out, scheduler=address, budget=6.0, progress=lambda _, share: shares.append(share)
+        tumbling, out=out, scheduler=address, budget=3.0, progress=lambda _, share: shares.append(share)
     )
     assert result.done == 1, result.failures
-    assert used() - began < 6 + OVERHEAD_S
+    assert used() - began < 3 + OVERHEAD_S
     assert shares[-1] == 1 and any(0 < share < 1 for share in shares)  # also within an object
     scene, recording = torchlc.load(tumbling.parent / "scene.toml", tumbling.parent / "recording.csv")
     plain = torchlc.simulate(scene, recording).mag
     before = float((((plain - recording.observed) / recording.error) ** 2).sum())
     record = read_record(out / "objects" / "fitted")
-    assert record is not None and "--budget 6.0 " in record["command"]
+    assert record is not None and "--budget 3.0 " in record["command"]
     found = json.loads((out / "objects" / "fitted" / "fit.json").read_text())
     assert not found["converged"] and any("the time allowed" in one for one in found["warnings"])
     assert found["chi2"] < before
@@ -464,7 +451,9 @@ def listening(process: psutil.Process) -> list[Any]:
     return [one for one in inet if one.status == psutil.CONN_LISTEN or one.type == socket.SOCK_DGRAM] + named
 
 
-def test_nobody_else_can_reach_the_workers(manifest: Path, tmp_path: Path):
+def test_nobody_else_can_reach_the_workers_and_a_killed_campaign_takes_them_along(
+    manifest: Path, tmp_path: Path
+):
     """No port is open and no socket has a name while objects are being done; the kernel's list says so."""
     command = ["campaign", str(manifest), "-o", str(tmp_path / "out"), "--workers", "2", "--quiet"]
     campaign = subprocess.Popen(
@@ -477,6 +466,7 @@ def test_nobody_else_can_reach_the_workers(manifest: Path, tmp_path: Path):
     campaign.send_signal(signal.SIGKILL)
     campaign.wait()
     until(lambda: not alive(campaign.pid), 30)
+    check_files(tmp_path / "out")
     assert workers >= 2 and seen == []
     with socket.create_server(("127.0.0.1", 0)) as server:  # what would be seen
         mine = listening(psutil.Process())
@@ -521,14 +511,9 @@ def test_no_file_is_read_before_it_is_known_where_it_lies(tmp_path: Path):
             origin_of(job)
 
 
-def resident_mib() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
 MEMORY = """
 from distributed import Client
-from tests.test_campaign import resident_mib
+from tests.campaign_tasks import resident_mib
 from torchlc.campaigns.cluster import AHEAD, spread
 
 def counted(most):

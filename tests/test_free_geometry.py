@@ -130,7 +130,10 @@ def test_what_is_left_out_of_the_disc_is_within_what_is_stated(effects):
 # ------------------------------------------------------------------ sizes
 
 
-@pytest.mark.parametrize("effects", [(), ("self_shadowing",), ("self_shadowing", "panel_offset")])
+@pytest.mark.parametrize(
+    "effects",
+    [(), ("sun_distance", "earth_shadow"), ("self_shadowing",), ("self_shadowing", "panel_offset")],
+)
 def test_a_batch_of_sizes_is_scenes_of_these_sizes(effects):
     """Against scenes that give the sizes as numbers, whose tables are made without a batch."""
     curve = of_flux(sized(), FREE_FOIL + CELLS, effects)

@@ -18,6 +18,8 @@ from torchlc.diagnosis.run import diagnose
 TURN_S, CAMERA_KM, LAMP_KM = 3600.0, 0.3, 1.5e8
 AZIMUTHS = (45.0, 90.0, 130.0, 230.0, 290.0)
 ROWS, NOISE = 20, 0.01
+RADIUS = np.sqrt(1.5**2 + 1.5**2 + 0.5**2)
+"""Of the sphere about the body's origin that holds it."""
 PER_SIDE = 6
 """Points along each side of a rectangle: shadows' edges fall in one of 36 cells, 0.5 % of the light of the body."""
 START = np.datetime64("2026-01-01T00:00:00", "ms")
@@ -40,11 +42,14 @@ def rectangles() -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Bench:
-    """What a laboratory does that its published geometry does not say: ``power`` of the radiance that is recorded, and the
-    angle, deg, by which each curve begins late."""
+    """What a laboratory does that its published geometry does not say: ``power`` of the radiance that is recorded, the angle, deg,
+    by which each curve begins late, and how ``near`` the camera is, in half diagonals of the body over its distance. ``effects`` are
+    those of the scene that is given."""
 
     power: float = 1.0
     late_deg: tuple[float, ...] = (0.0,) * len(AZIMUTHS)
+    near: float = 0.0
+    effects: str = '"self_shadowing"'
 
     def recording(self, folder: Path) -> tuple[torchlc.Scene, torchlc.Recording]:
         faces, obstacles = rectangles()
@@ -68,12 +73,16 @@ class Bench:
                     u, v = corner[1] - corner[0], corner[3] - corner[0]
                     normal = np.cross(u, v)
                     area = np.linalg.norm(normal)
-                    cosines = normal @ lamp / area, normal @ camera / area
-                    if min(cosines) <= 0:
-                        continue
                     points = corner[0] + a * u + b * v + 1e-6 * normal
-                    clear = ~blocked(points, lamp, obstacles) & ~blocked(points, camera, obstacles)
-                    total += area * clear.mean() * cosines[0] ** self.power * cosines[1]
+                    to_eye = camera - self.near / RADIUS * points
+                    distance = np.linalg.norm(to_eye, axis=1)
+                    to_eye = to_eye / distance[:, None]
+                    cosines = normal @ lamp / area, to_eye @ normal / area
+                    if cosines[0] <= 0 or cosines[1].max() <= 0:
+                        continue
+                    clear = ~blocked(points, lamp, obstacles) & ~blocked(points, to_eye, obstacles)
+                    seen = clear * cosines[1].clip(min=0) / distance**2
+                    total += area * cosines[0] ** self.power * seen.mean()
                 light.append(total)
             flux = np.array(light) / np.mean(light) + NOISE * rng.normal(size=ROWS)
             for k, value in enumerate(flux):
@@ -91,7 +100,8 @@ class Bench:
             'format = "torchlc-scene/1"\nname = "body"\n[orbit]\nvectors = "icrs"\n[attitude]\nmode = "inertial"\n'
             f'x_angle = 0.0\nspin_axis = [0, 0, 1]\nspin_rate = {3600 / TURN_S}\nspin_epoch = "{START}"\n'
             '[[components]]\nname = "body"\nshape = "mesh"\nfile = "body.obj"\ncentre = [0, 0, 0]\nmaterial = "white"\n'
-            '[materials.white]\nmodel = "lambert"\nalbedo = 0.8\n[model]\neffects = ["self_shadowing"]\n',
+            '[materials.white]\nmodel = "lambert"\nalbedo = 0.8\n[model]\n'
+            f"effects = [{self.effects}]\n",
             folder,
             "body",
         )
@@ -140,6 +150,24 @@ def test_every_member_for_laboratories_is_asked(one_late):
     assert begin.tolist() == pytest.approx([0.0, 0.0, -60.0, 0.0, 0.0], abs=7.5)  # half a step of the 24
 
 
+def test_what_an_effect_promises_is_the_least_squares_of_its_change_and_all_that_is_free(tmp_path):
+    """By NumPy, of the probed value that promises most: change and tangent together."""
+    scene, recording = Bench(power=0.5).recording(tmp_path)
+    bench = Workbench(scene, recording)
+    bench.entries = bench.candidates(None)
+    search = Search(bench, Clock(None), 0)
+    search.null()
+    at = search.extend(search.visited[search.best().hypothesis.under(*search.robust)], "near_field", None)
+    found = search.probe_all(at, ["radiance_power"])["radiance_power"]
+    best = int(found.scores.argmax())
+    moved = found.moved[best].numpy()
+    tangent = at.tangent.numpy()
+    padded = np.concatenate([moved, np.zeros(len(tangent) - len(moved))])
+    residual = np.concatenate([(at.delta / at.sigma).numpy(), at.g.numpy()])
+    size = np.linalg.lstsq(np.column_stack([padded, tangent]), residual, rcond=None)[0][0]
+    np.testing.assert_allclose(found.promised(at).numpy(), size * moved, rtol=1e-6, atol=1e-9)
+
+
 def test_pixels_that_record_a_power_are_named(tmp_path):
     """Among what a detector does, and a camera that stands near."""
     among = [
@@ -156,3 +184,20 @@ def test_pixels_that_record_a_power_are_named(tmp_path):
     assert values["radiance_power.power"] == pytest.approx(
         0.5, abs=0.05
     )  # shadows' edges are 0.5 % of the light
+
+
+def test_four_causes_are_named_and_none_that_is_not_there(tmp_path):
+    """Shadows, a near camera, a power of the radiance and one curve that begins elsewhere, none of which the scene has; a threshold, a
+    pedestal, a hull and light from all around are not in the recording."""
+    bench = Bench(power=0.5, near=0.15, late_deg=(0.0, 0.0, -60.0, 0.0, 0.0), effects="")
+    among = [
+        "self_shadowing", "near_field", "radiance_power", "radiance_threshold", "radiance_pedestal", "start_phase",
+        "convex_hull", "background",
+    ]  # fmt: skip
+    found = diagnose(*bench.recording(tmp_path), effects=among)
+    assert set(found.named) == {"self_shadowing", "near_field", "radiance_power", "start_phase"}
+    values = dict(zip(found.final.names, found.final.theta.tolist(), strict=True))
+    # shadows' edges fall in cells of 3 deg, and those of torchlc are of a camera far away: off by up to 0.15
+    assert values["radiance_power.power"] == pytest.approx(0.5, abs=0.1)
+    assert values["near_field.camera"] == pytest.approx(0.15, abs=0.05)
+    assert values["start_phase.deg[az130]"] == pytest.approx(-60.0, abs=2.0)

@@ -179,6 +179,60 @@ UNDER_FITTED = [name for name in NOISE if "jitter" not in name]  # jitter is par
 @pytest.mark.parametrize(
     ("noise", "fitted"), [*((name, False) for name in NOISE), *((name, True) for name in UNDER_FITTED)]
 )
+def test_every_curve_of_flux_has_a_unit_of_its_own(seven, noise, fitted):
+    """A curve in a unit k times as small has a density that is k^-N times as high, of its N measured rows, and another curve
+    knows nothing of it: N is one less where the level of noise is found, for the gain is integrated, too. To rounding."""
+    scene, _ = seven
+    likelihood, _, theta = recorded(seven, "flux", [5], fitted)
+    recording = likelihood.model.recording
+    curve = np.array([0, 1, 0, 1, 0, 1, 0])
+    values = []
+    for unit in (1.0, 1e-3, 1e4):
+        size = np.where(curve == 1, unit, 1.0)
+        error = None if fitted else recording.error * size
+        several = replace(
+            recording, observed=recording.observed * size, error=error, curve=curve, curve_ids=("a", "b")
+        )
+        one = Likelihood(LightCurve(scene, several))
+        density = float(one.log_likelihood(theta, noise_of(noise, one)))
+        count = 1 if fitted and noise != "red noise" else 2
+        values.append(density + count * math.log(unit))
+    assert values == pytest.approx(values[:1] * 3, abs=1e-7)
+
+
+@pytest.mark.parametrize("limits", [[], LIMITS, [6, 5, 3, 2]], ids=["measured", "limits", "many limits"])
+@pytest.mark.parametrize("noise", ["quoted", "outliers"])
+def test_density_of_a_curve_of_one_row_without_errors(seven, noise, limits):
+    """Its level of noise integrated by SciPy, and six or fewer rows of another curve beside it. The density of one row falls as
+    slowly as 1 / s with the level: nodes 0.45 apart leave 1e-4."""
+    scene, _ = seven
+    likelihood, light, theta = recorded(seven, "mag", limits, fitted=True)
+    recording, values = likelihood.model.recording, NOISE[noise]
+    curve = (np.arange(7) == 0).astype(int)
+    several = replace(recording, curve=curve, curve_ids=("many", "one"))
+    one = Likelihood(LightCurve(scene, several))
+    expected = 0.0
+    for number in (0, 1):
+        rows = curve == number
+        left = (recording.observed - light)[rows]
+        upper = recording.upper_limit[rows]
+        middle = math.log(np.sqrt((left[~upper] ** 2).mean()))
+        levels = np.linspace(middle - 5, middle + 25, 1201)
+        sd = np.exp(levels)[:, None] * np.ones(len(left))
+        share, width = values.get("outliers", 0.0), values.get("width", 1.0)
+        heights = (1 - share) * stats.norm.pdf(left / sd) / sd + share * stats.norm.pdf(left / sd / width) / (
+            sd * width
+        )
+        beyond_limit = (1 - share) * stats.norm.sf(left / sd) + share * stats.norm.sf(left / sd / width)
+        density = np.where(upper, beyond_limit, heights).prod(-1)
+        expected += math.log(integrate.trapezoid(density, levels))
+    found = float(one.log_likelihood(theta, noise_of(noise, one)))
+    assert found == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("noise", "fitted"), [*((name, False) for name in NOISE), *((name, True) for name in UNDER_FITTED)]
+)
 @pytest.mark.parametrize("kind", ["mag", "flux"])
 def test_slopes_and_batches(seven, kind, noise, fitted):
     """Slopes of the density by central differences (error 1e-9 of the third derivative; 1e-5 with the joint

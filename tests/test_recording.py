@@ -520,3 +520,29 @@ def test_numbers_that_stand_for_none_are_told_of(read, values: str, said: str | 
 def test_whole_magnitudes_of_a_visual_observer_are_no_markers(read):
     rows = [f"2020-10-17T15:{minute:02d}:00,{mag}" for minute, mag in enumerate([0, 3, 8, 0, 7, 12, 5])]
     assert read("\n".join(["time,mag", *rows])).warnings == ()
+
+
+@pytest.mark.parametrize("told", ["curve", "station", "band"])
+def test_what_is_usual_is_that_of_a_row_s_own_curve(read, told: str):
+    """One curve in counts, one in W/m2: an upper limit without an error takes the median of its own curve's, and an error of
+    1e-14 beside fluxes of 3e-13 is none that stands for nothing."""
+    lines = [f"time,flux,flux_err,upper_limit,{told}"]
+    for minute in range(5):
+        limit = minute == 4
+        for name, unit in (("a", 1.0), ("b", 1e-13)):
+            error = "" if limit else f"{(0.1 + 0.05 * minute) * unit:.6g}"
+            cells = (
+                f"2020-10-17T15:{minute:02d}:00",
+                f"{(3 + minute) * unit:.6g}",
+                error,
+                str(limit).lower(),
+                name,
+            )
+            lines.append(",".join(cells))
+    recording = read("\n".join(lines))
+    assert recording.upper_limit.sum() == 2 and len(recording) == 10
+    ids = recording.curve_ids
+    for curve, unit in ((0, 1.0), (1, 1e-13)):
+        assert ids[curve].endswith("ab"[curve])
+        (error,) = recording.error[recording.upper_limit & (recording.curve == curve)]
+        assert error == pytest.approx(np.median(0.1 + 0.05 * np.arange(4)) * unit, rel=1e-9)

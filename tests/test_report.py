@@ -179,8 +179,8 @@ def test_contrast_is_that_of_wcag_aa_in_light_and_dark(page: Path, dark: bool):
 def test_letters_and_axes_of_every_figure_follow_the_dress_of_the_page(result: FitResult):
     """Letters are drawn as paths, which the test of contrast does not see: black ones would be lost on dark ground."""
     drawn = draw_all("fit", result)
-    assert {"curve", "shares", "corner", "traces", "object"} <= {kind.name for kind, _ in drawn}
-    for kind, figure in drawn:
+    assert {"curve", "shares", "corner", "traces", "object"} <= {one.kind.name for one in drawn}
+    for kind, figure, _ in drawn:
         letters = {to_hex(one.get_color()) for one in figure.findobj(Text) if one.get_text().strip()}
         edges = {to_hex(one.get_edgecolor()) for axes in figure.axes for one in axes.spines.values()}
         assert letters | edges <= {*INKS, *PALETTE}, kind.name

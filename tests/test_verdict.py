@@ -11,12 +11,14 @@ import torch
 from scipy import stats
 
 import torchlc
+from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
 from torchlc.diagnosis.engine import Clock, Search
-from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
+from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.inference.posterior import fitted_at
 
 BALL = """
 format = "torchlc-scene/1"
@@ -109,6 +111,20 @@ def test_the_unseen_share_of_a_drift_is_that_of_its_normal_posterior(ball, slope
         expected,
         abs=0.08,  # 200 draws: two and a half standard deviations at one half
     )
+
+
+@pytest.mark.parametrize("shift", [-3.0, 2.0])
+def test_the_unseen_share_does_not_depend_on_where_the_fit_without_the_effect_stands(ball, shift) -> None:
+    """What the zero point has already paid for, to take up some of a change, is not had for nothing. All is linear here."""
+    hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
+    search = searched(changed(ball, 0.006 * hours), "zero_point_drift")
+    drift, without = search.visited[Hypothesis(("zero_point_drift",))], search.visited[Hypothesis()]
+    expected = unseen_share(drift, without, "zero_point_drift")
+    assert 0.02 < expected < 0.98
+    moved = fitted_at(without.hypothesis, without.posterior, without.g + shift)
+    assert unseen_share(drift, moved, "zero_point_drift") == pytest.approx(
+        expected, abs=0.011
+    )  # two of 200 draws
 
 
 def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:
@@ -242,3 +258,53 @@ def test_the_course_of_an_event_has_unit_variance() -> None:
     assert float(columns.square().sum(1)[0]) == pytest.approx(1.0)
     gram = columns.T @ columns / len(columns)
     assert torch.allclose(gram, torch.diag(torch.diagonal(gram)), atol=2e-3)
+
+
+def test_red_noise_in_the_place_of_an_effect_says_nothing_of_how_rows_err_beside_the_effect(ball) -> None:
+    """A wave and a drift: rows that err together describe both. The drift is told under each way to err that is of use, and not
+    under the robust one alone."""
+    hours = ball[1].seconds / 3600
+    wave = 0.015 * np.sin(2 * np.pi * hours / 1.5) + 0.006 * hours
+    search = searched(changed(ball, wave))
+    search.singles(["zero_point_drift"])
+    search.noise_of_leaders()
+    assert search.leader == Hypothesis().under("red_noise")
+    drift = Hypothesis(("zero_point_drift",))
+    assert {drift.under("red_noise"), drift.under(SCALE), drift.under("jitter")} <= set(search.visited)
+
+
+def test_a_set_whose_members_were_never_fitted_alone_is_tried_with_free_sizes(ball) -> None:
+    search = searched(ball)
+    appendage = search.extend(search.best(), "appendage", None)
+    search.extend(appendage, "zero_point_drift", None)
+    search.alternatives([NOMINAL], [("zero_point_drift",)])
+    assert Hypothesis(("zero_point_drift",), search.robust, NOMINAL) in search.visited
+
+
+def test_beside_another_law_of_reflection_the_effect_is_still_named(tmp_path) -> None:
+    """A box of Cook and Torrance's metal, which the scene takes for Ashikhmin and Shirley's, and a drift: under the wrong law the light of
+    the lobe's flanks is blamed on something else."""
+    box = (
+        BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [2.0, 1.2, 1.6]')
+        .replace(
+            'mode = "nadir"',
+            'mode = "inertial"\nspin_axis = [0.57, 0.78, 0.51]\nspin_rate = 1.7\nspin_phase = 158.0\nx_angle = 103.0',
+        )
+        .replace("albedo = 0.5", "{material}")
+    )
+    metal = 'model = "cook-torrance"\nm = 0.25\nf0 = 0.6\nr_diff = 0.02'
+    guess = (
+        'model = "ashikhmin-shirley"\nn = { value = 50.0, low = 1.0, high = 1e5, prior = "loguniform" }\n'
+        "r_spec = { value = 0.3, low = 0.0, high = 1.0 }\nr_diff = { value = 0.3, low = 0.0, high = 1.0 }"
+    )
+    for name, material in {"truth": metal, "scene": guess}.items():
+        (tmp_path / f"{name}.toml").write_text(box.replace('model = "lambert"\n{material}', material))
+    curve = torchlc.simulate(
+        tmp_path / "truth.toml", start="2026-03-15T19:00:00", hours=5.0, cadence=120.0, noise=ERROR, seed=4
+    )
+    scene, recording = torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv"))
+    hours = (recording.seconds - recording.seconds.mean()) / 3600
+    recording = replace(recording, observed=recording.observed + 0.02 * hours)
+    found = torchlc.diagnose(scene, recording, effects=["zero_point_drift", "background", "appendage"])
+    assert found.named == ("zero_point_drift",)
+    assert found.law == "cook-torrance"

@@ -3,6 +3,7 @@ loads them once and forks for each request, which saves 2 to 5 CPU s a process.
 
 A request is a command line with its folder, its environment and its three streams; the answer is the exit code. How
 a process starts that has nothing loaded, and what it loads, is for the tests of the command line and of imports.
+Workers of a campaign are forked too; those that start with nothing loaded are for the tests of campaigns.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parent.parent
 LOADED = (
@@ -31,6 +35,8 @@ LOADED = (
     "matplotlib.pyplot",
     "pandas",
     "scipy.stats",
+    "PIL.Image",
+    "h5py",
 )
 PATIENCE_S = 120.0
 LENGTH = 8
@@ -50,10 +56,13 @@ def call(
     cwd: Path | str | None = None,
     env: dict[str, str] | None = None,
     streams: tuple[int, int, int] = (0, 1, 2),
+    most_bytes: int | None = None,
 ) -> int:
-    """Run ``command``, which begins with ``torchlc`` or ``page``, and return its exit code."""
+    """Run ``command``, which begins with ``torchlc``, ``page`` or ``killed`` (the arguments of a page, and of ``tests.killed_runs``),
+    and return its exit code. No file that it writes grows beyond ``most_bytes``, as on a disk that is full."""
     content = {
         "command": command,
+        "most_bytes": most_bytes,
         "cwd": str(cwd or Path.cwd()),
         "env": dict(os.environ) if env is None else env,
     }
@@ -95,7 +104,10 @@ def serve(address: str) -> None:
 
     for name in LOADED:
         importlib.import_module(name)
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that answer
+    from torchlc.campaigns import processes
+
+    processes.START_METHOD = "fork"
+    signal.signal(signal.SIGCHLD, _reap)
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(address + ".new")
         listening.listen()
@@ -121,8 +133,32 @@ def serve(address: str) -> None:
             os.chdir(content["cwd"])
             os.environ.clear()
             os.environ.update(content["env"])
+            if content["most_bytes"] is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (content["most_bytes"],) * 2)
             sys.argv = content["command"]
             return
+
+
+def said(address: str, command: list[str], **options: Any) -> tuple[int, str, str]:
+    """As ``call``; with what was written to standard output and standard error."""
+    with (
+        tempfile.TemporaryFile() as out,
+        tempfile.TemporaryFile() as err,
+        Path(os.devnull).open("rb") as nothing,
+    ):
+        code = call(address, command, streams=(nothing.fileno(), out.fileno(), err.fileno()), **options)
+        texts = []
+        for stream in (out, err):
+            stream.seek(0)
+            texts.append(stream.read().decode())
+    return code, texts[0], texts[1]
+
+
+def _reap(*_: object) -> None:
+    """Wait for those that have answered, so that their CPU time counts as this process's children's."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
 
 
 def _received(link: socket.socket, length: int) -> bytes:
@@ -139,6 +175,10 @@ if __name__ == "__main__":
 
         sys.path[0] = ""  # as of ``python -m``
         run(Path(sys.argv[1]))
+    elif sys.argv[0] == "killed":
+        from tests.killed_runs import main as kill
+
+        kill(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])
     else:
         from torchlc.cli import main
 

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
-DIAGNOSES = "`python examples/calibration/real_recordings.py docs/real_data`"
+DIAGNOSES = "`python examples/calibration/real_recordings.py docs/real_data --only {}`"
+BODY, THERE = "hac_body03", ("self_shadowing", "near_field", "radiance_power", "start_phase")
+"""The laboratory's body, and the effects that its rendering is known to have."""
+NOT_THERE = ("finite_sun", "background", "radiance_threshold")
+"""Effects that would be named for a penumbra, uniform ambient light and a threshold, none of which the laboratory's rendering has."""
 FLEETS = "`python examples/fleets.py docs/evidence {}`"
 
 
@@ -27,6 +31,101 @@ def probability(found: dict[str, Any]) -> str:
     return "not stored" if said is None else f"{said:.2f}"
 
 
+def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
+    """A row for the laboratory's body, once its diagnosis is stored."""
+    if BODY not in diagnoses:
+        return []
+    found = diagnoses[BODY]
+    wrong = [f"`{name}`" for name in found["named"] if name in NOT_THERE]
+    missed = [f"`{name}`" for name in THERE if name not in found["named"]]
+    right = f"{', '.join(missed)} not named" if missed else "yes"
+    return [
+        (
+            "[A laboratory's body](laboratory.md), 21 curves",
+            "shadows, a camera that is near, a detector that is not linear in radiance, one curve that begins late",
+            named(found),
+            probability(found),
+            f"{right}; {', '.join(wrong)} is not there"
+            if wrong
+            else f"{right}; no penumbra, ambient light or threshold is named",
+            DIAGNOSES.format(BODY),
+        )
+    ]
+
+
+def between(numbers: list[float]) -> str:
+    """The least and the largest of some probabilities."""
+    return f"{min(numbers):.2f} to {max(numbers):.2f}"
+
+
+def tracks() -> str:
+    """What a diagnosis says of each track alone."""
+    found = read("real_data/verdicts.json")
+    rows = []
+    for name, one in found.items():
+        if not name.startswith("mmt9"):
+            continue
+        gain = one["improvement"]
+        pair = [
+            (f"{gain[f'{kind}_before']:.3f}", f"{gain[f'{kind}_after']:.3f}")
+            for kind in ("rms", "heldout_rms")
+        ]
+        rows.append(
+            (
+                one["object"].partition(",")[0],
+                name.partition(" ")[2],
+                named(one),
+                probability(one),
+                *(before if before == after else f"{before} to {after}" for before, after in pair),
+            )
+        )
+    return table([("family", "track", "said", "probability", "rms, mag", "of unseen rows, mag"), *rows])
+
+
+def body() -> dict[str, str]:
+    """What docs/evidence/laboratory.md says in numbers."""
+    one = read("real_data/verdicts.json").get(BODY)
+    if one is None:
+        names = (
+            "named",
+            "probability",
+            "rms_before",
+            "rms_after",
+            "unseen_before",
+            "unseen_after",
+            "seconds",
+            "untried",
+        )
+        return {f"laboratory_{name}": "not stored" for name in (*names, "parameters", "effects")}
+    gain = one["improvement"]
+    return {
+        "laboratory_named": named(one),
+        "laboratory_probability": probability(one),
+        "laboratory_rms_before": f"{gain['rms_before']:.3f}",
+        "laboratory_rms_after": f"{gain['rms_after']:.3f}",
+        "laboratory_unseen_before": f"{gain['heldout_rms_before']:.3f}",
+        "laboratory_unseen_after": f"{gain['heldout_rms_after']:.3f}",
+        "laboratory_parameters": table(
+            [
+                ("number", "value", "standard deviation"),
+                *(
+                    (f"`{entry}` {name}", f"{row['median']:.3g}", f"{row['sd']:.2g}")
+                    for entry, values in (one["parameters"] | one["farthest"]).items()
+                    for name, row in values.items()
+                ),
+            ]
+        ),
+        "laboratory_effects": table(
+            [
+                ("effect", "probability"),
+                *((f"`{name}`", f"{p:.3f}") for name, p in one["effects"].items() if p > 5e-4),
+            ]
+        ),
+        "laboratory_seconds": f"{one['cpu_seconds']:.0f}",
+        "laboratory_untried": ", ".join(f"`{name}`" for name in one["untried"]) or "none",
+    }
+
+
 def overview() -> str:
     """One row a recording or question: documented cause, name, probability, whether that is right, and the command."""
     diagnoses, fleets = read("real_data/verdicts.json"), read("evidence/fleets.json")
@@ -37,14 +136,16 @@ def overview() -> str:
     low, high = visor["auc_of_magnitude_90"]
     tracks = [found for name, found in diagnoses.items() if name.startswith("mmt9")]
     silent = sum(not found["named"] for found in tracks)
+    told = [found for found in tracks if found.get("probability") is not None]
     rows = [
+        *laboratory(diagnoses),
         (
             "[433 Eros](../real_data/index.md), 73 curves",
             "shadows of a body that is not convex; clocks of photographic and early photoelectric curves",
             named(eros),
             probability(eros),
             "yes",
-            DIAGNOSES,
+            DIAGNOSES.format("eros"),
         ),
         (
             "[Starlink v1.5](starlink.md), 720 passes",
@@ -52,7 +153,7 @@ def overview() -> str:
             named(pomenis),
             probability(pomenis),
             "in part: more light than two plates send is sure, its place is not",
-            DIAGNOSES,
+            DIAGNOSES.format("starlink_v15"),
         ),
         (
             "[Starlink v2 mini](starlink.md), two populations",
@@ -74,7 +175,7 @@ def overview() -> str:
             "[Visor or none](starlink.md), 23 satellites",
             "visor fitted or not",
             f"area under the curve {visor['auc_of_magnitude']:.2f} ({low:.2f} to {high:.2f}, 90 %)",
-            "0.50 to 0.81 a satellite",
+            f"{between([row['probability'] for row in visor['satellites']])} a satellite",
             "silent: these magnitudes do not tell",
             FLEETS.format("visor"),
         ),
@@ -82,9 +183,9 @@ def overview() -> str:
             f"[Mini-MegaTORTORA](../real_data/index.md), {len(tracks)} tracks",
             "none documented; shapes and attitudes are nominal",
             f"clocks, wobbles and others in {len(tracks) - silent}, nothing in {silent}",
-            "not stored",
+            between([found["probability"] for found in told if found["named"]]) if told else "not stored",
             "not shown: nominal shapes may be behind these names",
-            DIAGNOSES,
+            DIAGNOSES.format("mmt9"),
         ),
         (
             "[Tumbling bodies](../tutorials/tumbling.md)",
@@ -95,17 +196,15 @@ def overview() -> str:
             "`torchlc rotation`",
         ),
     ]  # fmt: skip
-    visors = [row["probability"] for row in visor["satellites"]]
-    rows[4] = (*rows[4][:3], f"{min(visors):.2f} to {max(visors):.2f} a satellite", *rows[4][4:])
     for page in ("paper_story", "concealed"):
         for one in read(f"evidence/{page}.json")["overview"]:
-            told = one["probability"]
+            likely = one["probability"]
             rows.append(
                 (
                     f"[{one['recording']}]({page}.md)",
                     one["cause"],
                     one["named"],
-                    "" if told is None else f"{told:.2f}",
+                    "" if likely is None else f"{likely:.2f}",
                     one["right"],
                     f"`{one['command']}`",
                 )
@@ -203,7 +302,9 @@ def tables() -> dict[str, str]:
     fleets = read("evidence/fleets.json")
     visors, dim, ways = fleets["visor"], fleets["v2mini"]["dark"], fleets["modes"]
     return {
+        **body(),
         "evidence_overview": overview(),
+        "evidence_tracks": tracks(),
         "evidence_nights": nights(),
         "evidence_classes": classes(),
         "evidence_splits": splits(),

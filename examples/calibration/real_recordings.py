@@ -1,4 +1,4 @@
-"""What diagnose says of real recordings left alone: Eros, Starlink over Pomenis, the tracks of Mini-MegaTORTORA.
+"""What diagnose says of real recordings left alone: Eros, a laboratory's body, Starlink over Pomenis, the tracks of Mini-MegaTORTORA.
 
     python examples/calibration/real_recordings.py docs/real_data [--only TEXT] [--budget SECONDS]
 
@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import laboratory
 import numpy as np
 import torch
 
@@ -30,6 +32,8 @@ MOST = 6
 
 def recordings() -> Iterator[tuple[str, Path, Path]]:
     """Name, scene and recording of each."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield "hac_body03", *laboratory.written(Path(folder))
     for name in ("eros", "starlink_v15"):
         yield name, DATA / name / "scene.toml", DATA / name / "recording.ecsv"
     for track in sorted((DATA / "mmt9").glob("track_*.ecsv")):
@@ -63,11 +67,22 @@ def told(scene_file: Path, recording_file: Path, budget: float | None) -> dict[s
         "curves": len(recording.curve_ids),
         **{key: content[key] for key in keys},
         "probability": content["probabilities"]["told"],
+        "effects": content["probabilities"]["effects"],
+        "untried": list(content["untried"]),
         "law": found.law,
         "parameters": {
             entry: effect_parameters(found.final, entry)
             for entry in found.final.hypothesis.added
             if "@" not in entry  # offsets of single curves are too many to tell
+        },
+        "farthest": {
+            entry: dict(
+                sorted(effect_parameters(found.final, entry).items(), key=lambda row: -abs(row[1]["median"]))[
+                    :MOST
+                ]
+            )
+            for entry in found.final.hypothesis.added
+            if "@" in entry
         },
         "before": scatter(found.baseline),
         "after": scatter(found.final),

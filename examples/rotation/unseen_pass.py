@@ -2,9 +2,9 @@
 
     python examples/rotation/unseen_pass.py SCENE RECORDING...
 
-SCENE is one with a phase for each night, as ``torchlc rotation`` writes it (scene.toml, or scene_per_pass.toml). Each night in turn is
-left out: pole and materials are fitted to the others, and of the unseen night only what the scene gives for each night is found: its phase,
-and its period where that is divided too. The rms of its rows is compared with that of a fit to it alone.
+SCENE is one as ``torchlc rotation`` writes it (scene.toml, or scene_per_pass.toml). Each night in turn is left out: pole, materials and
+what else is common are fitted to the others, and of the unseen night only its phase is found, and its period where the scene gives each
+night its own. The rms of its rows is compared with that of a fit to it alone.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from torchlc.scene import Free, Scene
 PHASES, REFINED = 48, 6
 """Phases that are tried over a turn, and of the best starts how many are refined."""
 AT_ONCE = 32
+PHASE = "attitude.phase"
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def unseen(scene: Scene, recording: Recording, night: str) -> Unseen:
     inside = recording.night == number
     others = best(scene, recording.keep(~inside, "of the unseen night"), {})
     own = recording.keep(inside, "of other nights")
-    known = {name: value for name, value in others.items() if "[" not in name}
+    known = {name: value for name, value in others.items() if "[" not in name and name != PHASE}
     predicted = best(scene, own, known)
     fitted = best(scene, own, {}, near=predicted)
     return Unseen(night, len(own), _rms(scene, own, predicted), _rms(scene, own, fitted))
@@ -80,8 +81,11 @@ def _around(scene: Scene, recording: Recording, model: LightCurve, start: torch.
     """Starts (S, P) at all phases, and at all periods if the night has its own."""
     night = recording.night_ids[0]
     names = {key: f"attitude.{key}[{night}]" for key in ("phase", "period")}
-    phases = torch.arange(PHASES, dtype=torch.float64) * 360 / PHASES
     columns = {key: model.names.index(name) for key, name in names.items() if name in model.names}
+    if "phase" not in columns:
+        columns["phase"] = model.names.index(PHASE)
+    # half a turn to either side is within the bounds that the search writes
+    phases = start[columns["phase"]] + (torch.arange(PHASES, dtype=torch.float64) / PHASES - 0.5) * 360
     periods = start[columns["period"], None] if "period" in columns else torch.zeros(1, dtype=torch.float64)
     number = scene.attitude.period
     if "period" in columns and isinstance(number, Free):
@@ -119,11 +123,8 @@ def main() -> None:
     parser.add_argument("recordings", type=Path, nargs="+")
     given = parser.parse_args()
     scene = torchlc.load(given.scene)
-    phase = scene.attitude.phase
-    if not isinstance(phase, Free) or phase.per != "night":
-        raise SystemExit(
-            f"{given.scene}: attitude.phase is one for all nights; torchlc rotation writes one for each"
-        )
+    if not isinstance(scene.attitude.phase, Free):
+        raise SystemExit(f"{given.scene}: attitude.phase is fixed; torchlc rotation writes it free")
     recording = joined([usable(scene, path) for path in given.recordings])
     for night in recording.night_ids:
         one = unseen(scene, recording, night)

@@ -9,6 +9,7 @@ every way to err, with its evidence. Nothing is decided here: the odds of all th
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from torch import Tensor
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
 from torchlc.diagnosis.hypotheses import (
-    MOST_EFFECTS,
+    FEW_EFFECTS,
     SCALE,
     Hypothesis,
     Workbench,
@@ -61,6 +62,8 @@ NEAR = 6.0
 """The same within which its evidence is integrated, and told under every noise: one in 400."""
 STARTS = 12
 """Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed."""
+LAW_STARTS = 48
+"""The same under another law, of whose lobes the scene says nothing."""
 PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 CLEAN_P = 0.05
@@ -78,7 +81,7 @@ RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
-DEAR_FIT_S, MOST_FIT_S = 2.0, 60.0
+DEAR_FIT_S, MOST_FIT_S = 2.0, 150.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all; and of a probe,
 beyond which that of the first round serves for all sets."""
 
@@ -119,8 +122,9 @@ class Search:
     seed: int
     visited: dict[Hypothesis, Fitted] = field(default_factory=dict)
     probes: dict[str, Probe] = field(default_factory=dict)
-    """Of the first round, beside ``probed``."""
-    probed: Hypothesis = field(default_factory=Hypothesis)
+    """Of the first round, beside the scene's own model."""
+    latest: dict[str, tuple[Probe, Fitted]] = field(default_factory=dict)
+    """The last probe of each that was made and not only held against another fit, with what it was made beside."""
     odd: list[Discrepancy] = field(default_factory=list)
     unexamined: dict[str, str] = field(default_factory=dict)
     """Why, by entry, a candidate was not refitted."""
@@ -145,6 +149,16 @@ class Search:
     @property
     def leader(self) -> Hypothesis:
         return self.ranked()[0]
+
+    @property
+    def foremost(self) -> Hypothesis:
+        """The leader under the robust noise."""
+        return self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+
+    @property
+    def mark(self) -> float:
+        """Log odds of the foremost, which candidates under the same noise have to come near."""
+        return self.log_odds(self.foremost)
 
     def best(self, *added: str) -> Fitted:
         """The best of what was visited with exactly these effects."""
@@ -312,23 +326,30 @@ class Search:
 
     # ------------------------------------------------------------------ rounds
 
-    def probe_all(self, at: Fitted, entries: Sequence[str], share: float = 0.8) -> dict[str, Probe]:
+    def probe_all(
+        self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
+    ) -> dict[str, Probe]:
         """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
-        it is. Those that take long are made once, beside the scene's own model."""
+        it is. Those that take long are made once, beside the scene's own model; those of dear geometries otherwise ``anew``, or held
+        against this fit as they were made last."""
         found = {}
         for entry in sorted(
             entries, key=lambda one: turns(self.posterior(at.hypothesis.with_effect(one)), one)
         ):
             if not self.clock.left(share):
                 break
+            known = self.latest.get(entry)
+            if known is not None and not anew and at.posterior.dear:
+                found[entry] = rescored(known[0], known[1], at)
+                continue
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
             cost = least_seconds(posterior, entry)
-            known = self.probes.get(entry)
-            if cost > DEAR_FIT_S and known is not None:
-                found[entry] = rescored(known, self.visited[self.probed], at)
+            if known is not None and (cost > DEAR_FIT_S or (posterior.dear and not anew)):
+                found[entry] = rescored(known[0], known[1], at)
             elif self.clock.affords(cost):
                 found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
+                self.latest[entry] = found[entry], at
             else:
                 self.unexamined[entry] = (
                     f"{cost:.0f} s of light worked out anew before anything is known of it"
@@ -341,14 +362,12 @@ class Search:
         only if that could be the answer and there is time."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        colours = posterior.colours()
-        slopes = len(posterior.physical) if colours is None else len(colours.groups)
-        cost = posterior.seconds_each * (1 + slopes) * DEAR_STEPS
+        cost = refit_seconds(posterior)
         if cost < DEAR_FIT_S:
             return True
         if Entry.parse(entry).per is not None:
             promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
-            if promised < self.log_odds(self.leader) - NEAR:
+            if promised < self.mark - NEAR:
                 return False
             if self.clock.affords(cost):
                 return True
@@ -358,13 +377,12 @@ class Search:
             return False
         if not len(found.scores):
             return False
-        best = int(found.scores.argmax())
-        moved = replace(at.found, delta=at.delta - found.moved[best] * at.sigma)
+        moved = replace(at.found, delta=at.delta - found.promised(at) * at.sigma)
         shifted = replace(at, found=moved)
         with torch.no_grad():
             linear = fit(at.hypothesis, Linear(shifted), shifted.g[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
-        if self.linear[hypothesis] < self.log_odds(self.leader) - NEAR:
+        if self.linear[hypothesis] < self.mark - NEAR:
             return False
         if self.clock.affords(cost):
             return True
@@ -373,12 +391,20 @@ class Search:
         )
         return False
 
+    def seconds_of(self, entry: str) -> float:
+        """CPU seconds that a candidate's probe or refit takes where it moves the geometry of a large mesh, whichever is more; 0 of
+        others."""
+        hypothesis = Hypothesis((entry,)).under(*self.robust)
+        if not self.bench.likelihood(hypothesis).model.unaffordable:
+            return 0.0
+        posterior = self.posterior(hypothesis)
+        return max(least_seconds(posterior, entry), refit_seconds(posterior))
+
     def singles(self, entries: Sequence[str]) -> None:
         """Every candidate alone, first those that are fitted fast, and of these what its signature promises most: they set the mark
         that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probed = at.hypothesis
         self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
         slow = {
             entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes
@@ -441,21 +467,24 @@ class Search:
             self.refit(one, torch.cat([at.theta[None], starts]), at)
 
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
-        """Sets of two and three effects, as long as they gain: grown from the leaders, then without each of their members,
-        and with each exchanged. A leader whose rows err independently that leaves nothing, by the p-value that ``left``
-        gives, is only asked for what may hide beside it; where something unknown alone is far ahead of all leaders, only the
-        first of them grows; and none does that would stay behind if each further effect gained as much as the best one alone."""
+        """Sets of effects, as long as they gain: grown from the leaders, then without each of their members, and with each
+        exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader whose rows
+        err independently that leaves nothing, by the p-value that ``left`` gives, is only asked for what may hide beside it;
+        where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
+        behind if each further effect gained as much as the best one alone."""
         grown: set[frozenset[str]] = set()
-        for size in range(1, MOST_EFFECTS):
+        for size in itertools.count(1):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
-            alike = self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+            alike = self.foremost
             clean = left(self.visited[alike]) > CLEAN_P
             ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
-            if (clean and len(alike.added) < size) or ahead > REACH + (MOST_EFFECTS - size) * self.gain_alone:
+            further = max(FEW_EFFECTS - size, 1)
+            if not sized or (clean and len(alike.added) < size) or ahead > REACH + further * self.gain_alone:
                 break
-            stems = sized[: 1 if clean or self.stranger_leads else BEAM]
+            beyond = size >= FEW_EFFECTS
+            stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
             for number, stem in enumerate(stems):
-                self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2)
+                self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
                 break
@@ -465,17 +494,29 @@ class Search:
                 at = self.visited[best[0]]
                 theta = carried(self.bench.likelihood(fewer).model.parameter_set, at.theta[None], at.names)
                 if self.clock.left(0.8):
-                    self.refit(_sorted_as(self.visited, fewer), theta, at)
-                    self.grow(_sorted_as(self.visited, fewer), entries, grown, GROWN // 2)
-            if self.log_odds(best[0]) <= self.log_odds(sized[0]):
+                    known = self.visited.get(_sorted_as(self.visited, fewer))
+                    if known is None or not known.posterior.dear:
+                        self.refit(_sorted_as(self.visited, fewer), theta, at)
+                    self.grow(_sorted_as(self.visited, fewer), entries, grown, GROWN // 2, anew=False)
+            best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
+            gained = self.log_odds(best[0]) - self.log_odds(sized[0])
+            if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
                 break
-            self.clock.tell(self.state(), 0.5 + 0.2 * size)
+            self.clock.tell(self.state(), 0.5 + 0.2 * min(size, FEW_EFFECTS - 1))
 
-    def grow(self, stem: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]], most: int) -> None:
+    def grow(
+        self, stem: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]], most: int, anew: bool
+    ) -> None:
+        """The most promising effects added to a set; where probes take long, they are made ``anew`` or held against what the set
+        leaves."""
         at = self.visited[stem]
         seen = [entry for entry in entries if entry not in self.invisible]
-        possible = [entry for entry in seen if self.bench.compatible(stem, entry)]
-        found = self.probe_all(at, possible)
+        possible = [
+            entry
+            for entry in seen
+            if self.bench.compatible(stem, entry) and self.bench.carries(stem.with_effect(entry))
+        ]
+        found = self.probe_all(at, possible, anew=anew)
         for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
             members = frozenset((*stem.plain, entry))
             promising = found[entry].score > LEAST_SCORE or not found[entry].psi.shape[-1]
@@ -486,29 +527,50 @@ class Search:
                 self.extend(at, entry, found[entry])
 
     def noise_of_leaders(self) -> None:
-        """What is within reach under every way to err, then its evidence."""
+        """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
+        of the leader and of the leading effects."""
         top = self.log_odds(self.leader)
         near = [one for one in self.ranked() if self.log_odds(one) > top - REACH]
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
+        together = {*sets[:1], *[one for one in sets if one.added][:1]}
         noises = self.noises()
         for number, one in enumerate(dict.fromkeys((*sets, null))):
             if one not in self.visited:
                 continue
             for noise in noises:
-                joint = self.correlated(one.under(*noise))
-                if one.under(*noise) not in self.visited and self.clock.left(0.9) and not (joint and number):
+                asked = one in together or not self.correlated(one.under(*noise))
+                if asked and one.under(*noise) not in self.visited and self.clock.left(0.9):
                     self.renoise(self.visited[one], noise)
-            if number == 0:  # what the leader has no use for, its rivals are not asked under
-                leader = max(
-                    self.log_odds(one.under(*noise)) for noise in noises if one.under(*noise) in self.visited
-                )
-                noises = [
-                    noise
-                    for noise in noises
-                    if one.under(*noise) in self.visited and self.log_odds(one.under(*noise)) > leader - NEAR
-                ]
+            if number == 0:
+                noises = self.useful(one, noises)
+        self.pruned()
         self.integrate()
+
+    def pruned(self) -> None:
+        """A leader whose rows err together without each of its effects, as long as one fewer is better: what the others were added for
+        may be what rows share."""
+        while self.correlated(self.leader) and len(self.leader.added) > 1:
+            best = self.leader
+            at = self.visited[best]
+            for entry in best.added:
+                fewer = _sorted_as(self.visited, best.without(entry))
+                if fewer not in self.visited and self.clock.left(0.9):
+                    parameters = self.bench.likelihood(fewer).model.parameter_set
+                    self.refit(fewer, carried(parameters, at.theta[None], at.names), at, turns=1)
+            if self.leader == best:
+                break
+
+    def useful(self, one: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+        """Ways to err that a set of effects has a use for, those of rows that err together told apart from the others: they may stand in
+        for what an effect does, and say nothing then of how its rows err."""
+        visited = [one.under(*noise) for noise in noises if one.under(*noise) in self.visited]
+        found = []
+        for joint in (False, True):
+            alike = [other for other in visited if self.correlated(other) == joint]
+            best = max(map(self.log_odds, alike), default=-math.inf)
+            found += [other.noise for other in alike if self.log_odds(other) > best - NEAR]
+        return found
 
     def integrate(self) -> None:
         """Evidence by importance sampling of what is near the leader, until the order of the leaders stands."""
@@ -538,10 +600,21 @@ class Search:
         if len(kept) < len(self.leader.added) and self.bench.has_free_sizes:
             self.alternatives([NOMINAL], [kept])
 
-    def laws(self) -> None:
-        """Other laws of reflection, where the leader leaves structure: the scene's own model and the leading effects."""
-        leaders = list(dict.fromkeys(one.added for one in self.ranked() if one.noise == self.robust))[:2]
-        self.alternatives(self.bench.laws, list(dict.fromkeys([(), *leaders])))
+    def laws(self, entries: Sequence[str]) -> None:
+        """The scene's own model under other laws of reflection. Under one that describes the rows better than the scene's own law, the
+        leading effects are refitted and others looked for: beside the wrong law others lead."""
+        self.alternatives(self.bench.laws, [()])
+        null = Hypothesis().under(*self.robust)
+        better = [law for law in self.bench.laws if self.ahead(replace(null, law=law), null)]
+        if better:
+            leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
+            self.alternatives(better, list(dict.fromkeys(leaders))[:2])
+        if self.foremost.law:
+            self.grow(replace(null, law=self.foremost.law), entries, set(), GROWN, anew=True)
+
+    def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether a hypothesis was visited and is better than another."""
+        return one in self.visited and self.log_odds(one) > self.log_odds(other)
 
     def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
         """Sets of effects in other scenes than the given one."""
@@ -554,13 +627,16 @@ class Search:
                 if not self.bench.carries(hypothesis):
                     continue
                 posterior = self.posterior(hypothesis)
-                at = self.best(*(Hypothesis(added).plain))
+                # a set of the leader without one of its members may not have been fitted: then from the leader's own numbers
+                members = set(Hypothesis(added).plain)
+                alike = self.ranked(one for one in self.visited if set(one.plain) == members)
+                at = self.visited[[*alike, self.leader][0]]
                 theta = carried(posterior.model.parameter_set, at.theta[None], at.names)[0]
                 generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+                starts = theta[None]
                 if not posterior.dear:
-                    self.refit(hypothesis, material_starts(posterior, theta, STARTS, generator), at)
-                    continue
-                self.refit(hypothesis, theta[None], at)
+                    starts = material_starts(posterior, theta, LAW_STARTS, generator)
+                self.refit(hypothesis, starts, at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:
         """What the library does not hold, beside nothing and beside the leading set, each under the best noise that is independent
@@ -604,6 +680,13 @@ class Search:
         order = self.ranked()
         name = " + ".join(order[0].names) or ("noise" if order[0].noise else "nothing missing")
         return f"leads: {name}"
+
+
+def refit_seconds(posterior: Posterior) -> float:
+    """CPU seconds of a refit: its geometries, of which those of numbers that share no row are one."""
+    colours = posterior.colours()
+    slopes = len(posterior.physical) if colours is None else len(colours.groups)
+    return posterior.seconds_each * (1 + slopes) * DEAR_STEPS
 
 
 def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:

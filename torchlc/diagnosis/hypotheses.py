@@ -32,7 +32,8 @@ NOISE_ODDS = 0.3
 """Of each way to err, one in four: errors that are 30 % off and a few bad rows are what recordings have."""
 LAW_ODDS = 0.1
 """Of another law of reflection, or of sizes that are only nominal; the scene's author chose for a reason."""
-MOST_EFFECTS = 3
+FEW_EFFECTS = 3
+"""Effects of a set up to which any gain is enough that it grows."""
 MOST_OBJECTS = 30
 """Objects that an offset is divided by in a search: each is a number of its own, and a minimum costs their square."""
 LONGEST_CURVE = 1500
@@ -217,7 +218,7 @@ class Workbench:
 
     def compatible(self, hypothesis: Hypothesis, entry: str) -> bool:
         """Whether an effect may join a set: one that is not there, or the same in another material."""
-        if Entry.parse(entry).plain in hypothesis.plain or len(hypothesis.added) >= MOST_EFFECTS:
+        if Entry.parse(entry).plain in hypothesis.plain:
             return False
         return effect_class(entry).stage == "material" or Entry.parse(entry).name not in hypothesis.names
 

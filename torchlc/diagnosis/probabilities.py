@@ -10,7 +10,7 @@ import torch
 
 from torchlc.diagnosis.discrepancy import FAR
 from torchlc.diagnosis.engine import NEAR, Search
-from torchlc.diagnosis.hypotheses import MOST_EFFECTS, SCALE, Hypothesis
+from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
 from torchlc.inference.posterior import BAD_ROW
@@ -205,14 +205,14 @@ def less_unseen(
 
 def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
     """Whether effects that leave structure are no part of the answer: something unknown alone is more likely than they are,
-    they are as many as are tried at once, or they take too little of the misfit."""
+    they are FEW_EFFECTS or more, or they take too little of the misfit."""
     if not hypothesis.added:
         return False
     if search.stranger_alone > search.log_odds(hypothesis):
         return True
     if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
         return False
-    return len(hypothesis.added) == MOST_EFFECTS or share_taken(search, hypothesis) < 1 - (
+    return len(hypothesis.added) >= FEW_EFFECTS or share_taken(search, hypothesis) < 1 - (
         1 - LEAST_TAKEN
     ) ** len(hypothesis.added)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.engine import CLEAN_P, Clock, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
@@ -25,8 +25,8 @@ from torchlc.readers import Recording
 from torchlc.scene import Scene
 
 QUICK_S = 20.0
-GROSS_P = 1e-6
-"""p-value of what the leader leaves below which other laws of reflection compete."""
+MOST_ALONE_S = 25.0
+"""CPU seconds of an effect's probe or refit beyond which it waits for a budget: a search makes some tens of either."""
 DEAR = "each of its geometries costs a pass over the whole mesh; --budget SECONDS has it asked as far as there is time"
 
 
@@ -57,13 +57,9 @@ def diagnose(
     possible = bench.candidates(effects)
     # somebody who names an effect, or says how long it may take, waits for it
     bounded = clock.bounded or effects is not None
-    bench.entries = [
-        entry
-        for entry in possible
-        if bounded or not bench.likelihood(Hypothesis((entry,))).model.unaffordable
-    ]
-    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
+    bench.entries = [entry for entry in possible if bounded or search.seconds_of(entry) < MOST_ALONE_S]
+    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
     found = coordinates(search.best().model, search.best().theta)
@@ -105,12 +101,16 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     search.singles(entries)
     search.afresh()
     search.strangers(found)
-    search.sets(entries, lambda at: _gate(at, found, {}, search.seed, level=False).global_p)
+
+    def left(at: Fitted) -> float:
+        return _gate(at, found, {}, search.seed, level=False).global_p
+
+    # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
+    lobes = search.bench.laws if search.bench.recording.error is not None else {}
+    if lobes and _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
+        search.laws(entries)
+    search.sets(entries, left)
     search.afresh()
-    if search.bench.laws and search.bench.recording.error is not None:
-        leader = search.visited[search.leader]
-        if _gate(leader, found, {}, search.seed, level=False).global_p < GROSS_P:
-            search.laws()
     search.nominal_sizes()
     search.noise_of_leaders()
     search.strangers(found)

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 import matplotlib.style
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from torchlc.figures.style import INK
 
@@ -51,6 +52,19 @@ def save(figure: Figure, target: Path | IO[Any], **options: Any) -> None:
                 target.truncate()
             width, height = figure.get_size_inches()
             _reason(error, (width, height)).savefig(target, **options)
+
+
+def extent(figure: Figure) -> Bbox | str:
+    """What is drawn on a figure, inches, with a margin: the ``bbox_inches`` of every format that it is rendered in, measured
+    once. "tight", which measures anew, where it cannot be: rendering then says why."""
+    with own_settings():
+        try:
+            figure.draw_without_rendering()
+            return figure.get_tightbbox().padded(matplotlib.rcParams["savefig.pad_inches"])
+        except MemoryError:
+            raise
+        except Exception:
+            return "tight"
 
 
 def _reason(error: Exception, size: tuple[float, float]) -> Figure:

@@ -58,6 +58,8 @@ class Likelihood(Rows):
         with on(model.assembly.device):
             super().__init__(recording, model.assembly.context.curve, sun_magnitude)
         self.kind = recording.kind
+        self.faintest_light = 0.25 * self._usual_flux() if self.kind == "flux" else None
+        """Of each row's curve, (T,), the least light of which a magnitude of noise is taken as a share."""
         self.observed_flux = 10 ** (-0.4 * (self.observed - sun_magnitude))
 
     def remarks(self, theta: Tensor) -> list[str]:
@@ -207,9 +209,19 @@ class Likelihood(Rows):
     def _flux_residuals(self, flux: Tensor) -> Residuals:
         gain = self.profile_gain(flux)
         prediction = gain[..., self.curve] * flux
-        usual = self.observed[self.measured] if self.gains else self.observed
-        scale = torch.clamp(prediction, min=0.25 * usual.abs().median()) / MAG_PER_LN
+        assert self.faintest_light is not None  # of relative flux there is one
+        scale = torch.maximum(prediction, self.faintest_light) / MAG_PER_LN
         return Residuals(self.observed - prediction, self.error, scale, gain, prediction)
+
+    def _usual_flux(self) -> Tensor:
+        """The median size of a curve's measured fluxes, at its rows, (T,); of all its rows where none is measured. Every curve has
+        a unit of its own."""
+        usual = torch.empty_like(self.observed)
+        for one in range(self.curves):
+            rows = self.curve == one
+            measured = rows & self.measured
+            usual[rows] = self.observed[measured if bool(measured.any()) else rows].abs().median()
+        return usual
 
     def profile_gain(self, flux: Tensor) -> Tensor:
         """Best scale of each curve's measured rows, (..., curves), of model flux (..., T); 0 for a curve without

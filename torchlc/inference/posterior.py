@@ -97,10 +97,11 @@ class Posterior:
             began = time.process_time()
             self.residuals(g[:1] - 1e-6)  # what all geometries share is made here
             first = time.process_time() - began
-            if first > 50 * DEAR_S:
+            if first > 500 * DEAR_S:
                 return first
+            g = g[:1] if first > 5 * DEAR_S else g
             began = time.process_time()
-            self.residuals(g + 1e-6 * torch.arange(1.0, 9.0, dtype=g.dtype)[:, None])
+            self.residuals(g + 1e-6 * torch.arange(1.0, 1.0 + len(g), dtype=g.dtype)[:, None])
         return (time.process_time() - began) / len(g)
 
     @property

@@ -182,6 +182,11 @@ class Pipeline:
         sizes = self.assembly.size_values(values)
         return tuple(part.facets(sizes) for part in self.assembly.shape.parts)
 
+    def areas(self, values: Mapping[str, Tensor]) -> tuple[Tensor, ...]:
+        """Areas (F,) or (B, F) of the facets of each part, m2."""
+        sizes = self.assembly.size_values(values)
+        return tuple(part.areas(sizes) for part in self.assembly.shape.parts)
+
     def make_tables(
         self,
         view: View,

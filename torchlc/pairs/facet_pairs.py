@@ -577,11 +577,15 @@ def _deduplicated(columns: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     weight = columns[-1].clone()
     if not 1 < len(weight) <= MOST_COMPARED:
         return columns
-    angles = torch.stack(columns[:-1])
-    for first in range(len(weight)):
-        for second in range(first + 1, len(weight)):
-            same = ((angles[:, first] - angles[:, second]).abs().amax(0) < 1e-13) & (weight[first] > 0)
-            weight[first] += torch.where(same, weight[second], 0.0)
-            weight[second] = torch.where(same, 0.0, weight[second])
+    for first in range(len(weight) - 1):
+        later = weight[first + 1 :]
+        same = (weight[first] > 0) & (later > 0)
+        for column in columns[:-1]:
+            same &= (column[first + 1 :] - column[first]).abs() < 1e-13
+            if not bool(same.any()):  # most slots are told apart by their first angle
+                break
+        else:
+            weight[first] += torch.where(same, later, 0.0).sum(0)
+            weight[first + 1 :] = torch.where(same, 0.0, later)
     row, slot = weight.mT.nonzero(as_tuple=True)
     return slotted(row, [column[slot, row] for column in (*columns[:-1], weight)], weight.shape[1], EMPTY)

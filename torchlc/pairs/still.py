@@ -39,12 +39,11 @@ class CoveredSurface(Surface):
 
 @dataclass(frozen=True)
 class StillPairs:
-    """What stays of some patches: the ``surface`` with its table, the ``plane`` of each slot and column (S, C) and whether
-    one is ``there``, which facets are of each plane (F, P), and the ``instant`` of each column (C,)."""
+    """What stays of some patches: the ``surface`` with its table, the ``plane`` of each slot and column (S, C), P where there is
+    none, which facets are of each plane (F, P + 1), and the ``instant`` of each column (C,)."""
 
     surface: Surface
     plane: Tensor
-    there: Tensor
     facets: Tensor
     instant: Tensor
 
@@ -55,14 +54,16 @@ class StillPairs:
         if any(cover.shape[:-1] != rows for cover in covers):
             rows = np.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
             covers = [cover.expand(*rows, cover.shape[-1]) for cover in covers]
-        by_plane = torch.cat(covers, -1) @ self.facets
-        if not rows:
-            cover = by_plane[self.plane][None]
-        elif rows[1] == 1:
-            cover = by_plane[:, 0][:, self.plane]
+        return self.covered(torch.cat(covers, -1))
+
+    def covered(self, counted: Tensor) -> CoveredSurface:
+        """The surface of whose facets that much counts, m2, (F,), or (B, T or 1, F)."""
+        by_plane = counted @ self.facets if counted.ndim > 1 else (counted @ self.facets)[None, None]
+        if by_plane.shape[1] == 1:
+            cover = by_plane[:, 0].index_select(1, self.plane.flatten()).unflatten(1, self.plane.shape)
         else:
             cover = by_plane[:, self.instant, self.plane]
-        return CoveredSurface(**vars(self.surface), cover=cover * self.there)
+        return CoveredSurface(**vars(self.surface), cover=cover)
 
 
 def turns(view: View, patches: Sequence[Patch]) -> bool:
@@ -128,14 +129,15 @@ def still_pairs(
     lit = (whole[-1] > 0).any(1)
     slots = int(lit.sum(0).max())
     there, plane = torch.sort(lit.to(torch.uint8), dim=0, descending=True, stable=True)
-    there, plane = there[:slots].to(phase_angle), plane[:slots]
+    plane = plane[:slots]
     column = torch.arange(lit.shape[1], device=plane.device).expand_as(plane)
     pairs = [one.movedim(1, -1)[plane, column].movedim(-1, 0).flatten(1) for one in whole]
-    facet_of_plane = phase_angle.new_zeros(len(facets), len(planes))
+    facet_of_plane = phase_angle.new_zeros(len(facets), len(planes) + 1)
     for number, members in enumerate(planes.values()):
         facet_of_plane[members, number] = 1.0
     component, material, sunlit, scale = key
     model = patches[0].model
     table = tabulated(model, tuple(pairs))
     surface = Surface(component, material, model, table, phase_angle.repeat(slots), sunlit, scale)
-    return StillPairs(condensed(surface), plane, there, facet_of_plane, columns.instant)
+    plane = torch.where(there[:slots] > 0, plane, len(planes))
+    return StillPairs(condensed(surface), plane, facet_of_plane, columns.instant)

@@ -36,6 +36,16 @@ def repeats(columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return repeated
 
 
+def medians(values: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """The median (T,) of the finite values (T,) of each row's ``curve`` (T,); that of all rows in a curve without any."""
+    finite = np.isfinite(values)
+    result = np.full(len(values), np.median(values[finite]) if finite.any() else np.nan)
+    for one in np.unique(curve[finite]):
+        rows = curve == one
+        result[rows] = np.median(values[rows & finite])
+    return result
+
+
 def compact(codes: np.ndarray, ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
     """Indices (T,) into ``ids`` renumbered so that every id left is in use; equal ids of different codes are
     numbered, "a" and "a (2)"."""

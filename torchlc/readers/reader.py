@@ -440,10 +440,11 @@ class _Reader:
             )
 
     def _drop_non_finite(self) -> None:
-        """Rows with a blank or infinite number go; an upper limit without an error takes the median."""
+        """Rows with a blank or infinite number go; an upper limit without an error takes the median of its curve."""
         error, limit = self.columns.get(f"{self.kind}_err"), self.columns.get("upper_limit")
-        if error is not None and limit is not None:
-            self.columns[f"{self.kind}_err"] = np.where(limit & np.isnan(error), np.nanmedian(error), error)
+        if error is not None and limit is not None and (blank := limit & np.isnan(error)).any():
+            usual = groups.medians(error, self._curve_codes())
+            self.columns[f"{self.kind}_err"] = np.where(blank, usual, error)
         finite = np.ones(len(self.rows), dtype=bool)
         for column in self.columns.values():
             if column.dtype.kind == "f":
@@ -467,13 +468,15 @@ class _Reader:
                 raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)
 
     def _check_errors(self) -> None:
-        """Errors of a flux that are nothing, or everything, beside the fluxes of the file."""
+        """Errors of a flux that are nothing, or everything, beside the fluxes of its curve, which has a unit of its own."""
         error = self.columns.get("flux_err")
         if error is None or self.kind != "flux":
             return
-        size = float(np.median(np.abs(self.columns["flux"]))) or 1.0
-        bad = np.flatnonzero((error < LEAST_ERROR * size) | (error > LARGEST_ERROR * size))
+        sizes = groups.medians(np.abs(self.columns["flux"]), self._curve_codes())
+        sizes[sizes == 0] = 1.0
+        bad = np.flatnonzero((error < LEAST_ERROR * sizes) | (error > LARGEST_ERROR * sizes))
         if bad.size:
+            size = sizes[bad[0]]
             expected = f"{LEAST_ERROR * size:.1g} to {LARGEST_ERROR * size:.1g}, for fluxes of {size:.3g}"
             place = row_place(int(self.rows[bad[0]]), "flux_err")
             raise InputError(self.source, place, f"{error[bad[0]]:g}", expected)
@@ -489,7 +492,7 @@ class _Reader:
         """Upper limits of slots in which the object was in the frame and not found, where the recording leaves them out.
 
         Other columns of such a row are those on the straight line between the rows beside it: at the longest gap, 5 s, a
-        position in a low orbit is 30 m off, 0.003 deg at 500 km. An error is the median of the errors.
+        position in a low orbit is 30 m off, 0.003 deg at 500 km. An error is the median of the curve's.
         """
         wanted = self.reading.non_detections
         if not (self.header.skips_non_detections if wanted is None else wanted):
@@ -530,7 +533,8 @@ class _Reader:
         added[self.kind] = slots.limit
         added["upper_limit"] = np.ones(len(before), dtype=bool)
         if f"{self.kind}_err" in columns:
-            added[f"{self.kind}_err"] = np.full(len(before), np.median(columns[f"{self.kind}_err"][~limit]))
+            measured = np.where(limit, np.nan, columns[f"{self.kind}_err"])
+            added[f"{self.kind}_err"] = groups.medians(measured, curve)[before]
         self.columns = {name: np.concatenate([column, added[name]]) for name, column in columns.items()}
         self.rows = np.concatenate([self.rows, self.rows[before]])
         order = groups.time_order(self.columns["time"])
@@ -576,6 +580,16 @@ class _Reader:
         band = self.columns.get("band", np.zeros(len(self.rows), dtype=np.int64))
         pairs = [f"{place} {name}".strip() for place in station_ids for name in bands]
         return groups.compact(station * len(bands) + band, pairs)
+
+    def _curve_codes(self) -> np.ndarray:
+        """Numbers (T,), equal for rows of one curve, also before stations are known by name."""
+        if "curve" in self.columns:
+            return self.columns["curve"]
+        codes = np.zeros(len(self.rows), dtype=np.int64)
+        for name in ("station", "band"):
+            if name in self.columns:
+                codes = codes * len(self.labels[name].ids) + self.columns[name]
+        return codes
 
     def _objects(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
         """The ``object`` column, as an index into its names; None without one."""

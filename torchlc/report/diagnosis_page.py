@@ -26,8 +26,8 @@ def write_diagnosis(diagnosis: Diagnosis, made: Mapping[str, Any], directory: Ou
     directory.clear(RESULT_FILES - DIAGNOSIS_FILES)
     directory.write_json("diagnosis.json", diagnosis.to_json() | {"provenance": dict(made)})
     drawn = draw_all("diagnosis", diagnosis)
-    for kind, figure in drawn:
-        directory.write_bytes(f"{kind.name}.png", png(figure))
+    for figure in drawn:
+        directory.write_bytes(f"{figure.kind.name}.png", png(figure))
     directory.write_text("report.html", render_diagnosis(diagnosis, made, drawn))
 
 

@@ -45,8 +45,8 @@ def write_fit(
     directory.clear(RESULT_FILES - written - (frozenset() if diagnosis is None else DIAGNOSIS_FILES))
     result.write_into(directory)
     drawn = draw_all("fit", result)
-    for number, (kind, figure) in enumerate(drawn):
-        directory.write_bytes(f"{kind.name}.png", png(figure))
+    for number, figure in enumerate(drawn):
+        directory.write_bytes(f"{figure.kind.name}.png", png(figure))
         if progress is not None:
             progress("report", (number + 1) / (len(drawn) + 1))
     directory.write_text("report.html", render_fit(result, drawn, diagnosis))

@@ -103,7 +103,13 @@ class RotationResult:
             "turns_between_passes": list(mode.counts),
             "counts_possible": mode.possible,
             "counts_likely": [
-                {"turns_more": list(turns), "probability": chance} for turns, chance in mode.likely
+                {
+                    "turns_more": list(one.more),
+                    "probability": one.probability,
+                    "period_s": one.period_s,
+                    "period_rate_ms_per_day": one.period_rate,
+                }
+                for one in mode.likely
             ],
             "mirror": mode.mirror,
         }

@@ -104,15 +104,24 @@ class Box(Part):
         self._vertices = np.stack([vertices for *_, vertices, _ in pieces])
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_x", "size_y", "size_z")), -1)
+        size = self._size(values)
         vertices = like(self._vertices, size) * size[..., None, None, :]
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=like(self._u, size),
-            area=(size.roll(-1, -1) * size.roll(-2, -1))[..., self._along] * like(self._share, size),
+            area=self._area(size),
             centroid=like(self._vertices.mean(axis=1), size) * size[..., None, :],
         )
+
+    def areas(self, values: Mapping[str, Tensor]) -> Tensor:
+        return self._area(self._size(values))
+
+    def _size(self, values: Mapping[str, Tensor]) -> Tensor:
+        return torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_x", "size_y", "size_z")), -1)
+
+    def _area(self, size: Tensor) -> Tensor:
+        return (size.roll(-1, -1) * size.roll(-2, -1))[..., self._along] * like(self._share, size)
 
     def hull_corners(self, facets: Facets) -> Tensor:
         corner = torch.as_tensor(self._corner, device=facets.area.device)

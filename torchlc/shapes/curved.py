@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -333,15 +334,21 @@ def graded(low: Tensor, high: Tensor, count: int, *, kink: Tensor | None = None)
 
 def evenly(low: Tensor, high: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre places (..., count) between limits (...) and their weights."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = _gauss(count)
     place, weight = (torch.as_tensor(one).to(low) for one in (0.5 * (nodes + 1), 0.5 * weights))
     span = (torch.maximum(low, high) - low)[..., None]
     return low[..., None] + span * place, span * weight
 
 
+@cache
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre places in -1 to 1 and weights: a matrix' eigenvalues, for which a curve of the light asks thousands of times."""
+    return np.polynomial.legendre.leggauss(count)
+
+
 def _even_rule(count: int, like: Tensor) -> tuple[Tensor, Tensor]:
     """Places (count,) in 0 to 1 and weights of the mapped Gauss-Legendre rule."""
-    x, w = np.polynomial.legendre.leggauss(count)
+    x, w = _gauss(count)
     place = np.arcsin(EVENNESS * x) / math.asin(EVENNESS)
     weight = w * EVENNESS / np.sqrt(1 - (EVENNESS * x) ** 2) / math.asin(EVENNESS)
     return torch.as_tensor(0.5 * (place + 1)).to(like), torch.as_tensor(0.5 * weight).to(like)

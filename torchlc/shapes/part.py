@@ -123,6 +123,10 @@ class Part(ABC):
         """Corners (H, 3) that `hull` joins, at rest in the body frame."""
         raise TypeError(f"a {self.kind} has no convex hull to stand for it")
 
+    def areas(self, values: Mapping[str, Tensor]) -> Tensor:
+        """Areas (F,) or (B, F) of `facets`, m2; of a `scalable` part without the rest of them."""
+        return self.at_rest(values).area
+
     def facets(self, values: Mapping[str, Tensor]) -> Facets:
         """Facets in the body frame before any turn to the Sun, from values "<component>.size_x" and so on."""
         rest = self.at_rest(values)

@@ -73,16 +73,26 @@ class Plate(Part):
         self.front = self.turn @ normal
 
     def at_rest(self, values: Mapping[str, Tensor]) -> Facets:
-        size = torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_u", "size_v")), -1)
+        size = self._size(values)
         axes = like(self._axes, size)
         vertices = (like(self._corners, size) * size[..., None, None, :]) @ axes
         return Facets(
             vertices=vertices,
             normal=like(self._normal, size),
             u=axes[:1].expand(2, 3),
-            area=size.prod(-1, keepdim=True).expand(*size.shape[:-1], 2),
+            area=self._area(size),
             centroid=torch.zeros_like(vertices[..., 0, :]),
         )
+
+    def areas(self, values: Mapping[str, Tensor]) -> Tensor:
+        return self._area(self._size(values))
+
+    def _size(self, values: Mapping[str, Tensor]) -> Tensor:
+        return torch.stack(torch.broadcast_tensors(*self.sizes(values, "size_u", "size_v")), -1)
+
+    @staticmethod
+    def _area(size: Tensor) -> Tensor:
+        return size.prod(-1, keepdim=True).expand(*size.shape[:-1], 2)
 
     def hull_corners(self, facets: Facets) -> Tensor:
         return facets.vertices[..., 0, :, :]

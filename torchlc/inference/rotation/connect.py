@@ -19,8 +19,6 @@ WIDTH = 5.0
 """Standard deviations of the predicted phase within which counts are tried."""
 MOST = 3000
 """Counts kept after each pass; beyond, passes cannot be connected."""
-PHASE_FLOOR = 2e-3
-"""Error of a phase, turns, that the light of facets has of itself."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +53,8 @@ def connections(
     turning = local.frequencies.numpy()
     covariance = local.covariance.numpy().copy()
     own = np.arange(passes)
-    covariance[passes + own, passes + own] += PHASE_FLOOR**2
-    covariance[own, own] += (0.3 * PHASE_FLOOR / np.maximum(rows.span.numpy(), 1e-3)) ** 2
+    covariance[passes + own, passes + own] += local.own_error**2
+    covariance[own, own] += (0.3 * local.own_error / np.maximum(rows.span.numpy(), 1e-3)) ** 2
     prior = RATE_A_DAY / DAY_S * local.frequency
     free = 3 if changing else 2
     elapsed = middles - reference

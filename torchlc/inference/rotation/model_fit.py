@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,19 @@ MOST_DIFFUSE, MOST_LOBE = 0.6, 0.35
 SECOND_MOMENT = 0.9
 """Share of the way to the edge of the possible bodies that the bounds of the moments go."""
 NUTATION_DEG = 15.0
+MODEL_ERROR = 1e-4
+"""Error of a phase, turns, that the model's numbers have of themselves: its curves bend within a standard deviation of most fits."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """One count of turns between passes that is possible: turns more than in the fit, probability among the counts of its kind, and
+    the period, s, at the epoch of the fit and its change, ms a day, that go with it."""
+
+    more: tuple[float, ...]
+    probability: float
+    period_s: float
+    period_rate: float
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,7 @@ class Trial:
     possible: int = 1
     complete: bool = True
     spread: Mapping[str, float] = field(default_factory=dict)
-    likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    likely: tuple[Count, ...] = ()
     periods: tuple[tuple[float, float], ...] = ()
     apart: tuple[str, ...] = ()
     reference: str = ""
@@ -65,7 +78,8 @@ class Trial:
 @dataclass(frozen=True)
 class Candidate:
     """A trial fitted: natural values ``theta`` (P,), numbers of the attitude with standard deviations, the unit pole (GCRS);
-    ``deviance``, -2 ln of the likelihood, in which trials compare also where errors are fitted, and ``rms`` of measured rows, mag."""
+    ``deviance``, -2 ln of the likelihood, in which trials compare also where errors are fitted, and ``rms`` of measured rows, mag.
+    ``names`` of theta's numbers and their ``covariance`` (P, P)."""
 
     trial: Trial
     theta: Tensor
@@ -75,6 +89,8 @@ class Candidate:
     deviance: float
     rms: float
     pole: Tensor
+    names: tuple[str, ...]
+    covariance: Tensor
 
 
 def fitted(trial: Trial, recording: Recording) -> Candidate:
@@ -103,7 +119,9 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
     covariance, _ = laplace(best.jacobian[place], best.y[place], low, high)
     spread = torch.sqrt(torch.diagonal(covariance).clamp(min=0))
     shifted = parameters.from_flat(best.y[place] + 1e-4 * spread)
-    natural_sd = ((shifted - natural).abs() / 1e-4).tolist()
+    slope = torch.where(spread > 0, (shifted - natural) / (1e-4 * spread.clamp(min=1e-300)), 0.0)
+    covariance = covariance * slope[:, None] * slope
+    natural_sd = torch.sqrt(torch.diagonal(covariance).clamp(min=0)).tolist()
     numbers = dict(trial.numbers)
     sd: dict[str, float] = {}
     for name, value, width in zip(parameters.names, natural.tolist(), natural_sd, strict=True):
@@ -115,7 +133,10 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
         numbers[key], sd[key] = (of[f"{key}[{trial.reference}]"] for of in (numbers, sd))
     for name, width in trial.spread.items():
         sd[name] = math.hypot(sd.get(name, 0.0), width)
-    return Candidate(trial, natural, numbers, sd, chi2, deviance, rms, pole_of(trial.scene, numbers))
+    pole = pole_of(trial.scene, numbers)
+    return Candidate(
+        trial, natural, numbers, sd, chi2, deviance, rms, pole, tuple(parameters.names), covariance
+    )
 
 
 def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
@@ -127,7 +148,7 @@ def pole_of(scene: Scene, numbers: Mapping[str, float]) -> Tensor:
     return torch.from_numpy(icrs_from_ecliptic()) @ way if scene.orbit.vectors == "ecliptic" else way
 
 
-def _epoch_s(scene: Scene, recording: Recording) -> tuple[Any, float]:
+def epoch_seconds(scene: Scene, recording: Recording) -> tuple[Any, float]:
     """Epoch of the states and its seconds from row 0: the scene's, if it is one and within a day of the rows, else the first
     row."""
     seconds, *others = epochs_seconds(scene, recording, "epoch")
@@ -148,7 +169,7 @@ def steady_trial(
     tilted: bool,
 ) -> Trial:
     """A turn about one axis with one count of turns between passes, free near it."""
-    epoch, seconds = _epoch_s(scene, recording)
+    epoch, seconds = epoch_seconds(scene, recording)
     away = seconds - one.middle
     frequency = one.frequency + one.change * away
     phase = one.phase + one.frequency * away + one.change * away**2 / 2
@@ -263,6 +284,44 @@ def loose_trial(
     return _trial(scene, local, values, table, counts=(), apart=apart, reference=reference)
 
 
+def sharpened(recording: Recording, rows: Rows, local: Local, one: Candidate) -> Local | None:
+    """A solution with the phases and frequencies of its passes as the model has them that was fitted with a phase and a period for
+    each night, and their covariance with pole and materials free. That is sharper than the light of facets, so fewer counts of turns
+    are possible. None where a night holds several passes or the fit tells nothing of one."""
+    index = rows.index.numpy()
+    night, number = recording.night[index], rows.number.numpy()
+    together = {*zip(night.tolist(), number.tolist(), strict=True)}
+    if not len(together) == len(np.unique(night)) == rows.passes:
+        return None
+    epochs = _epochs(recording, night, number, index)
+    frequencies, phases = local.frequencies.clone(), local.phases.clone()
+    slopes = one.theta.new_zeros(2 * rows.passes, len(one.theta))
+    for passed in range(rows.passes):
+        of = int(night[number == passed][0])
+        period, phase = (
+            one.names.index(f"attitude.{key}[{recording.night_ids[of]}]") for key in ("period", "phase")
+        )
+        away = float(rows.middle[passed]) - float(recording.seconds[epochs[of]])
+        frequency = 1 / (3600 * one.theta[period])
+        frequencies[passed] = frequency
+        phases[passed] = one.theta[phase] / 360 + frequency * away
+        slopes[passed, period] = -frequency / one.theta[period]
+        slopes[rows.passes + passed, period] = away * slopes[passed, period]
+        slopes[rows.passes + passed, phase] = 1 / 360
+    covariance = slopes @ one.covariance @ slopes.T
+    if not bool((torch.diagonal(covariance) > 0).all()):
+        return None
+    covariance = covariance * max(1.0, one.chi2 / max(1, len(rows.flux) - len(one.theta)))
+    return replace(
+        local,
+        pole=one.pole,
+        frequencies=frequencies,
+        phases=phases,
+        covariance=covariance,
+        own_error=MODEL_ERROR,
+    )
+
+
 def _epochs(recording: Recording, night: np.ndarray, number: np.ndarray, index: np.ndarray) -> dict[int, int]:
     """By the number of a night, the row of the recording that it counts from: nights that share a pass, as those of two stations
     do, have one. ``night`` and pass ``number`` are those of the rows ``index``."""
@@ -288,7 +347,7 @@ def _periods(local: Local) -> tuple[tuple[float, float], ...]:
 
 def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble) -> Trial:
     """A free rotation, free near a state with phases at one instant."""
-    epoch, seconds = _epoch_s(scene, recording)
+    epoch, seconds = epoch_seconds(scene, recording)
     moments = state.moments[None]
     nutation, long = moments.new_tensor([state.nutation]), moments.new_tensor([state.long])
     reference = int(state.at.shape[0] > 1) * rows.longest

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.rotation.rigid_body import FreeRotation, frequencies
-from torchlc.inference.rotation.model_fit import Candidate
+from torchlc.inference.rotation.model_fit import Candidate, Count
 from torchlc.inference.rotation.passes import Rows
 from torchlc.readers import Recording
 from torchlc.scene import Scene
@@ -47,7 +47,7 @@ class RotationMode:
     theta: Tensor
     scene: Scene
     possible: int = 1
-    likely: tuple[tuple[tuple[float, ...], float], ...] = ()
+    likely: tuple[Count, ...] = ()
     above: float = 0.0
     rms: float = math.nan
     periods: tuple[tuple[float, float], ...] = ()

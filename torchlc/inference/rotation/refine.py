@@ -29,13 +29,15 @@ STAGES = ((0.25, 0.5), (0.25, 0.25), (0.5, 0.25))
 them does not end below."""
 LEAST_KEPT = 6
 MOST_TILT = math.radians(30.0)
+PHASE_FLOOR = 2e-3
+"""Error of a phase, turns, that the light of facets has of itself."""
 
 
 @dataclass(frozen=True)
 class Local:
     """A least squares solution: unit ``pole`` (3,), ``frequencies`` (N,), 1/s, and ``phases`` (N,), turns, at the passes'
     middles, ``tilt`` (3,) rad, exponents (L,), reflectances (K,); ``chi2`` with the floor of errors; ``covariance``
-    (2 N, 2 N) of frequencies and phases."""
+    (2 N, 2 N) of frequencies and phases; ``own_error`` of a phase, turns, that the light compared with has of itself."""
 
     pole: Tensor
     frequencies: Tensor
@@ -45,6 +47,7 @@ class Local:
     weights: Tensor
     chi2: float
     covariance: Tensor
+    own_error: float = PHASE_FLOOR
 
     @property
     def frequency(self) -> float:

@@ -24,18 +24,23 @@ from torchlc.inference.rotation.connect import Connection, Connections, connecti
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.model_fit import (
     Candidate,
+    Count,
     Trial,
     alike,
+    epoch_seconds,
     fitted,
     loose_trial,
+    sharpened,
     steady_trial,
     tumbling_trial,
 )
 from torchlc.inference.rotation.modes import (
+    ALIKE_DEG,
     CHANGED,
     KEPT_CHI2,
     NOISY,
     SAME_DEG,
+    SAME_PERIOD,
     RotationSearch,
     apart_deg,
     fits_the_rows,
@@ -84,6 +89,9 @@ TUMBLES = 2
 UNLIKE = 0.01
 """Relative difference that the periods of passes may have, from which on these are asked before a free rotation. Nights of two weeks are
 below it, so what tumbles is not taken for what changes."""
+MOST_HALVES, SIDES = 3, 2
+"""Passes up to which all sets of their sides are tried, 7 of three (of more passes each by itself), and how many of them the model is
+fitted to."""
 MIN_ROWS = 12
 MOST_CHANGE = 0.1
 """Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
@@ -189,6 +197,10 @@ def search_rotation(
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
         tumbles = [one for one in tumbles if one.chi2 < steady - CHANGED]
+    if rows.passes > 1 and symmetry % 2 and not tilted:
+        say("sides of each pass", 0.0)
+        wide = (low * (1 - 1e-9), high * (1 + 1e-9))
+        locals_ = [*_sides_taken(rows, refiner, locals_[0], symmetry, wide), *locals_[1:]]
     say("model", 0.0)
     found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
     if not any(_explains(one, rows) for one in found):
@@ -198,7 +210,14 @@ def search_rotation(
     found = [one for one in found if math.isfinite(one.chi2)]
     modes, loose = merged(found, rows), []
     if len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows):
-        apart = _apart(scene, recording, rows, locals_, found, tilted, say)
+        apart, sharp = _apart(scene, recording, rows, locals_, found, tilted, say)
+        if sharp:
+            joined, told = _fitted(
+                scene, recording, rows, sharp, symmetry, tilted, (low, high), say, changing=True
+            )
+            found = joined + [one for one in found if not any(_one_turn(one, other) for other in joined)]
+            warnings += told
+            modes = merged(found, rows)
         loose = merged(apart, rows)
         if loose and _one_rate_fails(apart, found, rows):
             if modes:
@@ -261,26 +280,41 @@ def _apart(
     found: Sequence[Candidate],
     tilted: bool,
     say: Progress,
-) -> list[Candidate]:
+) -> tuple[list[Candidate], list[Local]]:
     """The model fitted at the leading poles with a phase for each night; where the passes have unlike periods, or one for all leaves
-    structure, with a period for each too."""
+    structure, with a period for each too. Where a count of turns explains the light, also the solutions with the phases and periods of
+    the passes as the model has them, by which fewer counts are possible than by the light of facets."""
     explained = any(_fits(one, rows) for one in found)
     fits: list[Candidate] = []
+    sharp: list[Local] = []
     tried = locals_[: APART if explained else LOCALS]
     for number, local in enumerate(tried):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
             break
+        enough = False
         for periods in (False, True):
-            if not periods and not alike(local):
+            if (not periods and not alike(local)) or (enough and not explained):
                 continue
             trial = loose_trial(scene, recording, rows, local, periods=periods, tilted=tilted)
             one = fitted(trial, recording)
-            if math.isfinite(one.chi2):
+            if not math.isfinite(one.chi2):
+                continue
+            if not enough:
                 fits.append(one)
-                if _fits(one, rows):
-                    break
+                enough = _fits(one, rows)
+            better = sharpened(recording, rows, local, one) if periods and explained else None
+            sharp += [] if better is None else [better]
         say("nights apart", (number + 1) / len(tried))
-    return fits
+    return fits, sharp
+
+
+def _one_turn(one: Candidate, other: Candidate) -> bool:
+    """Whether two fits of a turn about an axis are of one pole and period."""
+    return (
+        "nutation" not in one.numbers
+        and apart_deg(one.pole, other.pole) < SAME_DEG
+        and abs(one.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
+    )
 
 
 def _one_rate_fails(apart: Sequence[Candidate], found: Sequence[Candidate], rows: Rows) -> bool:
@@ -411,6 +445,51 @@ def _unlike(
     ]
 
 
+def _sides_taken(
+    rows: Rows, refiner: Refiner, best: Local, symmetry: int, bounds: tuple[float, float]
+) -> list[Local]:
+    """The best solution and those half a turn on in some of the passes that fit about as well, up to SIDES of them, first those whose
+    passes join best. A body that but for its paint is its own image after half a turn may shine so much alike from both sides
+    that a pass alone does not tell them apart; a wrong one would let the period change to join the passes."""
+    if not connections(rows, best, symmetry, changing=True, bounds=bounds).complete:
+        return [best]  # passes too far apart to be joined: a side that is taken wrongly changes nothing
+    count = rows.passes
+    halves = 0.5 * torch.eye(count, dtype=torch.float64)
+    if count <= MOST_HALVES:
+        sets = list(itertools.product((0.0, 0.5), repeat=count))[1:]
+        halves = torch.tensor(sets, dtype=torch.float64)
+    starts = [
+        GridState(
+            best.pole,
+            tuple(best.frequencies.tolist()),
+            tuple((best.phases + on).tolist()),
+            best.chi2,
+            best.weights,
+        )
+        for on in halves
+    ]
+    others = [
+        one
+        for one in refiner.refined(starts, [best.tilt] * len(starts))
+        if one.chi2 < best.chi2 + KEPT_CHI2 and apart_deg(one.pole, best.pole) < ALIKE_DEG
+    ]
+
+    def joins(one: Local) -> float:
+        steady, drifting = (
+            min(
+                (
+                    way.distance
+                    for way in connections(rows, one, symmetry, changing=changing, bounds=bounds).found
+                ),
+                default=math.inf,
+            )
+            for changing in (False, True)
+        )
+        return one.chi2 + min(steady, drifting + CHANGED)
+
+    return sorted([best, *others], key=joins)[:SIDES] if others else [best]
+
+
 def _distinct(found: Sequence[Local]) -> list[Local]:
     """Solutions of different poles or periods, best first."""
     kept: list[Local] = []
@@ -506,32 +585,36 @@ def _fitted(
     tilted: bool,
     bounds: tuple[float, float],
     say: Progress,
+    *,
+    changing: bool = False,
 ) -> tuple[list[Candidate], list[str]]:
-    """The model fitted at the solutions and counts of turns that may be right, and what there is to say."""
+    """The model fitted at the solutions and counts of turns that may be right, and what there is to say. ``changing``: a change of the
+    period is tried even where a steady turn explains the light."""
     told: list[str] = []
     rate = scene.attitude.period_rate
     may_change = isinstance(rate, Free) or rows.passes > 2
-    always = isinstance(rate, Free)
+    always = changing or isinstance(rate, Free)
     wide = (bounds[0] * (1 - 1e-9), bounds[1] * (1 + 1e-9))
+    epoch = epoch_seconds(scene, recording)[1]
     tasks: list[Trial] = []
     for number, local in enumerate(locals_[:LOCALS]):
         if number and local.chi2 > 1.5 * locals_[0].chi2 + 200:
             break
         changes = connections(rows, local, symmetry, changing=True, bounds=wide) if rows.passes > 1 else None
-        for changing in (False, True) if may_change else (False,):
-            joined = changes if changing and changes else connections(
+        for drifts in (False, True) if may_change else (False,):
+            joined = changes if drifts and changes else connections(
                 rows, local, symmetry, changing=False, bounds=wide
             )  # fmt: skip
-            if not changing and may_change and joined.found and joined.found[0].distance > UNSTEADY:
+            if not drifts and may_change and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             near = [one for one in joined.found if one.distance < joined.found[0].distance + KEPT_CHI2]
             # of counts that are some of many, one fit tells what any leaves
             tried = JOINED if number == 0 and joined.complete else 1
             for one in near[:tried]:
                 trial = steady_trial(
-                    scene, recording, rows, local, one, symmetry, changing=changing, tilted=tilted
+                    scene, recording, rows, local, one, symmetry, changing=drifts, tilted=tilted
                 )
-                tasks.append(_with_spread(trial, one, near, joined, changes, symmetry))
+                tasks.append(_with_spread(trial, one, near, joined, changes, symmetry, epoch))
     if not tasks:
         told.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
@@ -557,22 +640,27 @@ def _with_spread(
     joined: Connections,
     changes: Connections | None,
     symmetry: int,
+    epoch: float,
 ) -> Trial:
-    """A trial with what the counts of turns that are as possible leave open of its period and rate. Where the period is
-    taken as steady, the rate that would not show is that of all counts with one."""
+    """A trial with what the counts of turns that are as possible leave open of its period, at the ``epoch`` in seconds of the rows,
+    and of its rate. Where the period is taken as steady, the rate that would not show is that of all counts with one."""
     chances = _chances(near)
-    middle = 1 / one.frequency
     spread: dict[str, float] = {}
     if len(near) > 1:
-        periods = np.array([1 / other.frequency for other in near]) / 3600
-        spread["period"] = float(np.sqrt(chances @ (periods - middle / 3600) ** 2))
+        periods = np.array([_period_at(other, epoch) for other in near]) / 3600
+        spread["period"] = float(np.sqrt(chances @ (periods - _period_at(one, epoch) / 3600) ** 2))
     if changes is not None and changes.found:
         most = [other for other in changes.found if other.distance < changes.found[0].distance + KEPT_CHI2]
         rates = np.array([_rate(other) for other in most])
         spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - _rate(one)) ** 2))
     base = np.array(differences(one.counts, symmetry))
     likely = tuple(
-        (tuple((np.array(differences(other.counts, symmetry)) - base).tolist()), float(chance))
+        Count(
+            tuple((np.array(differences(other.counts, symmetry)) - base).tolist()),
+            float(chance),
+            _period_at(other, epoch),
+            _rate(other),
+        )
         for other, chance in list(zip(near, chances, strict=True))[:LIKELY]
     )
     return replace(
@@ -582,6 +670,11 @@ def _with_spread(
         spread=spread,
         likely=likely if len(near) > 1 else (),
     )
+
+
+def _period_at(one: Connection, seconds: float) -> float:
+    """Period, s, at a time in seconds of the rows."""
+    return 1 / (one.frequency + one.change * (seconds - one.middle))
 
 
 def _chances(near: Sequence[Connection]) -> np.ndarray:

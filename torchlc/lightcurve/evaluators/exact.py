@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -33,6 +34,29 @@ GRID_AT_ONCE = 2**20
 """Pairs of facet and instant of all geometries that are worked out at once."""
 
 
+@dataclass(frozen=True)
+class Sized:
+    """Surfaces of planes that only change their areas, each with the part and the facets of its patches; ``tables`` of one of
+    these geometries."""
+
+    kept: Sequence[tuple[Surface | StillPairs | None, Sequence[tuple[int, Tensor]]]]
+    tables: Tables
+
+    def at(self, areas: Sequence[Tensor]) -> Tables:
+        """Tables for facets of areas (F,) or (B, F) of each part."""
+        surfaces: list[Surface] = []
+        for one, patches in self.kept:
+            if isinstance(one, StillPairs):
+                pieces = [areas[part][..., select] for part, select in patches]
+                if any(piece.ndim > 1 for piece in pieces):
+                    batch = max(len(piece) for piece in pieces if piece.ndim > 1)
+                    pieces = [piece.expand(batch, piece.shape[-1])[:, None] for piece in pieces]
+                surfaces.append(one.covered(torch.cat(pieces, -1)))
+            elif one is not None:
+                surfaces.append(one)
+        return replace(self.tables, surfaces=tuple(surfaces))
+
+
 class ExactGeometry(Evaluator):
     """Tables for every theta. A batch of small objects is one grid of all pairs of facet and instant; of larger ones rows
     of theta that share their geometry share a table; under a transform each stands alone. On a grid the Sun's disc is spread
@@ -46,6 +70,7 @@ class ExactGeometry(Evaluator):
             self.own_error_mag = LEFT_OUT_MAG
         self._recent: dict[tuple[bool, tuple[float, ...]], Tables] = {}
         self._still: dict[bool, dict[Key, Surface | StillPairs | None]] = {}
+        self._sized: dict[bool, Sized | None] = {}
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
@@ -85,8 +110,13 @@ class ExactGeometry(Evaluator):
     def _together(self, flat: Tensor, shares: bool) -> Brightness:
         """Rows of theta (B, P), the geometry of each worked out once, or as often as gradients ask for it."""
         detail = shares or self.assembly.needs_shares
+        sized = self._in_proportion(detail)
         pieces = []
         for rows in flat.split(max(1, GRID_AT_ONCE // self.assembly.pairs_of_discs)):
+            if sized is not None:
+                tables = sized.at(self.pipeline.areas(self.values(rows)))
+                pieces.append(self.shone(tables, rows, shares))
+                continue
             distinct, member = rows, None
             if not torch.is_grad_enabled() and readable(rows):
                 distinct, member = self._geometries(rows)
@@ -159,6 +189,9 @@ class ExactGeometry(Evaluator):
     def _single(self, theta: Tensor, shares: bool) -> Brightness:
         values = self.values(theta)
         detail = shares or self.assembly.needs_shares
+        sized = self._in_proportion(detail)
+        if sized is not None:
+            return self.pipeline.shine(sized.at(self.pipeline.areas(values)), values, shares)
         still = self.still_surfaces(detail) if self.gridded else None
         view = self.pipeline.view(values, whole_discs=self.gridded)
         tables = self.pipeline.make_tables(view, detail, compact=False, still=still)
@@ -185,6 +218,29 @@ class ExactGeometry(Evaluator):
                             key, one, patches, self.assembly.apart, phase, self.condensed
                         )
         return self._still[detail]
+
+    def _in_proportion(self, detail: bool) -> Sized | None:
+        """What is kept of a geometry of which free numbers change the areas of planes and no more; None of another. No effect then
+        asks where facets are: none of its stages follows them but those of light, whose lights two geometries had in common."""
+        if detail not in self._sized:
+            a = self.assembly
+            made = None
+            if (
+                self.gridded
+                and set(a.moving.values()) == {"size"}
+                and not (a.stage("surface") or a.learns_geometry)
+            ):
+                with apart():
+                    view = self.pipeline.view(self.values(self.parameters.start()))
+                    still = self.still_surfaces(detail)
+                    patches = sorted_patches(view, detail)
+                    if all(key in still for key, _, _ in patches):
+                        kept = [(still[key], [_facets_of(one) for one in own]) for key, _, own in patches]
+                        made = Sized(
+                            kept, self.pipeline.make_tables(view, detail, compact=False, still=still)
+                        )
+            self._sized[detail] = made
+        return self._sized[detail]
 
     @property
     def areas_alone(self) -> bool:
@@ -217,3 +273,9 @@ class ExactGeometry(Evaluator):
     def forget(self) -> None:
         """Drops the tables of recent geometries, which an optimiser at work comes back to."""
         self._recent.clear()
+
+
+def _facets_of(patch: Patch) -> tuple[int, Tensor]:
+    """The part that a patch is of, and which of its facets. Patches of no part are made at the stage of surfaces."""
+    assert patch.part is not None and patch.select is not None
+    return patch.part, patch.select

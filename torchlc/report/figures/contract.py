@@ -7,10 +7,11 @@ import io
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from torchlc.figures import saving, style
 from torchlc.naming import Registry
@@ -92,12 +93,19 @@ def registry(page: str) -> list[ReportFigure]:
     return sorted(figures, key=lambda figure: (figure.order, figure.name))
 
 
-Drawn = tuple[ReportFigure, Figure]
+class Drawn(NamedTuple):
+    """A finished figure, and what of it is rendered."""
+
+    kind: ReportFigure
+    figure: Figure
+    extent: Bbox | str
 
 
 def draw_all(page: str, result: Any) -> list[Drawn]:
     """Every figure of a page that has something to show, drawn."""
-    return [(kind, kind.drawn(result)) for kind in registry(page) if kind.applies(result)]
+    kinds = [kind for kind in registry(page) if kind.applies(result)]
+    figures = [kind.drawn(result) for kind in kinds]
+    return [Drawn(kind, figure, saving.extent(figure)) for kind, figure in zip(kinds, figures, strict=True)]
 
 
 def by_section(
@@ -105,13 +113,14 @@ def by_section(
 ) -> dict[str, list[dict[str, Any]]]:
     """What a template shows of the figures on the page, by section; under "own" those of none of ``sections``."""
     shown: dict[str, list[dict[str, Any]]] = {name: [] for name in (*sections, "own")}
-    for kind, figure in drawn:
+    for each in drawn:
+        kind = each.kind
         if kind.on_page(result):
             alt = kind.alt(result)
             row = {
                 "name": kind.name,
                 "heading": kind.heading,
-                "svg": svg(figure, alt, square=kind.square),
+                "svg": svg(each, alt),
                 "alt": alt,
                 "caption": kind.caption(result),
             }
@@ -119,20 +128,20 @@ def by_section(
     return shown
 
 
-def png(figure: Figure) -> bytes:
+def png(drawn: Drawn) -> bytes:
     """A figure on white ground."""
     stream = io.BytesIO()
-    saving.save(figure, stream, format="png", dpi=PNG_DPI, bbox_inches="tight", facecolor="white")
+    saving.save(drawn.figure, stream, format="png", dpi=PNG_DPI, bbox_inches=drawn.extent, facecolor="white")
     return stream.getvalue()
 
 
-def svg(figure: Figure, alt: str, *, square: bool = False) -> Any:
+def svg(drawn: Drawn, alt: str) -> Any:
     """A figure as an SVG element in the page's colours, for a reader and for a screen reader; markup that a template
     does not escape: it is ours, and matplotlib escapes the names in it."""
     from markupsafe import Markup
 
     stream = io.StringIO()
-    saving.save(figure, stream, format="svg", bbox_inches="tight", transparent=True, dpi=PNG_DPI)
+    saving.save(drawn.figure, stream, format="svg", bbox_inches=drawn.extent, transparent=True, dpi=PNG_DPI)
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
@@ -141,6 +150,6 @@ def svg(figure: Figure, alt: str, *, square: bool = False) -> Any:
     for colour, ink in INKS.items():
         text = text.replace(colour, f"var({ink})")
     label = f'<svg role="img" aria-label="{html.escape(alt, quote=True)}"' + (
-        ' class="square"' if square else ""
+        ' class="square"' if drawn.kind.square else ""
     )
     return Markup(text.replace("<svg", label, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import stat
@@ -379,6 +380,10 @@ def test_init_writes_a_scene_that_simulates(shape: str, tmp_path: Path, capsys: 
     scene = str(tmp_path / "my.toml")
     arguments = ["init", scene, "--tle", str(tmp_path / "tle.txt"), "--shape", shape]
     assert run([*arguments, "--station", "weihai,37.536,122.05,110", "--date", "2020-10-11"]) == 0
+    offered = re.search(
+        r"next: torchlc (simulate .* --start 2020-10-11T00:00 .*) -o out", capsys.readouterr().out
+    )
+    assert offered and run([*shlex.split(offered[1]), "-o", str(tmp_path / "offered"), "--quiet"]) == 0
     text = Path(scene).read_text()
     assert 'name = "TEST SATELLITE"' in text and "20284.07341138" in text, "the set nearest to the date"
     assert text.count("\n# ") >= 5, "commented"

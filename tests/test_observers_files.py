@@ -104,6 +104,11 @@ EXPORTS = {
     + "".join(f"SAT 1,12345,{Time(jd, format='jd').isot}Z,0.1,{mag},{error},37.54,122.05,110,,cam,V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "ATLAS": "###MJD m dm uJy duJy F err chi/N RA Dec x y maj min phi apfit mag5sig Sky Obs\n"
     + "".join(f"{jd - 2400000.5:.6f} {mag} {error} 100 2 o 0 1 1 1 1 1 3 3 1 -0.4 19.5 20 x\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "SExtractor": table("JD,MAG_AUTO,MAGERR_AUTO"),
+    "ADES": "# version=2017\n# observatory\n! mpcCode B01\npermID|mode|stn|obsTime|ra|dec|mag|rmsMag|band\n"
+    + "".join(f"433|CCD|B01|{Time(jd, format='jd').isot}Z|10.1|20.2|{mag}|{error}|V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "AAVSO download": table("JD,Magnitude,Uncertainty,HQuncertainty,Band,Observer Code", more=",,V,XYZ"),
+    "dates with strokes, no names": "".join(f"{Time(jd, format='jd').strftime('%d/%m/%Y %H:%M:%S')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "date and time apart": "Date,UT,Mag,Err\n"
     + "".join(f"{Time(jd, format='jd').isot.replace('T', ',')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
 }  # fmt: skip
@@ -132,6 +137,50 @@ def test_what_was_taken_is_said_in_one_line(read):
         "Source_AMag_Err_T1 as mag_err, EXPTIME as exptime"
     )
     assert not read(table("time,mag,mag_err")).warnings
+
+
+SAID = {
+    "ALCDEF": (
+        "STARTMETADATA\nOBJECTNAME=Eros\nMAGBAND=V\nENDMETADATA\n" + "".join(f"DATA={jd}|{mag}|0.03\n" for jd, mag in zip(JD, MAG, strict=True))
+        + "ENDDATA\n",
+        ["1st of DATA as time (Julian date, UTC, mid-exposure)", "2nd as mag", "3rd as mag_err", "MAGBAND or FILTER as band"],
+    ),
+    "DAMIT": (
+        "1\n3 0\n" + "".join(f"{jd} {mag} 1 0.1 0 0.5 0.1 0\n" for jd, mag in zip(JD, MAG, strict=True)),
+        ["JD as time (Julian date, UTC, mid-exposure, corrected for light time)", "brightness as flux", "to the Sun x, y, z as sun_x, sun_y, sun_z"],
+    ),
+    "Mini-MegaTORTORA": (
+        "# Date Time StdMag Mag Filter Penumbra Distance Phase Channel\n"
+        "2020-11-10 19:12:00.1 4.1 2.1 Clear 0 500 60 2\n2020-11-10 19:12:00.2 4.1 2.2 Clear 0 500 60 2\n",
+        ["Date and Time as time (ISO, UTC, mid-exposure)", "Mag as mag", "Channel as curve"],
+    ),
+    "MPC 80 columns": (
+        "     K20A00A  C2020 11 10.80000 01 23 45.67 +12 34 56.7          18.1 V      B01\n"
+        "     K20A00A  C2020 11 10.80100 01 23 46.67 +12 34 56.7          18.2 V      B01\n",
+        ["columns 16-32 as time (ISO, UTC, mid-exposure)", "66-70 as mag", "78-80 as station"],
+    ),
+    "SCORE": (EXPORTS["SCORE"], ["observation_time_utc as time", "apparent_magnitude as mag", "observing_filter as band"]),
+    "ATLAS": (EXPORTS["ATLAS"], ["MJD as time (modified Julian date", "m as mag", "dm as mag_err", "F as band"]),
+    "AAVSO extended": (EXPORTS["AAVSO"], ["DATE as time (Julian date", "MAG as mag", "MERR as mag_err"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_formats_say_what_they_took(read, name: str):
+    text, parts = SAID[name]
+    (told,) = [one for one in read(text).warnings if one.startswith(f"read as {name}: ")]
+    assert all(part in told for part in parts), told
+
+
+def test_magnitudes_of_the_minor_planet_center(read):
+    """Of the example of the MPC's page on the format: columns 16 to 32 are the date, 66 to 70 the magnitude."""
+    found = read(SAID["MPC 80 columns"][0])
+    assert found.observed.tolist() == [18.1, 18.2] and found.error is None and found.station_ids == ("B01",)
+    assert (
+        np.abs((found.time - Time(["2020-11-10T19:12:00", "2020-11-10T19:13:26.4"])).to_value(u.s)).max()
+        < 1e-5
+    )
+    assert found.object_ids == ("K20A00A",)
 
 
 def test_a_target_without_magnitudes_is_relative_flux(read):
@@ -223,7 +272,7 @@ class TestUserSays:
             read("time,mag\n2026-10-25T02:30:00+01:00,12\n", columns="time_zone=Europe/Vienna")
 
     @pytest.mark.parametrize(("said", "message"), [
-        ("time=", "name=column"), ("tme=JD", "one of time, mag"), ("time=JDD", "no column 'JDD'"), ("time_format=unix", "time_format"),
+        ("time=", "name=column"), ("tme=JD", "one of time, mag"), ("time=JDD", "no column 'JDD'"), ("time_format=stardate", "time_format"),
         ("time_zone=Mars/Olympus", "time_zone"), ("decimal=dash", "point or comma"), ("time=JD,time=JD", "twice"), ("exptime=-1", "exptime"),
     ])  # fmt: skip
     def test_what_cannot_be(self, read, said: str, message: str):
@@ -300,6 +349,20 @@ class TestLimitsAndMarkers:
         )
         assert recording.upper_limit.tolist() == [False] * 3 + [True] and recording.observed[3] == 15.0
 
+    @pytest.mark.parametrize(("names", "missing"), [("jd,magpsf,sigmapsf,diffmaglim", ","), ("JD,mag,magerr,limiting_mag", "nan,nan"), ("JD,mag,err,mag5sig", "99.0,99.0")])  # fmt: skip
+    def test_a_limiting_magnitude_beside_a_missing_one(self, read, names: str, missing: str):
+        found = read(f"{names}\n2459140.1,18.1,0.1,20.5\n2459140.2,{missing},20.4\n2459140.3,18.3,0.1,-99\n")
+        assert found.observed.tolist() == [18.1, 20.4, 18.3] and found.upper_limit.tolist() == [
+            False,
+            True,
+            False,
+        ]
+        assert any("1 row without a magnitude is taken as fainter than" in one for one in found.warnings)
+
+    def test_fainter_than_in_a_download_of_the_aavso(self, read):
+        found = read(EXPORTS["AAVSO download"] + "2459140.3,<15.1,,,V,XYZ\n")
+        assert found.observed[-1] == 15.1 and found.upper_limit.tolist() == [False, False, False, True]
+
     def test_a_limit_of_score(self, read):
         recording = read(
             EXPORTS["SCORE"] + "SAT 1,12345,2020-10-17T18:00:00Z,0.1,,,37.54,122.05,110,16.5,cam,V\n"
@@ -363,6 +426,17 @@ FOLLOWED = [
     EXPORTS["SCORE"] + EXPORTS["SCORE"].splitlines()[1].replace("SAT 1,12345", "BIRD-7,54321") + "\n",
     "Time (local),mag\n2020-10-17T15:00:00,12.0\n2020-10-17T15:01:00,12.1\n",
     table("JD,gmag,rmag"),
+    "time,mag\n10/11/2020 19:12:00,5.1\n10/11/2020 19:12:20,5.2\n",
+    "time,mag\n1605035520.5,5.1\n1605035521.5,5.1\n",
+    "timestamp,mag\n1605035520500,5.1\n1605035521500,5.1\n",
+    "time,mag\n9164.3,5.1\n9164.4,5.1\n",
+    "mjd,psfFlux,psfFluxErr\n59163.8,1000.2,12\n59163.9,1010.2,12\n",
+    "index, field, jd, filter, zpdiff, forcediffimflux, forcediffimfluxunc, diffmaglim\n"
+    "0, 300, 2459164.3, ZTF_r, 26.2, 100.2, 10.0, 20.5\n1, 300, 2459164.4, ZTF_r, 26.2, 110.2, 10.0, 20.5\n",
+    "Session: 3   Object: 25544\nUT Date,UT Time,JD,V-C,Err\n11/10/2020,19:12:00,2459164.3,0.4,0.02\n11/10/2020,19:14:00,2459164.301,0.5,0.02\n",
+    "Label,JD_UTC,Source_AMag_T2,Source_AMag_Err_T2\na,2459164.3,12.1,0.02\nb,2459164.4,12.2,0.02\n",
+    "Date,Local Time,mag\n2020-11-10,19:12:00,12.1\n2020-11-10,19:13:00,12.1\n",
+    "LocalTime,mag\n2020-11-10 19:12:00,12.1\n2020-11-10 19:13:00,12.1\n",
 ]
 
 

@@ -86,7 +86,11 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
     assert "49 rows" in text and "chi-square is" in text
     assert "Not determined by these data: zero_point" in text
     ((material, values),) = substances(result)
-    assert material == "panel" and values.startswith("n = 20") and "r_diff = 0.05" in values
+    assert (
+        material == "panel"
+        and values.startswith("lobe exponent (n) 20")
+        and "diffuse reflectance (r_diff) 0.05" in values
+    )
     shown = page.read_text()
     assert shown.index("49 rows to") < shown.index("What it is made of")
     assert result.provenance["inputs"]["recording"]["sha256"] in shown

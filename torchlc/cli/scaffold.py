@@ -92,6 +92,12 @@ def elements_for(path: Path, date: str | float | None, wanted: str | None = None
     return nearest_set(sets_of_object(path, read_catalogue(path), wanted), date)
 
 
+def to_the_minute(when: str | float) -> str:
+    """ISO text of an instant (ISO UTC or JD), as --start takes it."""
+    moment: Any = instant(when, "utc")
+    return str(moment.isot)[:16]
+
+
 def nearest_set(sets: Sequence[Elements], date: str | float | None) -> Elements:
     """The set with its epoch nearest to ``date`` (ISO UTC or JD), or the latest."""
     if date is None:

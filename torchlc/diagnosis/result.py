@@ -418,7 +418,7 @@ class Diagnosis:
         p, at = self.final_gate.global_p, self.final
         left = f"rms {_rms(at.off_mag):.3f} mag"
         if not at.likelihood.fitted_errors and at.noise.normal and not at.noise.processes:
-            left = f"chi2 {at.chi2:.0f} for {at.likelihood.degrees_of_freedom} degrees of freedom"
+            left = f"chi-square {at.chi2:.0f} for {at.likelihood.degrees_of_freedom} degrees of freedom"
         beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unknown
         if beside < TOLD:
             note = f"nothing that the data show: {left}"

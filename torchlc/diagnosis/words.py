@@ -154,9 +154,26 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         paragraphs.append(_place(content["where"]))
     paragraphs += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
     paragraphs.append(f"What is left: {content['remaining']['note']}.")
-    if content["next_observation"]:
-        paragraphs.append(_first_upper(content["next_observation"]).rstrip(".") + ".")
+    paragraphs.append(f"What to do next: {_advice(content)}.")
     return paragraphs
+
+
+def _advice(content: Mapping[str, Any]) -> str:
+    """What to do next: the observation that would separate what is left, else what the verdict asks for."""
+    if content["next_observation"]:
+        return content["next_observation"].rstrip(".")
+    if content["verdict"] == "adequate":
+        return (
+            "more rows, or smaller errors, may show what these cannot"
+            if content["doubt"]
+            else "nothing need change in the scene; torchlc fit gives the whole posterior of the materials"
+        )
+    if content["verdict"] != "unexplained":
+        return "put what is named into effects of the scene's [model], and fit again"
+    if content["unexamined"]:
+        count = len(content["unexamined"])
+        return f"give torchlc diagnose more time with --budget, for {count} effects were not examined"
+    return "look when and where it shows, and ask what in the sizes, the attitude or the recording belongs to that"
 
 
 def _place(where: Mapping[str, Any]) -> str:

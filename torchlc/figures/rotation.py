@@ -8,10 +8,13 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
 
 PNG_DPI = 150
+SAME_LABEL = 8.0
+"""Degrees between poles whose numbers would lie on each other in the figure."""
 
 
 def periodogram(period_s: np.ndarray, power: np.ndarray, marks_s: Sequence[float]) -> Figure:
@@ -20,9 +23,14 @@ def periodogram(period_s: np.ndarray, power: np.ndarray, marks_s: Sequence[float
         figure = Figure(figsize=(7, 3.2), layout="constrained")
         axes = figure.add_subplot()
         axes.plot(period_s, power, color=DATA, lw=0.8)
-        for mark in marks_s:
-            axes.axvline(mark, color=MODEL, lw=1)
-        axes.set(xscale="log", xlabel="period, s", ylabel="share of variance", ylim=(0, 1))
+        for number, mark in enumerate(marks_s):
+            axes.axvline(mark, color=MODEL, lw=1, label=None if number else "periods of the best rotation")
+        axes.set(xscale="log", xlabel="period, s", ylabel="share of variance that it explains", ylim=(0, 1))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        if len(marks_s):
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 1))
     return figure
 
 
@@ -36,8 +44,11 @@ def poles(directions: np.ndarray, misfit: np.ndarray, modes: np.ndarray) -> Figu
         figure.colorbar(shown, ax=axes, label="log10 misfit of the grid")
         ra, dec = _angles(modes)
         axes.scatter(ra, dec, marker="x", s=80, color=MODEL)
-        for number, (x, y) in enumerate(zip(ra, dec, strict=True)):
-            axes.annotate(str(number + 1), (x, y), xytext=(5, 5), textcoords="offset points", color=MODEL)
+        for first, numbers in _close_together(modes).items():
+            text = ", ".join(str(number + 1) for number in numbers)
+            axes.annotate(
+                text, (ra[first], dec[first]), xytext=(5, 5), textcoords="offset points", color=MODEL
+            )
         axes.set(xlim=(360, 0), ylim=(-90, 90), xlabel="right ascension, deg", ylabel="declination, deg")
     return figure
 
@@ -68,6 +79,15 @@ def folded(
 
 def _styled() -> Any:
     return matplotlib.rc_context(style())
+
+
+def _close_together(directions: np.ndarray) -> dict[int, list[int]]:
+    """Indices of unit vectors (M, 3) by the first of those within SAME_LABEL of them."""
+    groups: dict[int, list[int]] = {}
+    for number, direction in enumerate(directions):
+        near = [first for first in groups if directions[first] @ direction > np.cos(np.radians(SAME_LABEL))]
+        groups.setdefault(near[0] if near else number, []).append(number)
+    return groups
 
 
 def _angles(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

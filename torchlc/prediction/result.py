@@ -402,7 +402,9 @@ class Prediction:
                 f"{path.top_elevation:3.0f}°  {light}"
             )
         if len(self.passes) > most:
-            found.append(f"and {len(self.passes) - most} more passes")
+            dark = sum(not one.visible for one in self.passes[most:])
+            shadow = f", {dark} of them in the Earth's shadow all the time" if dark else ""
+            found.append(f"and {len(self.passes) - most} more passes{shadow}")
         return found
 
     def __repr__(self) -> str:

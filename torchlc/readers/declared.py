@@ -2,34 +2,58 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 
 from torchlc.errors import InputError
-from torchlc.readers.roles import VECTORS, plain, stamp_of
-from torchlc.readers.table import METADATA, Header
-from torchlc.scene.reading import LESS_A_DATE, Reading
-from torchlc.scene.timestamps import MJD_ZERO, REDUCED_ZERO
+from torchlc.readers.dates import is_moment
+from torchlc.readers.roles import ROLES, VECTORS, stamp_of
+from torchlc.readers.table import METADATA, Header, first_row
+from torchlc.scene.reading import LESS_A_DATE, SINCE, TIME_FORMATS, Reading, is_time_format
+from torchlc.scene.timestamps import (
+    JULIAN_DATE,
+    MJD_ZERO,
+    REDUCED,
+    REDUCED_ZERO,
+    instant,
+)
 from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
 
-UNITS = {"mag": u.mag, "mag_err": u.mag, "exptime": u.s, "alt": u.deg, "az": u.deg, "height": u.km}
+UNITS = {
+    "mag": u.mag,
+    "mag_err": u.mag,
+    "limiting_mag": u.mag,
+    "exptime": u.s,
+    "alt": u.deg,
+    "az": u.deg,
+    "height": u.km,
+}
 UNITS |= {f"{prefix}_{axis}": u.km for prefix in ("sun", "obs", "r") for axis in "xyz"}
 UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
 EQUATORIAL = re.compile(r"(icrs|icrf|gcrs|gcrf|eme ?2000|j2000|fk5|equatorial)\b")
-TIME_FORMATS = {"": "", "jd": "jd", "mjd": "mjd", "jd-2400000": "jd-2400000", "iso": "iso", "isot": "iso"}
-ZEROS = {"jd": 0.0, "mjd": MJD_ZERO, "jd-2400000": REDUCED_ZERO}
-"""Julian date from which the numbers of a time format count days; those that "jd-2450000" and its like name are told by
-:func:`zero_of`."""
+DAY_S = 86400.0
+COUNTS = {
+    "jd": ((0.0, 0.0), 1.0),
+    "mjd": ((MJD_ZERO, 0.0), 1.0),
+    "jd-2400000": ((REDUCED_ZERO, 0.0), 1.0),
+    "unix": ((2440587.5, 0.0), DAY_S),
+    "unix-ms": ((2440587.5, 0.0), 1000.0 * DAY_S),
+    "gps": ((2444244.5, 19.0 / DAY_S), DAY_S),
+}
+"""Two-part Julian date from which the numbers of a time format count, and how many there are in a day. The clock of GPS
+began on 6 January 1980 and stays 19 s behind TAI."""
+UNITS_A_DAY = {"seconds": DAY_S, "minutes": 1440.0, "hours": 24.0, "days": 1.0}
+OWN_SCALES = {"unix": "utc", "unix-ms": "utc", "gps": "tai"}
+"""Time scales of formats that have one of their own."""
 SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
 """Time scales that can be used, as people name them."""
 ON_A_CLOCK = re.compile(
@@ -64,13 +88,22 @@ MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
 ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
 """Keys of metadata that may say what the time stamps are."""
 OF_ANOTHER_CLOCK = re.compile(
-    r"\b(?i:local)\b"
+    r"\b(?i:local(time)?|civil ?time)\b|^LT$|\+ LT$"
     r"|\b(CES?T|WES?T|EES?T|[ECMP][SD]T|BST|MSK|JST|KST|AE[SD]T)\b"
     r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
 )
 """Local time, by a word, the name of a zone or an offset from UTC."""
 PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
 """Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
+LIKE_TIME = re.compile(r"time|date|jd|utc?\b|stamp|epoch|zeit|^t([ _(\[]|$)|second", re.IGNORECASE)
+LIKE_MAG = re.compile(r"(?<![a-z])mag|mag(?![a-z])|^[A-Z0-9]{1,3}-[A-Z0-9]{1,3}$|bright|hell", re.IGNORECASE)
+LIKE_FLUX = re.compile(r"flu[xs]|counts?|adu|intensity|sum", re.IGNORECASE)
+NO_BRIGHTNESS = re.compile(
+    r"err|unc|sig|rms|std|snr|s/n|lim|air ?mass|zero|zp|\bid\b|name|(^|[ _-])(x|y|ra|dec)(cent\w+)?$",
+    re.IGNORECASE,
+)
+"""What the names of columns have in common that may hold times or brightness, or do not; for offers only."""
+JULIAN_DATES = (2_400_000.0, 2_500_000.0)
 FALSE_FRIENDS = (
     "exptime",
     *(f"{p}_{axis}" for p in VECTORS.values() for axis in "xyz"),
@@ -81,15 +114,18 @@ FALSE_FRIENDS = (
 """Columns of ours, never offered for another one that is missing."""
 
 
-def zero_of(time_format: str) -> float:
-    """Julian date from which the numbers of ``time_format``, "jd", "mjd" or "jd-" and a number, count days."""
-    return ZEROS[time_format] if time_format in ZEROS else float(time_format.removeprefix("jd-"))
+def count_of(time_format: str, scale: str) -> tuple[tuple[float, float], float]:
+    """Two-part Julian date from which the numbers of ``time_format`` count, and how many there are in a day."""
+    if since := SINCE.fullmatch(time_format):
+        start: Any = instant(since[2], scale)
+        return (float(start.jd1), float(start.jd2)), UNITS_A_DAY[since[1]]
+    return COUNTS.get(time_format) or ((float(time_format.removeprefix("jd-")), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (a key of
-    ZEROS, "iso", or "" where the cells decide), the ``mark`` of the exposure (start, mid, end), the ``zone`` of a
+    """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (one of
+    TIME_FORMATS, or "" where the cells decide), the ``mark`` of the exposure (start, mid, end), the ``zone`` of a
     civil time, and to where the way of light was reduced (``light_path``: heliocentric, barycentric or empty); and
     what has to be said of them.
     """
@@ -106,32 +142,59 @@ def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
     others = [other for other in header.names if other and other not in FALSE_FRIENDS]
     hint = did_you_mean(name, others)
-    if len(header.names) == 1:
+    if len(header.names) == 1 and header.rows is None:
         hint = "The header holds one name only: is the delimiter a comma?"
     elif name in ("time", "mag", "flux"):
-        offered = ",".join(f"{role}={_quoted(other)}" for role, other in _offered(name, header).items())
-        hint = f"{hint or ''} Say which column is what, as in --columns {shlex.quote(offered)}".strip()
+        offered = _offered(name, header)
+        if name == "time" and "time" not in offered:
+            hint = "None of them looks like times: add a column time, or say which it is: --columns time=NAME"
+        elif offered:
+            said = shlex.quote(",".join(f"{role}={_quoted(other)}" for role, other in offered.items()))
+            hint = f"{hint or ''} Say which column is what, as in --columns {said}".strip()
     listed = ", ".join(other for other in header.names if other)
     return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
 
 
 def _offered(name: str, header: Header) -> dict[str, str]:
-    """Our columns beside those of the file that come nearest to them, or come first, for an example."""
-    roles = [role for role in ("time", "flux" if name == "flux" else "mag") if role not in header.names]
-    left = [
-        other
-        for other in header.names
-        if other and other not in FALSE_FRIENDS and other not in ("time", "mag")
-    ]
+    """Our columns beside those of the file that look like them; empty for a role that none can have."""
+    cells = first_row(header)
+    left = {
+        other: cells[place] if place < len(cells) else ""
+        for place, other in enumerate(header.names)
+        if other and other not in FALSE_FRIENDS and other not in ROLES
+    }
     offered: dict[str, str] = {}
-    for role in roles:
-        near = difflib.get_close_matches(role, [plain(other) for other in left], n=1, cutoff=0.6)
-        chosen = next(
-            (other for other in left if near and plain(other) == near[0]), left[0] if left else "NAME"
-        )
-        offered[role] = chosen
-        left = [other for other in left if other != chosen]
-    return offered
+    if "time" not in header.names:
+        called = [other for other in left if LIKE_TIME.search(other)]
+        dated = [other for other, cell in left.items() if _is_instant(cell)]
+        for chosen in [*(one for one in dated if one in called), *dated, *called][:1]:
+            offered["time"] = chosen
+            del left[chosen]
+    if "mag" in header.names or "flux" in header.names:
+        return offered
+    measured = [other for other in left if not NO_BRIGHTNESS.search(other)]
+    for role, like in (("mag", LIKE_MAG), ("flux", LIKE_FLUX)):
+        for chosen in [other for other in measured if like.search(other) and name in ("time", "mag", role)][
+            :1
+        ]:
+            return offered | {role: chosen}
+    fractions = [
+        other for other in measured if re.fullmatch(r"\s*[<>]?[+-]?\d*[.,]\d+([eE][+-]?\d+)?\s*", left[other])
+    ]
+    return offered | ({"flux" if name == "flux" else "mag": fractions[0]} if fractions else {})
+
+
+def _is_instant(cell: str) -> bool:
+    """Does a cell hold an instant, or a Julian date in one of its forms?"""
+    if is_moment(cell):
+        return True
+    if not JULIAN_DATE.fullmatch(cell):
+        return False
+    try:
+        number = float(cell)
+    except ValueError:
+        return False
+    return "." in cell and (REDUCED[0] < number < REDUCED[1] or JULIAN_DATES[0] < number < JULIAN_DATES[1])
 
 
 def _quoted(name: str) -> str:
@@ -164,8 +227,16 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
 
     ``located``: the direction of the object is known, so that a reduction to the Sun can be taken back.
     """
-    stamp = stamp_of(header, reading)
+    stamp = stamp_of(header)
+    form = reading.time_format or _time_format(header) or stamp.format
     given = reading.time_scale or header.meta.get("time_scale")
+    if form in OWN_SCALES:
+        if given and SCALES.get(str(given).strip().lower()) != OWN_SCALES[form]:
+            expected = f"{OWN_SCALES[form]}, in which times of that format are"
+            raise InputError(
+                header.source, "time_scale", f"{str(given)[:40]!r} beside the time format {form}", expected
+            )
+        given = OWN_SCALES[form]
     scale = str(given or stamp.scale or "utc").strip().lower()
     if scale not in SCALES:
         hint = (
@@ -182,7 +253,11 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
             light_path = light_path or (
                 "barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric"
             )
-        stated = scale if reading.time_scale else _stated_scale(header, reading, place, text, known_scale)
+        stated = (
+            scale
+            if reading.time_scale or form in OWN_SCALES
+            else _stated_scale(header, reading, place, text, known_scale)
+        )
         if stated not in (None, scale):
             scale = stated
             notes.append(f"{place} says {text[:60]!r}: the times are taken as {stated.upper()}")
@@ -221,7 +296,6 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
         )
     if reading.time_zone:
         notes.append(f"the times are civil time of the zone {reading.time_zone}, and converted to UTC")
-    form = reading.time_format or _time_format(header) or stamp.format
     return Timing(scale, form, mark, tuple(notes), reading.time_zone, light_path)
 
 
@@ -304,20 +378,15 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
 
 
 def _time_format(header: Header) -> str:
-    text = (
-        str(header.meta.get("time_format", ""))
-        .strip()
-        .lower()
-        .replace(" ", "")
-        .replace("2400000.0", "2400000")
-    )
-    if text not in TIME_FORMATS and not LESS_A_DATE.fullmatch(text):
-        expected = "jd, mjd, jd- and a Julian date (as in jd-2400000), or iso"
-        raise InputError(header.source, "metadata time_format", repr(text[:40]), expected)
+    text = str(header.meta.get("time_format", "")).strip()
+    if not SINCE.fullmatch(text):
+        text = text.lower().replace(" ", "").replace("2400000.0", "2400000").replace("isot", "iso")
+    if text and not is_time_format(text):
+        raise InputError(header.source, "metadata time_format", repr(text[:40]), TIME_FORMATS)
     unit = header.units.get("time", "d").lower()
     if unit not in ("d", "day", "days", "jd", "mjd", "utc"):
         raise InputError(header.source, "column time", f"unit {unit[:40]}", "d, for Julian dates")
-    return TIME_FORMATS.get(text, text) or ("mjd" if unit == "mjd" else "")
+    return text or ("mjd" if unit == "mjd" else "")
 
 
 def frame(header: Header, scene: Scene | None) -> str | None:
@@ -350,7 +419,8 @@ def numeric_columns(header: Header, scene: Scene | None, kind: str) -> tuple[lis
     groups: dict[str, list[str]] = {name: [f"{p}_{axis}" for axis in "xyz"] for name, p in VECTORS.items()}
     groups["alt-az"] = ["alt", "az", "height"]
     reasons = _reasons(scene)
-    needed, optional = [kind], [[name] for name in (f"{kind}_err", "exptime") if name in header.names]
+    beside = (f"{kind}_err", "exptime", *(("limiting_mag",) if kind == "mag" else ()))
+    needed, optional = [kind], [[name] for name in beside if name in header.names]
     for group, names in groups.items():
         present = [name for name in names if name in header.names]
         if group in reasons:
@@ -435,13 +505,25 @@ NOT_APPARENT = re.compile(
 """How people say that a magnitude is not apparent, or not calibrated."""
 
 
+DIFFERENCE = re.compile(
+    r"^[A-Z]\w{0,2}[ _]?-[ _]?[A-Z]\w{0,2}$|(^|[ _])(d|diff|delta|inst|instr|instrumental|differential)[ _]?mag",
+    re.I,
+)
+"""Names of columns of such magnitudes: V-C, O-C, T1-C1, diff_mag, instr_mag."""
+
+
 def magnitudes_told(header: Header, kind: str) -> list[str]:
     """What has to be said where the description of magnitudes speaks of others than apparent ones."""
-    text = header.descriptions.get("mag", "")
-    if kind != "mag" or not NOT_APPARENT.search(text):
+    described, name = header.descriptions.get("mag", ""), header.theirs.get("mag", "")
+    if kind != "mag" or not (NOT_APPARENT.search(described) or DIFFERENCE.search(name)):
         return []
+    said = (
+        f"the description of mag says {described[:60]!r}"
+        if NOT_APPARENT.search(described)
+        else f"the column of mag is called {name[:60]!r}"
+    )
     return [
-        f"the description of mag says {text[:60]!r}: torchlc takes apparent magnitudes, corrected for extinction. "
+        f"{said}: torchlc takes apparent magnitudes, corrected for extinction. "
         "Give relative fluxes in a column flux, or a free zero_point, if they are others"
     ]
 
@@ -457,8 +539,10 @@ def units_told(header: Header, kind: str) -> list[str]:
 FORMAT_WORDS = {
     "jd": "Julian date",
     "mjd": "modified Julian date, JD - 2400000.5",
-    "jd-2400000": "JD - 2400000",
     "iso": "ISO",
+    "unix": "seconds since 1970",
+    "unix-ms": "milliseconds since 1970",
+    "gps": "seconds of GPS",
 }
 MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
 
@@ -476,11 +560,20 @@ def taken(
     if not renamed and not header.format and header.decimal == "." and not reading.model_fields_set:
         return []
     told = []
+    triples = {f"{p}_x": [f"{p}_{axis}" for axis in "xyz"] for p in VECTORS.values()}
+    beside = {name for names in triples.values() for name in names[1:]}
     for name in roles:
-        text = f"{header.theirs[name]} as {name}"
+        if name in beside:
+            continue
+        names = [one for one in triples.get(name, [name]) if one in roles]
+        text = f"{', '.join(header.theirs[one] for one in names)} as {', '.join(names)}"
         if name == "time":
             scale = "civil time" if timing.zone else timing.scale.upper()
-            text += f" ({FORMAT_WORDS.get(time_format) or time_format.upper().replace('-', ' - ')}, {scale}, {timing.light_path or MARK_WORDS[timing.mark]})"
+            form = FORMAT_WORDS.get(time_format) or LESS_A_DATE.sub(r"JD - \1", time_format)
+            moment = timing.light_path or MARK_WORDS[timing.mark]
+            if light_time_corrected(header):
+                moment += ", corrected for light time"
+            text += f" ({form}, {scale}, {moment})"
         told.append(text)
     form = f"read as {header.format}: " if header.format else "columns: "
     comma = "; decimal commas" if header.decimal == "," else ""

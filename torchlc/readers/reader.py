@@ -14,6 +14,7 @@ from torchlc.files.decimals import advice, decimal
 from torchlc.readers import declared, groups
 from torchlc.readers.civil_time import to_utc
 from torchlc.readers.copies import copies
+from torchlc.readers.dates import WHICH_ORDER, Calendar
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
@@ -69,9 +70,9 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
-DAY_FIRST = re.compile(r"^\s*(\d\d?)\.(\d\d?)\.(\d{4})(?=[T ])", re.ASCII)
-"""A date with dots, which no country writes with the month first; one with strokes may be either and is refused."""
 JULIAN_DATES_FROM = 2_400_000.0
+SECONDS_SINCE_1970 = (1e8, 1e10)
+"""1973 to 2286; in milliseconds a thousand times these."""
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
@@ -103,11 +104,6 @@ def read_measurements(
     return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
 
 
-def _year_first(date: re.Match[str]) -> str:
-    day, month, year = date.groups()
-    return f"{year}-{month:0>2}-{day:0>2}"
-
-
 class _Reader:
     """One recording on its way in: which columns are wanted, what they hold, and which rows survive."""
 
@@ -118,6 +114,7 @@ class _Reader:
         self.timing = declared.timing(header, reading, located=self._is_located())
         self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
         self.time_format = self.timing.format
+        self.calendar = Calendar(reading.date_order or "")
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
@@ -132,6 +129,12 @@ class _Reader:
             *declared.magnitudes_told(header, self.kind),
             *self.units_told,
         ]
+        if reading.date_order:
+            self.warnings.append(f"dates are read {reading.date_order}, as told")
+        elif self.calendar.because:
+            self.warnings.append(
+                f"dates are read {self.calendar.order}: {self.calendar.because} can be nothing else"
+            )
 
     def _is_located(self) -> bool:
         """Is the direction to the object known without its orbit about the Earth?"""
@@ -179,12 +182,13 @@ class _Reader:
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
-                zero = declared.zero_of(self.time_format)
-                days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero)
+                zero, per_day = declared.count_of(self.time_format, self.timing.scale)
+                days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero, per_day=per_day)
         except UnreadableTime as error:
             place = row_place(start + error.index, name)
-            hint = self._time_hint(error.found)
-            raise InputError(self.source, place, repr(error.found[:40]), error.expected, hint) from None
+            found = cells[error.index].strip() if self.time_format == "iso" else error.found
+            hint = self._time_hint(found, error.expected)
+            raise InputError(self.source, place, repr(found[:40]), error.expected, hint) from None
         if self.timing.scale != self.scale:
             days = in_utc(*days, self.timing.scale)
         if self.timing.zone is not None:
@@ -196,11 +200,8 @@ class _Reader:
         return np.stack(days, axis=-1)
 
     def _iso(self, cells: list[str]) -> list[str]:
-        """Cells with the year first and dashes in the date, of 2020/10/17 or 17.10.2020; none may hold an offset of its own where the user tells the zone."""
-        if "/" in "".join(cells):
-            cells = [re.sub(r"^(\s*\d{4})/(\d\d)/(\d\d)", r"\1-\2-\3", cell) for cell in cells]
-        if "." in "".join(cell[:5] for cell in cells):
-            cells = [DAY_FIRST.sub(_year_first, cell) for cell in cells]
+        """Cells as ISO texts; none may hold an offset of its own where the user tells the zone."""
+        cells = self.calendar.iso(cells)
         if self.timing.zone is not None:
             for index, cell in enumerate(cells):
                 match = ISO.fullmatch(cell)
@@ -208,23 +209,37 @@ class _Reader:
                     raise UnreadableTime(index, cell, f"no offset beside time_zone = {self.timing.zone}")
         return cells
 
-    def _time_hint(self, found: str) -> str | None:
+    def _time_hint(self, found: str, expected: str) -> str | None:
         """What to do about a time that is no Julian date but may be one of a known kind."""
         try:
             number = decimal(found)
         except ValueError:
+            if expected == WHICH_ORDER:
+                return "Say --columns date_order=day-first, or --columns date_order=month-first"
             return advice(found)
         if self.header.decimal == "." and "," in found:
             return "Write decimals with a point, or say --columns decimal=comma"
         if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
             mjd = declared.ways_to_say(self.header, "time_format", "mjd")
             return f"Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: {mjd}"
+        for form, scale in (("unix", 1.0), ("unix-ms", 1000.0)):
+            if SECONDS_SINCE_1970[0] < number / scale < SECONDS_SINCE_1970[1] and self.time_format != form:
+                said = declared.ways_to_say(self.header, "time_format", form)
+                other = "; or time_format=gps for seconds of GPS, since 1980" if form == "unix" else ""
+                return f"Say, for {declared.FORMAT_WORDS[form]}, {said}{other}"
+        if self.time_format == "jd" and 0 <= number < REDUCED[0]:
+            return (
+                f"Days since another date: {declared.ways_to_say(self.header, 'time_format', 'jd-2450000')}; jd-2457000 "
+                "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: --columns "
+                '"time_format=seconds since 2020-10-17T16:31:00", with minutes, hours and days likewise'
+            )
         if self.time_format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
             return f"A whole Julian date: {declared.ways_to_say(self.header, 'time_format', 'jd')}"
         return None
 
     def measurements(self, min_rows: int) -> Measurements:
         self._choose_object()
+        self._take_limits()
         self._move_to_middle()
         self.times_of_file = self.columns["time"]
         self._drop_markers()
@@ -345,6 +360,25 @@ class _Reader:
             name = chosen_object(self.source, [{one or "unnamed"} for one in ids], wanted)
             codes = [code for code, one in enumerate(ids) if (one or "unnamed") == name]
             self._keep(np.isin(self.columns["object"], codes), "of another object")
+
+    def _take_limits(self) -> None:
+        """Rows without a magnitude, but with the limiting one of their image, are upper limits there."""
+        faintest = self.columns.pop("limiting_mag", None)
+        if faintest is None:
+            return
+        columns, value = self.columns, self.columns["mag"]
+        empty = ~(np.abs(value) <= BEYOND_MAG) & (np.abs(faintest) <= BEYOND_MAG)
+        if not empty.any():
+            return
+        columns["mag"] = np.where(empty, faintest, value)
+        columns["upper_limit"] = columns.get("upper_limit", np.zeros(len(value), dtype=bool)) | empty
+        if "mag_err" in columns:
+            columns["mag_err"] = np.where(empty, np.nan, columns["mag_err"])
+        count = np.count_nonzero(empty)
+        self.warnings.append(
+            f"{count} row{'s' * bool(count > 1)} without a magnitude {'are' if count > 1 else 'is'} taken as fainter than "
+            f"{self.header.theirs.get('limiting_mag', 'limiting_mag')}"
+        )
 
     def _move_to_middle(self) -> None:
         """Times of the start or end of exposures become those of their middle."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import astropy.units as u
 
 from torchlc.errors import InputError
+from torchlc.readers.dates import are_apart
 from torchlc.readers.table import Header, first_row
 from torchlc.scene.reading import OPTION, SETTINGS, Reading
 from torchlc.suggest import did_you_mean
@@ -20,7 +21,7 @@ HORIZONTAL = ("alt", "az", "height")
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
 LABELS = ("station", "band", "curve", "object")
 """Columns of names: which of several a row belongs to."""
-ROLES = ("time", *BRIGHTNESS, "exptime", *LABELS, "upper_limit", *GEOMETRY, *HORIZONTAL)
+ROLES = ("time", *BRIGHTNESS, "exptime", *LABELS, "upper_limit", "limiting_mag", *GEOMETRY, *HORIZONTAL)
 """Columns of ours."""
 DELIVERED = "delivered "
 """What a column is called whose name is one of ours, but which the user replaced by another."""
@@ -38,7 +39,7 @@ class Stamp:
     light_path: str = ""
 
 
-_JD, _MJD, _REDUCED = Stamp("jd"), Stamp("mjd"), Stamp("jd-2400000")
+_JD, _MJD = Stamp("jd"), Stamp("mjd")
 STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
     **dict.fromkeys(("jdmid", "midjd", "jdutcmid"), Stamp("jd", mark="mid")),
@@ -52,14 +53,20 @@ STAMPS: dict[str, Stamp] = {
     "mjdtdb": Stamp("mjd", "tdb"),
     "mjdtt": Stamp("mjd", "tt"),
     **dict.fromkeys(("mjd", "obsmjd", "mjdobs", "modifiedjuliandate"), _MJD),
-    **dict.fromkeys(("jd2400000", "rjd", "jd24000000"), _REDUCED),
-    **dict.fromkeys(("jd24000005",), _MJD),
-    **{f"jd{zero}": Stamp(f"jd-{zero}") for zero in range(2_401_000, 2_471_000, 1000)},
+    "rjd": Stamp("jd-2400000"),
+    "btjd": Stamp("jd-2457000", "tdb", light_path="barycentric"),
+    "bkjd": Stamp("jd-2454833", "tdb", light_path="barycentric"),
+    **dict.fromkeys(("unix", "unixtime", "unixtimestamp", "unixseconds", "unixepoch", "posixtime", "timeunix"), Stamp("unix", "utc")),
+    **dict.fromkeys(("unixms", "unixtimems", "unixmilliseconds"), Stamp("unix-ms", "utc")),
+    **dict.fromkeys(("gps", "gpstime", "gpsseconds", "timegps"), Stamp("gps", "tai")),
+    "midpointmjdtai": Stamp("mjd", "tai", mark="mid"),
+    "mjdtai": Stamp("mjd", "tai"),
     **dict.fromkeys(
         ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime"),
         Stamp(),
     ),
     **dict.fromkeys(("timestamp", "timestamputc", "isotime", "obsdate"), Stamp()),
+    **dict.fromkeys(("localtime", "timelocal", "civiltime", "datetimelocal", "localdatetime"), Stamp()),
     **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
     "date": Stamp(),
     **dict.fromkeys(("dateobs", "starttime", "timestart", "utcstart", "startutc", "datebeg"), Stamp(mark="start")),
@@ -78,24 +85,31 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag",
+        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
     "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),
+    "limiting_mag": ("diffmaglim", "limitingmagnitude", "limmag", "maglim", "maglimit", "limitmag", "mag5sig"),
     "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
 OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
 """Magnitudes named after their filter: of several, the user has to say which."""
 ERRORS = (
-    "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std",
+    "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std", "rms{}",
 )  # fmt: skip
 ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
 """Names of errors of whatever brightness there is."""
+ERROR_WORD = re.compile(r"error|err|uncertainty|uncert|unc|sigma|sig|std|rms")
+"""What stands anywhere in the name of an error, as in Source_AMag_Err_T2."""
 CLOCK = (
+    "localtime",
+    "timelocal",
+    "lt",
+    "civiltime",
     "time",
     "ut",
     "utc",
@@ -113,12 +127,45 @@ CLOCK = (
 )
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
 """Names of two columns that hold the time of day and the date."""
-BRACKETS = re.compile(r"\s*[\(\[]\s*([^()\[\]]*?)\s*[\)\]]\s*$")
+
+
+def without_brackets(name: str) -> tuple[str, str]:
+    """A name, and what stands in brackets at its end: "JD (UTC)" as "JD" and "UTC"; "" where nothing does."""
+    text = name.rstrip()
+    opens = max(text.rfind("("), text.rfind("["))
+    if not text.endswith((")", "]")) or opens < 0 or re.search(r"[)\]]", text[opens:-1]):
+        return name, ""
+    return text[:opens].rstrip(), text[opens + 1 : -1].strip()
 
 
 def plain(name: str) -> str:
     """A name's letters and digits, lower case, without what stands in brackets at its end."""
-    return re.sub(r"[\W_]+", "", BRACKETS.sub("", name).lower())
+    return re.sub(r"[\W_]+", "", without_brackets(name)[0].lower())
+
+
+LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
+"""JD - 2400000.5, HJD-2450000 and their like, without signs."""
+
+
+def stamp_named(name: str) -> Stamp | None:
+    """What the name of a column says of times, "Time (BJD_TDB-2457000)" included; None where it names none."""
+    outside, inside = map(_one_stamp, without_brackets(name))
+    if inside is not None and inside.format and (outside or Stamp()).format == "":
+        return replace(inside, mark=outside.mark) if outside is not None else None
+    return outside
+
+
+def _one_stamp(text: str) -> Stamp | None:
+    letters = re.sub(r"[^a-z0-9.]+", "", text.lower())
+    letters = re.sub(r"(?<!\d)\.|\.(?!\d)", "", letters)
+    if less := LESS_A_NUMBER.fullmatch(letters):
+        whole = Stamp("jd") if less[1] == "time" else STAMPS.get(less[1])
+        if whole is None or whole.format != "jd":
+            return None
+        half = (less[3] or "").startswith(".5")
+        zero = f"{less[2]}.5" if half else less[2]
+        return replace(whole, format="mjd" if zero == "2400000.5" else f"jd-{zero}")
+    return Stamp() if letters == "time" else STAMPS.get(plain(text))
 
 
 def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> bool:
@@ -127,7 +174,7 @@ def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> b
     own = {role: {plain(name) for name in columns.get(role, ())} for role in ("time", "mag", "flux")}
     times = {"time", *STAMPS, *own["time"]}
     lights = {"mag", "flux", *NAMES["mag"], *NAMES["flux"], *own["mag"], *own["flux"]}
-    return bool(folded & times) and bool(folded & lights)
+    return bool(folded & times or any(map(stamp_named, names))) and bool(folded & lights)
 
 
 def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[str]]) -> Header:
@@ -147,9 +194,9 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role in ROLES:
         if role not in taken and role in header.names:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station", "object"):
+    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "limiting_mag"):
         if role not in taken:
-            others = STAMPS if role == "time" else NAMES.get(role, ())
+            others = [*STAMPS, *filter(stamp_named, header.names)] if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):
                 continue
             taken |= _found(header, role, [*columns.get(role, ()), role, *others], taken)
@@ -160,6 +207,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
             other = "flux" if kind == "mag" else "mag"
             loose = () if other in taken else ANY_ERROR
             named = [pattern.format(word) for word in dict.fromkeys((base, kind)) for pattern in ERRORS]
+            named += [name for name in header.names if ERROR_WORD.sub("", plain(name), count=1) == base]
             taken |= _found(header, role, [*columns.get(role, ()), *named, *loose], taken)
     taken |= _date_and_time(header, reading, taken)
     return _renamed(header, reading, taken)
@@ -215,22 +263,25 @@ def _date_and_time(
     folded = [plain(name) for name in header.names]
     days = [folded.index(name) for name in CALENDAR if name in folded]
     hours = [folded.index(name) for name in CLOCK if name in folded and folded.index(name) not in days]
-    if not days or not hours:
+    stamp = stamp_named(header.names[taken["time"][0]]) or Stamp()
+    if not days or not hours or (stamp.format and not stamp.light_path):
         return {}
     cells = first_row(header)
     if len(cells) != len(header.names):
         return {}
     for day in days:
         for hour in hours:
-            whole_day = re.fullmatch(r"\s*(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?\.\d\d?\.\d{4})\s*", cells[day])
-            if whole_day and re.fullmatch(r"\s*\d\d?:\d\d(:\d\d(\.\d+)?)?\s*Z?\s*", cells[hour]):
+            if are_apart(cells[day], cells[hour]):
                 return {"time": (day, hour)}
     return {}
 
 
 def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ...]]) -> Header:
-    theirs = {role: " + ".join(header.names[place] for place in places) for role, places in taken.items()}
     names = list(header.names)
+    theirs = {
+        role: " + ".join(header.theirs.get(names[place], names[place]) for place in places)
+        for role, places in taken.items()
+    }
     for index, name in enumerate(names):
         if name in ROLES and taken.get(name) != (index,):
             names[index] = DELIVERED + name
@@ -244,11 +295,11 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
             names.append(role)
         units[role] = header.units.get(source, "")
         descriptions[role] = header.descriptions.get(source, "")
-        bracket = BRACKETS.search(source)
-        if source != role and bracket and not units[role] and _is_unit(role, bracket[1]):
-            units[role] = bracket[1]
+        unit = without_brackets(source)[1]
+        if source != role and not units[role] and _is_unit(role, unit):
+            units[role] = unit
         if role == "time" and source != role:
-            said = re.sub(r"[_-]", " ", source)
+            said = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
             descriptions[role] = f"{descriptions[role]} {said}".strip()
     units |= reading.units
     return replace(
@@ -271,11 +322,7 @@ def _is_unit(role: str, text: str) -> bool:
     return bool(text)
 
 
-def stamp_of(header: Header, reading: Reading) -> Stamp:
+def stamp_of(header: Header) -> Stamp:
     """What the name of the column of times says."""
     name = header.theirs.get("time", "time")
-    if name == "time":
-        return Stamp()
-    if re.fullmatch(r"(jd\s*-\s*2,?400,?000\.5|jd\s*-\s*2450000\.5)", name.strip(), re.IGNORECASE):
-        return _MJD
-    return STAMPS.get(plain(name), Stamp())
+    return Stamp() if name == "time" else stamp_named(name) or Stamp()

@@ -43,7 +43,7 @@ class Header:
     no metadata; ``notes`` is what has to be told of how the file was read. ``skip`` counts the lines of the file
     down to its header (0: there is none); lines that begin with one of ``marks`` are comments. ``decimal`` is the
     decimal sign. ``columns`` holds the places of what :mod:`torchlc.readers.roles` took under our names, several
-    where cells are joined, and ``theirs`` the names that these have in the file. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    where cells are joined, and ``theirs`` the names that these have in the file, in which a format may tell what it took. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
     ``skips_non_detections``: the format has a row only where the object was found.
     """
 

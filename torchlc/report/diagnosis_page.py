@@ -12,7 +12,7 @@ from torchlc.diagnosis.words import candidate, chance, changes, improvement, mat
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, RESULT_FILES, OutputDirectory
 from torchlc.report.figures import Drawn, by_section, draw_all, png
-from torchlc.report.page import environment, origin
+from torchlc.report.page import environment, origin, titled
 from torchlc.version import __version__
 
 MOST_CANDIDATES = 15
@@ -62,7 +62,8 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
     return {
         "verdict": content["verdict"],
         "words": words(content, diagnosis.added),
-        "substances": _substances(content["materials"]["after"]),
+        "named": content["named"],
+        "substances": _substances(content["materials"]["after"], diagnosis),
         "pictures": by_section(
             diagnosis, draw_all("diagnosis", diagnosis) if drawn is None else drawn, SECTIONS
         ),
@@ -88,10 +89,11 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
     }
 
 
-def _substances(after: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _substances(after: Mapping[str, Any], diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Each material with its values in the final model."""
+    titles = {free.name: titled(free) for free in diagnosis.model.parameter_set.free}
     by_owner: dict[str, list[str]] = {}
     for name, row in after.items():
         owner, _, short = name.rpartition(".")
-        by_owner.setdefault(owner, []).append(f"{short} = {material_value(row)}")
+        by_owner.setdefault(owner, []).append(f"{titles.get(name, short)} {material_value(row)}")
     return [(owner, ", ".join(values)) for owner, values in by_owner.items()]

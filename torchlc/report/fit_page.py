@@ -19,7 +19,7 @@ from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Free
 from torchlc.readers import counted
 from torchlc.report.figures import Drawn, by_section, draw_all, png
-from torchlc.report.page import environment, origin
+from torchlc.report.page import environment, origin, titled
 from torchlc.results.fit_result import FitResult
 from torchlc.stages.effect import Entry, first_sentence
 from torchlc.version import __version__
@@ -115,9 +115,9 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
             continue
         value = stated(parameters[free.name])
         if free.origin.role == "materials":
-            by_owner.setdefault(free.origin.owner, []).append(f"{free.origin.quantity} = {value}")
+            by_owner.setdefault(free.origin.owner, []).append(f"{titled(free)} {value}")
         else:
-            by_name[free.name] = value
+            by_name[free.name] = f"{value}, {free.meaning}" if free.meaning else value
     found = []
     matches = result.materials()
     for owner, values in by_owner.items():

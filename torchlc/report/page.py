@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,19 @@ from torchlc.readers import Recording, iso_times
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+    from torchlc.parameters import Free
+
 TEMPLATES = Path(__file__).parent / "templates"
+
+
+def titled(free: Free) -> str:
+    """What a free parameter of a material is, its name beside it: "diffuse reflectance (r_diff)"."""
+    meaning = (
+        re.sub(r" along the facet's [uv] axis$", "", free.meaning)
+        if free.origin.quantity == "n"
+        else free.meaning
+    )
+    return f"{meaning} ({free.origin.quantity})" if meaning else free.origin.quantity
 
 
 @cache

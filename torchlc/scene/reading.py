@@ -13,12 +13,20 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
 from torchlc.files.numbers import Real, Table, between, problem
 from torchlc.scene.problems import of_validation
+from torchlc.scene.timestamps import UnreadableTime, instant
 
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " ", "bar": "|"}
 OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?([0-5]\d))?", re.ASCII | re.IGNORECASE)
 LESS_A_DATE = re.compile(r"jd-(24[0-7]\d{4}(\.5)?)", re.ASCII)
 """A time format of days since a Julian date, as in jd-2450000; from 1858 to 2050."""
+SINCE = re.compile(r"(seconds|minutes|hours|days) since (\S.*\S)", re.ASCII)
+"""A time format of a count from an instant, as the conventions for climate and forecast data write it."""
+KNOWN_TIME_FORMATS = ("jd", "mjd", "iso", "unix", "unix-ms", "gps")
+TIME_FORMATS = (
+    "jd, mjd, jd- and a Julian date (as in jd-2400000), unix or unix-ms (since 1970), gps (s since 1980), "
+    "seconds since 2020-10-17T16:31:00, or iso"
+)
 OPTION = "--columns"
 OBJECTS = {"objects": "object"}
 """How the column that names each row's object is told, for "object" is the one wanted."""
@@ -55,16 +63,28 @@ def _zone(text: str) -> str:
 
 
 def _time_format(text: str) -> str:
-    if text not in ("jd", "mjd", "iso") and not LESS_A_DATE.fullmatch(text):
-        raise problem(repr(text[:40]), "jd, mjd, jd- and a Julian date (as in jd-2400000), or iso")
+    if not is_time_format(text):
+        raise problem(repr(text[:40]), TIME_FORMATS)
     return text
+
+
+def is_time_format(text: str) -> bool:
+    """Is it one of TIME_FORMATS?"""
+    if since := SINCE.fullmatch(text):
+        try:
+            instant(since[2], "utc")
+        except UnreadableTime:
+            return False
+        return True
+    return text in KNOWN_TIME_FORMATS or bool(LESS_A_DATE.fullmatch(text))
 
 
 class Reading(Table):
     """How a recording's file is to be read, where it does not say so itself.
 
     ``columns``: our name of a column and the file's, of which several are joined by "+"; ``units`` of our columns;
-    ``time_format``, ``time_scale``, ``time_zone`` and ``time_mark`` say what the times are; ``light_path``: the Sun
+    ``time_format``, ``time_scale``, ``time_zone`` and ``time_mark`` say what the times are, ``date_order`` how dates such
+    as 10/11/2020 are meant; ``light_path``: the Sun
     or the barycentre, to which the way of light was reduced, for an object in the ``direction`` (ICRS right ascension
     and declination, deg); ``exptime`` of all rows, s; ``object``: name or number of the one wanted, "*" for all.
     ``non_detections``: empty slots of a steady cadence are upper limits (None: where the format leaves such rows out), in
@@ -74,6 +94,7 @@ class Reading(Table):
     columns: dict[str, str] = Field(default_factory=dict)
     units: dict[str, str] = Field(default_factory=dict)
     time_format: Annotated[str, AfterValidator(_time_format)] | None = None
+    date_order: Literal["day-first", "month-first"] | None = None
     time_scale: Literal["utc", "tai", "tt", "tdb"] | None = None
     time_zone: Annotated[str, AfterValidator(_zone)] | None = None
     time_mark: Literal["start", "middle", "end"] | None = None

@@ -53,11 +53,13 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
 
 
 def julian_dates_of_numbers(
-    numbers: np.ndarray, scale: str, *, zero: float = 0.0
+    numbers: np.ndarray, scale: str, *, zero: tuple[float, float] = (0.0, 0.0), per_day: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Two-part Julian dates of numbers (T,) of days since JD ``zero``; not-a-number stays not-a-number."""
-    days = np.floor(numbers)
-    jd1, jd2 = days + zero, numbers - days
+    """Two-part Julian dates of numbers (T,), of which a day has ``per_day``, since the two-part Julian date ``zero``;
+    not-a-number stays not-a-number.
+    """
+    days = np.floor(numbers / per_day)
+    jd1, jd2 = days + zero[0], (numbers - days * per_day) / per_day + zero[1]
     finite = np.isfinite(numbers)
     _check_range(np.where(finite, jd1 + jd2, MJD_ZERO + 51544), scale, numbers)
     return jd1, jd2

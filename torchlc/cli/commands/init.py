@@ -92,4 +92,7 @@ def init(
         print(f"written: {scene}")
         if place is None:
             say("warning: the station is a placeholder: edit [[stations]] before use")
-        print(f"next: torchlc simulate {shlex.quote(str(scene))} --start ... --hours 8 --cadence 60 -o out")
+        start = scaffold.to_the_minute(chosen.epoch if wanted is None else wanted)
+        print(
+            f"next: torchlc simulate {shlex.quote(str(scene))} --start {start} --hours 24 --cadence 60 -o out"
+        )

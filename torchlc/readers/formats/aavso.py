@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
-from torchlc.readers.formats.delimited import cells_of
+from torchlc.readers.formats.delimited import NamedTable, cells_of
 from torchlc.readers.objects import chosen_object
-from torchlc.readers.table import BEYOND_MAG, Header, lines_of
+from torchlc.readers.table import BEYOND_MAG, Header, lines_as_cells, lines_of
 
 COLUMNS = ("NAME", "DATE", "MAG", "MERR", "FILT", "TRANS", "MTYPE")
+DOWNLOADED = frozenset({"JD", "Magnitude", "Uncertainty", "Band", "Observer Code"})
+"""Names in the tables that the data base of the AAVSO sends."""
 DELIMITERS = {"comma": ",", "tab": "\t", "semicolon": ";", "space": " ", "pipe": "|"}
 STANDARD = ("STD", "ABS")
 
@@ -21,20 +24,23 @@ class Aavso(Format):
     """Magnitudes of one star or asteroid, mid-exposure; "<15.0" is fainter than 15.0, "na" is missing.
 
     Standardised magnitudes (MTYPE STD, once ABS) are taken as they are. Differential ones (DIF) are refused: they are
-    relative to a comparison star, whose magnitude has to be added. Each filter is a band.
+    relative to a comparison star, whose magnitude has to be added. Each filter is a band. The visual format, of estimates
+    by eye, has no errors.
     """
 
     name = "AAVSO extended"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:
-        return any(re.match(r"type\s*=\s*extended", line, re.IGNORECASE) for line in head.comments)
+        return any(re.match(r"type\s*=\s*(extended|visual)", line, re.IGNORECASE) for line in head.comments)
 
     @classmethod
     def read(cls, head: Head) -> Header:
         path = head.path
         pairs = (line.partition("=") for line in head.comments)
         said: dict[str, str] = {key.strip().lower(): value.strip().lower() for key, _, value in pairs}
+        by_eye = said["type"] == "visual"
+        wanted_cells = COLUMNS[:3] if by_eye else COLUMNS
         mark = said.get("delim", ",")
         delimiter = DELIMITERS.get(mark, mark)
         if len(delimiter) != 1:
@@ -49,10 +55,13 @@ class Aavso(Format):
                     continue
                 cells = cells_of(line.rstrip("\r\n"), delimiter)
                 place = f"line {number}"
-                if len(cells) < len(COLUMNS):
-                    raise InputError(path, place, f"{len(cells)} values", f"{', '.join(COLUMNS)} and more")
+                if len(cells) < len(wanted_cells):
+                    expected = f"{', '.join(wanted_cells)} and more"
+                    raise InputError(path, place, f"{len(cells)} values", expected)
                 if cells[:2] == ["NAME", "DATE"]:
                     continue
+                if by_eye:
+                    cells = [*cells[:3], "", "Vis.", "", "STD"]
                 kind = cells[6].upper()
                 if kind not in (*STANDARD, "NA", ""):
                     hint = "Add the comparison star's magnitude (CMAG), and write STD"
@@ -83,4 +92,31 @@ class Aavso(Format):
             meta={"time_format": dates[0]},
             rows=rows,
             format=cls.name,
+            theirs={
+                "time": "DATE",
+                "mag": "MAG",
+                "mag_err": "none" if by_eye else "MERR",
+                "band": "Vis." if by_eye else "FILT",
+                "object": "NAME",
+            },
         )
+
+
+class AavsoDownload(NamedTable):
+    """A table of observations from the data base of the AAVSO; "<15.0" is fainter than 15.0."""
+
+    name = "AAVSO download"
+    marks_of_it = DOWNLOADED
+
+    @classmethod
+    def read(cls, head: Head) -> Header:
+        header = super().read(head)
+        place = header.names.index("Magnitude")
+
+        def rows() -> Iterator[list[str]]:
+            for cells in lines_as_cells(header):
+                if place < len(cells) and cells[place].lstrip().startswith("<"):
+                    cells[place] = f">{cells[place].lstrip()[1:]}"
+                yield cells
+
+        return replace(header, rows=rows)

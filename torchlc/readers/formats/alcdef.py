@@ -108,7 +108,24 @@ class Alcdef(Format):
         objects = {block.said["OBJECTNAME"] for block in blocks if "OBJECTNAME" in block.said}
         meta |= {"object": objects.pop()} if objects else {}
         columns = ("time", kind, f"{kind}_err", "curve", "band")
-        return Header(path, columns, "|", ecsv=False, meta=meta, notes=_few(notes), rows=rows)
+        theirs = {
+            "time": "1st of DATA",
+            kind: "2nd",
+            f"{kind}_err": "3rd",
+            "curve": "session",
+            "band": "MAGBAND or FILTER",
+        }
+        return Header(
+            path,
+            columns,
+            "|",
+            ecsv=False,
+            meta=meta,
+            notes=_few(notes),
+            rows=rows,
+            format=cls.name,
+            theirs=theirs,
+        )
 
 
 @dataclass

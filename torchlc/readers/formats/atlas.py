@@ -46,7 +46,8 @@ class Atlas(Format):
         header = Header(
             path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows
         )
-        return replace(header, format=cls.name)
+        theirs = {"time": "MJD", "mag": "m", "mag_err": "dm", "band": "F"}
+        return replace(header, format=cls.name, theirs=theirs)
 
 
 def _names(head: Head) -> list[str]:

@@ -80,4 +80,17 @@ class Damit(Format):
         }
         names = ("time", "flux", "curve", *SUN, *OBSERVER)
         units = dict.fromkeys((*SUN, *OBSERVER), "AU")
-        return Header(path, names, " ", ecsv=False, units=units, meta=meta, rows=rows)
+        theirs = {"time": "JD", "flux": "brightness", "curve": "number of the curve"}
+        theirs |= {f"sun_{axis}": f"{'to the Sun ' * (axis == 'x')}{axis}" for axis in "xyz"}
+        theirs |= {f"obs_{axis}": f"{'to the Earth ' * (axis == 'x')}{axis}" for axis in "xyz"}
+        return Header(
+            path,
+            names,
+            " ",
+            ecsv=False,
+            units=units,
+            meta=meta,
+            rows=rows,
+            format=cls.name,
+            theirs=theirs,
+        )

@@ -6,13 +6,15 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import ClassVar
 
 from torchlc.errors import InputError
+from torchlc.readers.dates import is_moment
 from torchlc.readers.format import FORMATS, Format, Head
 from torchlc.readers.roles import known_names
 from torchlc.readers.table import BLANK, METADATA, Header, check_names
-from torchlc.scene.timestamps import ISO, JULIAN_DATE
+from torchlc.scene.timestamps import JULIAN_DATE
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In the order in which they are preferred where a line of names can be read with several."""
@@ -52,7 +54,7 @@ class NamedTable(Format):
 
     @classmethod
     def recognises(cls, head: Head) -> bool:
-        if not any(name in text for name in cls.marks_of_it for _, text in head.lines):
+        if not any(all(name in text for name in cls.marks_of_it) for _, text in head.lines):
             return False
         return cls.marks_of_it <= set(table_header(head).names)
 
@@ -170,7 +172,7 @@ def _without_names(head: Head) -> Header | None:
         cells = cells_of(text, delimiter)
         if len(cells) < 2 or not all(cells[:2]):
             continue
-        if not (NUMBER.fullmatch(cells[0]) or ISO.fullmatch(cells[0])) or not NUMBER.fullmatch(cells[1]):
+        if not (NUMBER.fullmatch(cells[0]) or is_moment(cells[0])) or not NUMBER.fullmatch(cells[1]):
             continue
         names = [str(place) for place in range(1, len(cells) + 1)]
         header = _header(head, names, delimiter, number - 1)
@@ -197,7 +199,7 @@ def _guessed(head: Head, header: Header) -> Header:
         return found
 
     first, second = rows[0][0], numbers(1)
-    dated = ISO.fullmatch(first) is not None
+    dated = is_moment(first)
     if not dated:
         days = numbers(0)
         dated = bool(days) and all(JULIAN[0] < day < JULIAN[1] for day in days)
@@ -228,7 +230,14 @@ def _guessed(head: Head, header: Header) -> Header:
 
 
 def _by_first_line(head: Head) -> Header:
-    """The first line that is no comment as the header, whatever its names."""
+    """The first line of names above a row of as many cells, else the first line that is no comment, as the header."""
+    lines = [(number, text) for number, text in head.lines if text.strip() and text[0] not in MARKS]
+    for (number, text), (_, below) in pairwise(lines):
+        for delimiter in _delimiters(head):
+            names, cells = cells_of(text, delimiter), cells_of(below, delimiter)
+            fits = len(names) == len(cells) > 1 and all(names) and text[0] not in _marks(delimiter)
+            if fits and not any(map(NUMBER.fullmatch, names)) and any(map(NUMBER.fullmatch, cells)):
+                return _header(head, names, delimiter, number)
     number, text = next((number, text) for number, text in head.lines if text.strip() and text[0] != "#")
     delimiter = max(",;\t", key=text.count) if head.reading.delimiter is None else head.reading.delimiter
     if head.reading.delimiter is None and text.count(delimiter) == 0:

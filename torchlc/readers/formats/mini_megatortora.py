@@ -56,6 +56,13 @@ class MiniMegaTortora(Format):
             ecsv=False,
             meta=meta,
             rows=rows,
+            format=cls.name,
+            theirs={
+                "time": "Date and Time" if split else "Date",
+                "mag": "Mag",
+                "band": "Filter",
+                "curve": "Track and Channel" if "Track" in place else "Channel",
+            },
             skips_non_detections=True,
         )
 

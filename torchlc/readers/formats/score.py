@@ -75,7 +75,24 @@ class Score(Format):
                 ]
 
         columns = ("time", "mag", "mag_err", "band", "station", "object")
-        return Header(path, columns, ",", ecsv=False, meta={"time_format": "iso"}, rows=rows, format=cls.name)
+        theirs = {
+            "time": "observation_time_utc",
+            "mag": "apparent_magnitude",
+            "mag_err": error_name or "none",
+            "band": "observing_filter",
+            "station": "place of the observer",
+            "object": " or ".join(name for name in SATELLITE if name in names) or "none",
+        }
+        return Header(
+            path,
+            columns,
+            ",",
+            ecsv=False,
+            meta={"time_format": "iso"},
+            rows=rows,
+            format=cls.name,
+            theirs=theirs,
+        )
 
 
 def _station(head: Head, row: int, place: tuple[str, ...]) -> str:

@@ -38,6 +38,7 @@ def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
     found = diagnoses[BODY]
     wrong = [f"`{name}`" for name in found["named"] if name in NOT_THERE]
     missed = [f"`{name}`" for name in THERE if name not in found["named"]]
+    beside = [f"`{name}`" for name in found["named"] if name not in {*THERE, *NOT_THERE}]
     right = f"{', '.join(missed)} not named" if missed else "yes"
     return [
         (
@@ -45,9 +46,13 @@ def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
             "shadows, a camera that is near, a detector that is not linear in radiance, one curve that begins late",
             named(found),
             probability(found),
-            f"{right}; {', '.join(wrong)} is not there"
-            if wrong
-            else f"{right}; no penumbra, ambient light or threshold is named",
+            f"{right}; "
+            + (f"{', '.join(beside)} is not documented; " if beside else "")
+            + (
+                f"{', '.join(wrong)} is not there"
+                if wrong
+                else "no penumbra, ambient light or threshold is named"
+            ),
             DIAGNOSES.format(BODY),
         )
     ]

@@ -14,10 +14,11 @@ from torchlc.scene import Scene
 
 
 def pytest_configure() -> None:
-    """A shell without job control lets what it starts in the background ignore Ctrl-C, and so would the programs that tests
-    start and interrupt: these inherit what is ignored, not what is handled."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """A shell without job control lets what it starts in the background ignore Ctrl-C, nohup a hang-up, and so would the programs that
+    tests start and interrupt: these inherit what is ignored, not what is handled."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ from typing import Any
 import arviz
 import h5py
 import pandas
+import torch
 from PIL import Image
 
 from torchlc.campaigns import processes
@@ -170,6 +171,8 @@ def check_files(folder: Path) -> None:
                 assert path.read_text().rstrip().endswith("</html>")
             case ".png":
                 Image.open(path).load()
+            case ".pt":
+                assert torch.load(path, weights_only=True)["steps"]
             case _:
                 raise AssertionError(f"an unknown file {path}")
 

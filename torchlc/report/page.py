@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from torchlc.brdf.base import MODELS
 from torchlc.readers import Recording, iso_times
 
 if TYPE_CHECKING:
@@ -21,12 +22,11 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 def titled(free: Free) -> str:
     """What a free parameter of a material is, its name beside it: "diffuse reflectance (r_diff)"."""
-    meaning = (
-        re.sub(r" along the facet's [uv] axis$", "", free.meaning)
-        if free.origin.quantity == "n"
-        else free.meaning
-    )
-    return f"{meaning} ({free.origin.quantity})" if meaning else free.origin.quantity
+    name = free.origin.quantity
+    # one number that stands for those along two axes is along neither
+    both = any(name in model.shared for model in MODELS.values())
+    meaning = re.sub(r" along the facet's [uv] axis$", "", free.meaning) if both else free.meaning
+    return f"{meaning} ({name})" if meaning else name
 
 
 @cache

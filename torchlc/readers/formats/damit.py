@@ -81,8 +81,8 @@ class Damit(Format):
         names = ("time", "flux", "curve", *SUN, *OBSERVER)
         units = dict.fromkeys((*SUN, *OBSERVER), "AU")
         theirs = {"time": "JD", "flux": "brightness", "curve": "number of the curve"}
-        theirs |= {f"sun_{axis}": f"{'to the Sun ' * (axis == 'x')}{axis}" for axis in "xyz"}
-        theirs |= {f"obs_{axis}": f"{'to the Earth ' * (axis == 'x')}{axis}" for axis in "xyz"}
+        theirs |= dict(zip(SUN, ("to the Sun x", "y", "z"), strict=True))
+        theirs |= dict(zip(OBSERVER, ("to the Earth x", "y", "z"), strict=True))
         return Header(
             path,
             names,

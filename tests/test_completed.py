@@ -28,6 +28,41 @@ from torchlc.stages.noise import Noise
 ODD = "panel, +Y @night~1 'x'"
 """A name with every sign that means something in a list of effects, but brackets."""
 
+SCENE_OF_ROLES = """
+format = "torchlc-scene/1"
+name = "materials and components of different names"
+[orbit]
+vectors = "icrs"
+[attitude]
+mode = "inertial"
+[[components]]
+name = "body"
+shape = "box"
+size = [1, 1, 1]
+centre = [0, 0, 0]
+material = "foil"
+[[components]]
+name = "wing"
+shape = "plate"
+size = [1, 2]
+centre = [0, 2, 0]
+u = [1, 0, 0]
+v = [0, 1, 0]
+material = "radiator"
+[materials.foil]
+n = 100
+r_spec = 0.2
+r_diff = 0.2
+[materials.radiator]
+n = 100
+r_spec = 0.2
+r_diff = 0.2
+[model]
+effects = [ENTRY]
+[model.parameters]
+band_sun_magnitude = -26.7
+"""
+
 
 def odd(text: str) -> str:
     return (
@@ -222,6 +257,27 @@ def test_a_scene_with_a_target_that_is_not_there_is_refused(case, entry, said):
     text = scene.to_toml().replace("effects = []", f"effects = [{json.dumps(entry)}]")
     with pytest.raises(InputError, match=said):
         LightCurve(Scene.from_toml(text, known_effects=registry()), recording)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ("color_term[radiator]", r"no component 'radiator'; its components: 'body', 'wing'"),
+        ("back_transmission[radiator]", "no component 'radiator'; its components: "),
+        ("second_material[wing]", "no material 'wing'; its materials: "),
+        ("normal_dispersion[wing]", "no material 'wing'; its materials: "),
+        ("back_transmission[body]", "the component is no two-sided plate"),
+    ],
+)
+def test_a_target_of_another_role_is_told_from_one_that_cannot_carry_the_effect(tmp_path, entry, said):
+    """A material's name is no component's: the sentence is not that of a scene that could not have the effect at all."""
+    scene = Scene.from_toml(SCENE_OF_ROLES.replace("ENTRY", json.dumps(entry)), known_effects=registry())
+    rows = [f"{2459140.1 + k / 96:.6f},1,0,0.2,1,0.1,0,12.0,0.05" for k in range(4)]
+    (tmp_path / "rows.csv").write_text(
+        "\n".join(["time,sun_x,sun_y,sun_z,obs_x,obs_y,obs_z,mag,mag_err", *rows])
+    )
+    with pytest.raises(InputError, match=said):
+        LightCurve(scene, load_recording(tmp_path / "rows.csv", scene))
 
 
 def test_numpy_numbers_are_written_as_numbers(case):

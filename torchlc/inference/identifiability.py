@@ -46,8 +46,8 @@ PRIOR_DRAWS = 4000
 TOLD_MAG = 0.002
 """Change of an exposure's light by twice the instants that is told."""
 LOOKED_AT = 400
-FAINTEST_LOOKED_AT = 0.01
-"""Share of the median row's light below which an exposure is not looked at."""
+FAINT, FAINTEST_LOOKED_AT = 1e-2, 1e-4
+"""Shares of the median row's light below which an exposure is told of apart, and below which it is not looked at."""
 FACETS_AT_ONCE = 2_000_000
 SCALES = frozenset({REFLECTANCE, LOBE_REFLECTANCE})
 """Roles of numbers that are factors of light."""
@@ -108,8 +108,8 @@ def limits(model: LightCurve, theta: Tensor) -> list[str]:
 
 
 def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
-    """The sentence that twice the instants change the light of some exposures. The rows looked at are LOOKED_AT, those that
-    have most instants first."""
+    """Sentences that twice the instants change the light of some exposures, of faint ones apart. The rows looked at are
+    LOOKED_AT, those that have most instants first."""
     effect = next((effect for effect in model.effects if effect.spans_exposure), None)
     if effect is None:
         return []
@@ -132,17 +132,23 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     finer = assemble(a.scene, a.recording, entries, base=a, pinned=a.pinned, finer=looked)
     again = LightCurve(a.scene, a.recording, assembly=finer).brightness(theta[None]).flux[0]
     change = 2.5 * torch.log10(flux[looked] / again[looked].clamp(min=DARKEST)).abs()
-    wrong = change > TOLD_MAG
-    if not bool(wrong.any()):
-        return []
-    said = (
-        f"{effect.name}: twice as many instants change {int(wrong.sum())} of {len(change)} exposures looked at by more than "
-        f"{TOLD_MAG} mag, up to {float(change.max()):.2g} mag ({float(change.square().mean().sqrt()):.2g} mag rms)"
+    faint = flux[looked] < FAINT * flux[flux > 0].median()
+    kinds = (
+        (~faint, "exposures"),
+        (faint, f"exposures with less than {100 * FAINT:g} % of the median light"),
     )
-    if effect.capped is not None:
+    told = [
+        f"{effect.name}: twice as many instants change {int((some > TOLD_MAG).sum())} of {len(some)} {kind} looked at by more "
+        f"than {TOLD_MAG} mag, up to {float(some.max()):.2g} mag ({float(some.square().mean().sqrt()):.2g} mag rms)"
+        for chosen, kind in kinds
+        if bool(((some := change[chosen]) > TOLD_MAG).any())
+    ]
+    if told and effect.capped is not None:
         have, needed = effect.capped
-        said += f": memory allows {have:,} of {needed:,} instants; take fewer rows at once, or coarser shapes"
-    return [said]
+        told[-1] += (
+            f": memory allows {have:,} of {needed:,} instants; take fewer rows at once, or coarser shapes"
+        )
+    return told
 
 
 def glints(view: View) -> dict[str, Glint | None]:

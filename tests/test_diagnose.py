@@ -14,6 +14,7 @@ import pytest
 import torch
 from scipy import special
 
+import torchlc
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
@@ -306,6 +307,28 @@ def test_unseen_rows_have_the_density_of_the_dense_normal(demo_search) -> None:
     seconds, curve = at.model.assembly.context.seconds, at.likelihood.curve
     blocks = make_blocks(seconds, curve)
     assert torch.equal(torch.sort(torch.cat([one for one, _ in blocks])).values, torch.arange(len(seconds)))
+
+
+def test_a_budget_ends_among_the_effects_that_promise_least(demo, tmp_path: Path) -> None:
+    """Panels 1.5 deg off the Sun: refits of single effects come in the order of what their signatures promise, whether they turn
+    the geometry or not. A search that is cut short has then asked the likeliest."""
+    scene, recording = demo
+    model = scene.model.model_copy(
+        update={
+            "effects": [*scene.model.effects, "panel_offset"],
+            "parameters": {**scene.model.parameters, "panel_offset.deg": 1.5},
+        }
+    )
+    hidden = torchlc.simulate(scene.model_copy(update={"model": model}), recording, noise=0.01)
+    search = Search(
+        Workbench(scene, load_recording(hidden.write(tmp_path / "hidden.ecsv"), scene)), Clock(None), 0
+    )
+    search.null()
+    search.singles(["zero_point_drift", "saturation", "background", "panel_offset"])
+    refitted = [one.added[0] for one in search.visited if len(one.added) == 1]
+    assert refitted[0] == "panel_offset" and len(refitted) > 2
+    promised = [search.probes[entry].score for entry in refitted]
+    assert promised == sorted(promised, reverse=True)
 
 
 def test_a_search_goes_on_from_what_it_had_finished(demo, tmp_path: Path) -> None:

@@ -401,13 +401,14 @@ class Search:
         return max(least_seconds(posterior, entry), refit_seconds(posterior))
 
     def singles(self, entries: Sequence[str]) -> None:
-        """Every candidate alone, first those that are fitted fast, and of these what its signature promises most: they set the mark
-        that slow ones have to come near. Then all from the leaders' materials."""
+        """Every candidate alone, first those that are fitted fast, by what their signatures promise, most first: a budget then ends among
+        those that promise least, and they set the mark that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
         self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
         slow = {
-            entry: turns(self.posterior(at.hypothesis.with_effect(entry)), entry) for entry in self.probes
+            entry: refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) >= DEAR_FIT_S
+            for entry in self.probes
         }
         order = sorted(self.probes, key=lambda entry: (slow[entry], -self.probes[entry].score))
         for number, entry in enumerate(order):

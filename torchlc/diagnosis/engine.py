@@ -545,6 +545,8 @@ class Search:
             for one in self.ranked()
             if self.log_odds(one) > top - (NEAR if self.visited[one].posterior.dear else REACH)
         ]
+        # red noise far ahead may stand in for effects: how far these are behind is only told with it beside them
+        near.append(self.foremost)
         sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
         together = {*sets[:1], *[one for one in sets if one.added][:1]}

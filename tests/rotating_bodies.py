@@ -128,6 +128,15 @@ class Circle:
     rate: float
     range_km: float
 
+    @classmethod
+    def past(
+        cls, longitude_deg: float, latitude_deg: float, degrees: float, seconds: float, km: float
+    ) -> Circle:
+        """An arc of so many degrees in so many seconds, whose middle is in that direction."""
+        middle = unit_of(longitude_deg, latitude_deg)
+        axis = np.cross(middle, [0.3, -0.2, 1.0])
+        return cls(middle, axis / np.linalg.norm(axis), np.radians(degrees) / seconds, km)
+
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """Vectors (T, 3), km."""
         way = Rotation.from_rotvec(self.rate * seconds[:, None] * self.axis).apply(self.middle)

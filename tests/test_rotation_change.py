@@ -33,11 +33,10 @@ def test_nights_as_the_model_has_them_say_which_counts_of_turns_are_possible(tmp
     rng = np.random.default_rng(5)
     body, slowing = box(1.9, 2.2, 1.6), RATE_MS * 1e-3 / DAY_S
     passes = []
-    for number, start in enumerate(STARTS):
-        middle = unit_of(*((30.0, 20.0), (15.0, -40.0), (55.0, 40.0))[number])
-        axis = np.cross(middle, [0.3, -0.2, 1.0])
-        circle = Circle(middle, axis / np.linalg.norm(axis), np.radians(30) / 215, 1500.0)
-        passes.append((start, np.sort(rng.uniform(0.0, 215.0, 110)), circle))
+    for start, (lon, lat) in zip(STARTS, ((30.0, 20.0), (15.0, -40.0), (55.0, 40.0)), strict=True):
+        passes.append(
+            (start, np.sort(rng.uniform(0.0, 215.0, 110)), Circle.past(lon, lat, 30.0, 215.0, 1500.0))
+        )
     (tmp_path / "scene.toml").write_text(scene(body, (PERIOD_S, 49.7, 52.7)))
     (tmp_path / "seen.ecsv").write_text(
         recording(

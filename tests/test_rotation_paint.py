@@ -29,9 +29,7 @@ def test_opposite_sides_of_unlike_paint_are_not_taken_for_a_free_rotation(tmp_pa
     dark = (plain.normal[:, 0] < -0.5) | (plain.normal[:, 1] < -0.5)
     painted = replace(plain, area=plain.area * np.where(dark, 0.3, 1.0))
     rng = np.random.default_rng(11)
-    middle = unit_of(30.0, 20.0)
-    axis = np.cross(middle, [0.3, -0.2, 1.0])
-    circle = Circle(middle, axis / np.linalg.norm(axis), np.radians(40) / 400, 1500.0)
+    circle = Circle.past(30.0, 20.0, 40.0, 400.0, 1500.0)
     (tmp_path / "scene.toml").write_text(scene(plain, (60.0, 40.0, 140.0)))
     (tmp_path / "seen.ecsv").write_text(
         recording(

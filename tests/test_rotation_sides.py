@@ -30,10 +30,9 @@ def test_passes_are_joined_by_the_side_that_a_steady_turn_shows(tmp_path: Path) 
     body = cylinder(1.2, 6.0)
     passes = []
     for start, (lon, lat) in zip(STARTS, ((30.0, 20.0), (15.0, -40.0), (55.0, 40.0)), strict=True):
-        middle = unit_of(lon, lat)
-        axis = np.cross(middle, [0.3, -0.2, 1.0])
-        circle = Circle(middle, axis / np.linalg.norm(axis), np.radians(30) / 300, 1500.0)
-        passes.append((start, np.sort(rng.uniform(0.0, 300.0, 70)), circle))
+        passes.append(
+            (start, np.sort(rng.uniform(0.0, 300.0, 70)), Circle.past(lon, lat, 30.0, 300.0, 1500.0))
+        )
     text = scene(body, (PERIOD_S, 58.0, 65.0)).replace('material = "body"', f'material = "body"\n{SECTOR}')
     body_material = text[text.index("[materials.body]") : text.index("[model]")]
     text = text.replace("[model]", body_material.replace("body", "other") + "[model]", 1)

@@ -54,16 +54,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory, rates: tuple[float, float]) -
     rng = np.random.default_rng(5)
     passes = []
     for day, (lon, lat) in ((0.0, (30.0, 20.0)), (0.2, (290.0, 35.0))):
-        middle = unit_of(lon, lat)
-        axis = np.cross(middle, [0.3, -0.2, 1.0])
         after = np.sort(rng.uniform(0.0, 3000.0, 160))
-        passes.append(
-            (
-                day * 86400.0,
-                after,
-                Circle(middle, axis / np.linalg.norm(axis), np.radians(25) / 3000, 18_000.0),
-            )
-        )
+        passes.append((day * 86400.0, after, Circle.past(lon, lat, 25.0, 3000.0, 18_000.0)))
     folder: Path = tmp_path_factory.mktemp("tumbling")
     period = 1 / rates[0]
     (folder / "scene.toml").write_text(scene(BODY, (period * 1.01, period * 0.97, period * 1.03)))
@@ -147,9 +139,7 @@ def test_the_long_axis_mode_is_found_from_its_light(tmp_path: Path) -> None:
 
     passes = []
     for start, (lon, lat) in ((0.0, (30.0, 20.0)), (17_000.0, (290.0, 35.0))):
-        middle = unit_of(lon, lat)
-        turn = np.cross(middle, [0.3, -0.2, 1.0])
-        circle = Circle(middle, turn / np.linalg.norm(turn), np.radians(25) / 3000, 18_000.0)
+        circle = Circle.past(lon, lat, 25.0, 3000.0, 18_000.0)
         passes.append((start, np.sort(rng.uniform(0.0, 3000.0, 160)), circle))
     (tmp_path / "scene.toml").write_text(scene(BODY, (1.01 / long, 0.97 / long, 1.03 / long)))
     (tmp_path / "seen.ecsv").write_text(

@@ -35,6 +35,7 @@ from torchlc.diagnosis.plan import LEAST_P, ROWS, TOLD, Option
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
+from torchlc.stages.effect import Entry
 from torchlc.terminal import quiet_libraries
 
 
@@ -43,9 +44,7 @@ def of_truth(found: Diagnosis, effects: set[str]) -> float:
     odds = found.odds
     if not effects:
         return odds.nothing + odds.noise
-    return sum(
-        p for entries, p in odds.sets if {one.split("[")[0].split("@")[0] for one in entries} == effects
-    )
+    return sum(p for entries, p in odds.sets if {Entry.parse(one).name for one in entries} == effects)
 
 
 def another_night(case: Observed, night: Option, seed: int, rng: Rng) -> tuple[Any, ...]:

@@ -162,8 +162,11 @@ class Search:
 
     def best(self, *added: str) -> Fitted:
         """The best of what was visited with exactly these effects."""
-        chosen = [one for one in self.visited if set(one.plain) == set(added)]
-        return self.visited[self.ranked(chosen)[0]]
+        return self.visited[self.exactly(*added)[0]]
+
+    def exactly(self, *added: str) -> list[Hypothesis]:
+        """What was visited with exactly these effects, best first."""
+        return self.ranked(one for one in self.visited if set(one.plain) == set(added))
 
     def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
@@ -338,15 +341,13 @@ class Search:
         ):
             if not self.clock.left(share):
                 break
-            known = self.latest.get(entry)
-            if known is not None and not anew and at.posterior.dear:
-                found[entry] = rescored(known[0], known[1], at)
-                continue
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
-            cost = least_seconds(posterior, entry)
-            if known is not None and (cost > DEAR_FIT_S or (posterior.dear and not anew)):
-                found[entry] = rescored(known[0], known[1], at)
+            known = self.latest.get(entry)
+            held = known is not None and not anew and (at.posterior.dear or posterior.dear)
+            cost = 0.0 if held else least_seconds(posterior, entry)
+            if known is not None and (held or cost > DEAR_FIT_S):
+                found[entry] = rescored(*known, at)
             elif self.clock.affords(cost):
                 found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
                 self.latest[entry] = found[entry], at
@@ -492,14 +493,12 @@ class Search:
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             close = not clean and gained > (REACH if beyond else -REACH)
             for entry in best[0].added if close else ():  # shrink, then swap
-                fewer = best[0].without(entry)
-                at = self.visited[best[0]]
-                theta = carried(self.bench.likelihood(fewer).model.parameter_set, at.theta[None], at.names)
                 if self.clock.left(0.8):
-                    known = self.visited.get(_sorted_as(self.visited, fewer))
+                    at = self.visited[best[0]]
+                    known = self.visited.get(self.less(at, entry))
                     if known is None or not known.posterior.dear:
-                        self.refit(_sorted_as(self.visited, fewer), theta, at)
-                    self.grow(_sorted_as(self.visited, fewer), entries, grown, GROWN // 2, anew=False)
+                        self.shrunk(at, entry)
+                    self.grow(self.less(at, entry), entries, grown, GROWN // 2, anew=False)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
@@ -569,13 +568,23 @@ class Search:
         while self.correlated(self.leader) and len(self.leader.added) > 1:
             best = self.leader
             at = self.visited[best]
+            if at.posterior.dear:
+                break
             for entry in best.added:
-                fewer = _sorted_as(self.visited, best.without(entry))
-                if fewer not in self.visited and not at.posterior.dear and self.clock.left(0.9):
-                    parameters = self.bench.likelihood(fewer).model.parameter_set
-                    self.refit(fewer, carried(parameters, at.theta[None], at.names), at, turns=1)
+                if self.less(at, entry) not in self.visited and self.clock.left(0.9):
+                    self.shrunk(at, entry, turns=1)
             if self.leader == best:
                 break
+
+    def less(self, at: Fitted, entry: str) -> Hypothesis:
+        """The hypothesis of a fit without one of its effects, in the order in which it was visited, if it was."""
+        return _sorted_as(self.visited, at.hypothesis.without(entry))
+
+    def shrunk(self, at: Fitted, entry: str, **options) -> None:
+        """A fit without one of its effects, from the numbers that it has."""
+        fewer = self.less(at, entry)
+        parameters = self.bench.likelihood(fewer).model.parameter_set
+        self.refit(fewer, carried(parameters, at.theta[None], at.names), at, **options)
 
     def useful(self, one: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
         """Ways to err that a set of effects has a use for, those of rows that err together told apart from the others: they may stand in
@@ -644,9 +653,7 @@ class Search:
                     continue
                 posterior = self.posterior(hypothesis)
                 # a set of the leader without one of its members may not have been fitted: then from the leader's own numbers
-                members = set(Hypothesis(added).plain)
-                alike = self.ranked(one for one in self.visited if set(one.plain) == members)
-                at = self.visited[[*alike, self.leader][0]]
+                at = self.visited[[*self.exactly(*hypothesis.plain), self.leader][0]]
                 theta = carried(posterior.model.parameter_set, at.theta[None], at.names)[0]
                 generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
                 starts = theta[None]

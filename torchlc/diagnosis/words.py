@@ -301,7 +301,7 @@ def candidate(row: Mapping[str, Any]) -> dict[str, str]:
         + (f" of each {row['per']}" if row.get("per") else ""),
         "title": registry()[row["effect"]].title if row["effect"] in registry() else "",
         "evidence": _signed(row["delta_log_evidence"]),
-        "heldout": _signed(row["heldout_delta_log_likelihood"]),
+        "heldout": _signed(row["heldout_delta_log_likelihood"]) or "not computed",
         "chi2": "" if row["chi2_after"] is None else f"{row['chi2_after']:.0f}",
         "values": values,
     }

@@ -63,7 +63,7 @@ def extent(figure: Figure) -> Bbox | str:
             return figure.get_tightbbox().padded(matplotlib.rcParams["savefig.pad_inches"])
         except MemoryError:
             raise
-        except Exception:
+        except Exception:  # of any library below: a figure that cannot be drawn never ends a run, and `save` says what it was
             return "tight"
 
 

@@ -688,9 +688,9 @@ class Effect(nn.Module):
         able = self.targets(context)
         if self.target in able or (self.target is None and able):
             return None
-        whole = {"material": context.materials, "component": [part.name for part in context.parts]}
-        if self.per is not None and self.target is not None and self.target not in whole[self.per]:
-            has = ", ".join(shown(name) for name in whole[self.per])
+        every = [name for name in self._all_targets(context) if name is not None]
+        if self.target is not None and every and self.target not in every:
+            has = ", ".join(map(shown, every))
             return f"the scene has no {self.per} {shown(self.target)}; its {self.per}s: {has}"
         return self.unable
 
@@ -740,6 +740,11 @@ class Effect(nn.Module):
     def targets(cls, context: Context) -> Sequence[str | None]:
         """What the effect may be applied to: materials or components where ``per`` says so, else the
         whole."""
+        return cls._all_targets(context)
+
+    @classmethod
+    def _all_targets(cls, context: Context) -> Sequence[str | None]:
+        """All materials or components of the scene where ``per`` says so, else the whole."""
         if cls.per == "material":
             return context.materials
         if cls.per == "component":

@@ -47,6 +47,7 @@ myst_substitutions = {
     "far": f"{discrepancy.FAR:g}",
     "refitted": str(discrepancy.REFITTED),
     "quick_s": f"{run.QUICK_S:g}",
+    "most_s": f"{engine.MOST_S:g}",
     "reach": f"{engine.REACH:g}",
     "few_effects": hypotheses.FEW_EFFECTS,
     "alone_s": f"{run.MOST_ALONE_S:g}",

@@ -469,6 +469,7 @@ def test_a_budget_that_is_spent_says_what_was_not_examined(demo) -> None:
     assert {row["effect"] for row in content["unexamined"]} == {"panel_offset", "background"}
     told = [text for text in found.warnings if "not examined" in text]
     assert len(told) == 1 and all(name in told[0] for name in ("panel_offset", "background"))
+    assert any(text.startswith("the search was ended after") for text in found.warnings)
     assert any("Probabilities, among what was examined: " in text for text in found.lines())
 
 

@@ -71,6 +71,8 @@ CLEAN_P = 0.05
 LEAST_SCORE = 6.0
 """Twice what a signature has to promise in log density, that an effect is added to a set for it: probed values lie apart, and
 the best may reach half as much again, the 9 below which an effect counts as not seen."""
+LITTLE = 1.0
+"""The same that nothing promises on average where nothing is missing."""
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 GROWN = 8
@@ -81,21 +83,27 @@ RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
+MOST_S = 900.0
+"""CPU seconds after which a search without a budget ends: thirty times what most take, and as long as somebody waits unasked."""
 DEAR_FIT_S, MOST_FIT_S = 2.0, 150.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all; and of a probe,
 beyond which that of the first round serves for all sets."""
 
 
 class Clock(Budget):
-    """The budget of a search that tells how far it is, and that a person may stop."""
+    """The budget of a search, MOST_S if nobody ``gave`` one, that tells how far it is, and that a person may stop. ``cut`` is
+    whether something was left out for want of time."""
 
     def __init__(self, budget: float | None, progress: Callable[[str, float], None] | None = None) -> None:
-        super().__init__(budget)
+        super().__init__(MOST_S if budget is None else budget)
         self.progress = progress
-        self.stopped = False
+        self.gave = budget is not None
+        self.stopped = self.cut = False
 
     def left(self, share: float = 1.0) -> bool:
-        return not self.stopped and super().left(share)
+        in_time = super().left(share)
+        self.cut |= not in_time
+        return in_time and not self.stopped
 
     def affords(self, seconds: float) -> bool:
         """Whether a step of so many seconds is worth it: within half of what is left of the budget, and MOST_FIT_S."""
@@ -333,21 +341,25 @@ class Search:
         self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
     ) -> dict[str, Probe]:
         """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
-        it is. Those that take long are made once, beside the scene's own model; those of dear geometries otherwise ``anew``, or held
-        against this fit as they were made last."""
+        it is. Those that take long are made once, beside the scene's own model; those of dear geometries otherwise ``anew``, if what
+        they were made as last still promises LITTLE, or held against this fit as that."""
         found = {}
-        for entry in sorted(
-            entries, key=lambda one: turns(self.posterior(at.hypothesis.with_effect(one)), one)
-        ):
+        alone = {entry: self.posterior(Hypothesis((entry,), self.robust)) for entry in entries}
+        for entry in sorted(entries, key=lambda one: turns(alone[one], one)):
             if not self.clock.left(share):
                 break
+            known = self.latest.get(entry)
+            last = None if known is None else rescored(*known, at)
+            dear = at.posterior.dear or alone[entry].dear
+            if last is not None and dear and (not anew or last.score < LITTLE):
+                found[entry] = last
+                continue
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
-            known = self.latest.get(entry)
-            held = known is not None and not anew and (at.posterior.dear or posterior.dear)
+            held = last is not None and not anew and posterior.dear
             cost = 0.0 if held else least_seconds(posterior, entry)
-            if known is not None and (held or cost > DEAR_FIT_S):
-                found[entry] = rescored(*known, at)
+            if last is not None and (held or cost > DEAR_FIT_S):
+                found[entry] = last
             elif self.clock.affords(cost):
                 found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
                 self.latest[entry] = found[entry], at

@@ -41,6 +41,7 @@ myst_substitutions = {
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",
+    "told": f"{odds.TOLD:g}",
     "near": f"{engine.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",
     "odd_odds": f"{discrepancy.ODDS:g}",

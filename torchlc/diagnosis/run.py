@@ -106,9 +106,10 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
         return _gate(at, found, {}, search.seed, level=False).global_p
 
     # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
-    lobes = search.bench.laws if search.bench.recording.error is not None else {}
-    if lobes and _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
-        search.laws(entries)
+    if _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
+        search.jointly()
+        if search.bench.recording.error is not None:
+            search.laws(entries)
     search.sets(entries, left)
     search.afresh()
     search.nominal_sizes()

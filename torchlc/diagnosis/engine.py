@@ -621,14 +621,14 @@ class Search:
 
     def pruned(self) -> None:
         """A leader whose rows err together without each of its effects, as long as one fewer is better: what the others were added for
-        may be what rows share. One whose geometry is dear stays."""
+        may be what rows share."""
         while self.correlated(self.leader) and len(self.leader.added) > 1:
             best = self.leader
             at = self.visited[best]
-            if at.posterior.dear:
-                break
             for entry in best.added:
-                if self.less(at, entry) not in self.visited and self.clock.left(0.9):
+                fewer = self.less(at, entry)
+                cost = refit_seconds(self.posterior(fewer))
+                if fewer not in self.visited and self.clock.left(0.9) and self.clock.affords(cost):
                     self.shrunk(at, entry, turns=1)
             if self.leader == best:
                 break

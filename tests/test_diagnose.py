@@ -15,7 +15,8 @@ import torch
 from scipy import special
 
 import torchlc
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.joint import joint_sets

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.candidates import check_candidates
+from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import CLEAN_P, Clock, Search
+from torchlc.diagnosis.engine import CLEAN_P, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence

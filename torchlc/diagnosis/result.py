@@ -25,8 +25,8 @@ from torchlc.diagnosis.words import added_values, lines, probability, statistic,
 from torchlc.effects import with_title
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.inference.posterior import BAD_ROW, Fitted
-from torchlc.lightcurve.assembly import divided_offset
 from torchlc.lightcurve.model import LightCurve
+from torchlc.lightcurve.numbers import divided_offset
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
 from torchlc.stages.effect import Effect, Entry, View

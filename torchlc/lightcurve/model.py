@@ -17,7 +17,8 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from torchlc.lightcurve.assembly import Assembly, assemble
+from torchlc.lightcurve.assembled import Assembly
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.evaluators import Evaluator, chosen
 from torchlc.lightcurve.evaluators.clock import MOST_TRACED_PAIRS
 from torchlc.lightcurve.evaluators.exact import ExactGeometry

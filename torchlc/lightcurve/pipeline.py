@@ -18,7 +18,7 @@ from torch import Tensor
 from torchlc.brdf.base import Brdf
 from torchlc.geometry.orbit import State
 from torchlc.geometry.rotation.matrices import rotation_towards
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.tables import (
     Key,
     Tables,

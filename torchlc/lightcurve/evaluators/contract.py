@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet

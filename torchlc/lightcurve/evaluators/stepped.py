@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.evaluators.contract import Evaluator, cubic, put
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables

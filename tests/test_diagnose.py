@@ -25,12 +25,13 @@ from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
 from torchlc.files.steps import Steps
-from torchlc.inference.posterior import Posterior, fit, fitted_at, integrated
+from torchlc.inference.density import Posterior
+from torchlc.inference.posterior import fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
 ROOT = Path(__file__).parents[1]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import functools
 import json
 import sys
-from types import ModuleType
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 

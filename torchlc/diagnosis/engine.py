@@ -41,20 +41,11 @@ from torchlc.diagnosis.probes import (
 from torchlc.effects import effect_class
 from torchlc.files.steps import Steps
 from torchlc.inference.budget import Budget
+from torchlc.inference.density import Fitted, Linear, Posterior
 from torchlc.inference.evidence import Evidence
 from torchlc.inference.optimiser import find_modes
-from torchlc.inference.posterior import (
-    UNLIKE,
-    Fitted,
-    Linear,
-    Posterior,
-    fit,
-    fitted_at,
-    integrated,
-    material_starts,
-    merged,
-)
-from torchlc.stages.effect import Entry
+from torchlc.inference.posterior import UNLIKE, fit, fitted_at, integrated, material_starts, merged
+from torchlc.stages.entry import Entry
 
 REACH = 12.0
 """Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""

@@ -25,7 +25,7 @@ from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 SCALE = "error scale"
 """The quoted errors times a factor, which is no effect of the library: log-normal about 1."""

@@ -21,7 +21,8 @@ from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.shapes import Part, Shape
-from torchlc.stages.effect import Columns, Context, Effect, Instants
+from torchlc.stages.effect import Context, Effect
+from torchlc.stages.instants import Columns, Instants
 from torchlc.tensors.moving import CPU
 
 

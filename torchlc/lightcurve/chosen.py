@@ -14,7 +14,8 @@ from torchlc.parameters import Prior, Quantity
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.scene.problems import shown
-from torchlc.stages.effect import Context, Effect, Entry
+from torchlc.stages.effect import Context, Effect
+from torchlc.stages.entry import Entry
 from torchlc.suggest import did_you_mean
 
 

@@ -13,7 +13,7 @@ from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet
-from torchlc.stages.effect import Brightness, Surface
+from torchlc.stages.light import Brightness, Surface
 from torchlc.tensors.autodiff_state import apart
 
 MOST_SLOTS = 12

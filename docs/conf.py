@@ -14,7 +14,7 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnosis import discrepancy, engine, gate, hypotheses, proof, run, where
+from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses, proof, run, where
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
@@ -41,13 +41,15 @@ myst_substitutions = {
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",
+    "told": f"{odds.TOLD:g}",
     "near": f"{engine.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",
     "odd_odds": f"{discrepancy.ODDS:g}",
     "far": f"{discrepancy.FAR:g}",
     "refitted": str(discrepancy.REFITTED),
     "quick_s": f"{run.QUICK_S:g}",
-    "reach": f"{engine.REACH:g}",
+    "most_s": f"{clock.MOST_S:g}",
+    "reach": f"{fits.REACH:g}",
     "few_effects": hypotheses.FEW_EFFECTS,
     "alone_s": f"{run.MOST_ALONE_S:g}",
     "scale_sigma": f"{posterior.SCALE_SIGMA:g}",

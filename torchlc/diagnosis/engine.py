@@ -34,15 +34,9 @@ from torchlc.diagnosis.probes import (
     turns,
 )
 from torchlc.effects import effect_class
-from torchlc.inference.posterior import (
-    UNLIKE,
-    Fitted,
-    Linear,
-    Posterior,
-    fit,
-    material_starts,
-)
-from torchlc.stages.effect import Entry
+from torchlc.inference.density import Fitted, Linear, Posterior
+from torchlc.inference.posterior import UNLIKE, fit, material_starts
+from torchlc.stages.entry import Entry
 
 NEAR = 6.0
 """The same within which its evidence is integrated, and told under every noise: one in 400."""

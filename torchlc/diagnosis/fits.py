@@ -26,11 +26,10 @@ from torchlc.diagnosis.probes import (
     scanned_hours,
 )
 from torchlc.files.steps import Steps
+from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.evidence import Evidence
 from torchlc.inference.optimiser import find_modes
 from torchlc.inference.posterior import (
-    Fitted,
-    Posterior,
     fit,
     fitted_at,
     integrated,

@@ -21,7 +21,8 @@ from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
 from torchlc.files.steps import Steps
-from torchlc.inference.posterior import Fitted, fitted_at
+from torchlc.inference.density import Fitted
+from torchlc.inference.posterior import fitted_at
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 

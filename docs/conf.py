@@ -198,7 +198,11 @@ def evidence_of_the_benchmark() -> dict[str, str]:
     heads = ["method", "cases", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
              "causes found", "verdict right", "rows", "gain", "calibration error", "abstained", "CPU s"]  # fmt: skip
     whole += [
-        [title, "0", *(f"not installed: {', '.join(modules)}" if k == 0 else "–" for k in range(len(heads) - 2))]
+        [
+            title,
+            "0",
+            *(f"not installed: {', '.join(modules)}" if k == 0 else "–" for k in range(len(heads) - 2)),
+        ]
         for title, modules in numbers.get("left_out", {}).items()
     ]
     missing = [kind for kind in kinds if kind != "none"]
@@ -225,7 +229,9 @@ def evidence_of_the_benchmark() -> dict[str, str]:
         "concealed_seed": str(numbers["seed"]),
         "concealed_machine": numbers["machine"],
         "concealed_failed": str(numbers["failed"]),
-        "concealed_share": "" if numbers["cases"] >= 300 else (
+        "concealed_share": ""
+        if numbers["cases"] >= 300
+        else (
             f"Of the 300 cases of a whole run {numbers['cases']} are done: so few say little of false alarms, of calibration and of abstention."
         ),
         "concealed_table": table(heads, whole),

@@ -178,7 +178,9 @@ def test_an_offset_of_an_unseen_curve_is_known_by_its_prior_alone():
     for (block, _), density in zip(blocks, scored.log_density.tolist(), strict=True):
         some = block.numpy()
         expected = marginal(bare[some], ERROR, (recording.curve[some], sigma))
-        assert density == pytest.approx(expected, rel=1e-6)  # coordinates are 0 to rounding; slopes are differences
+        assert density == pytest.approx(
+            expected, rel=1e-6
+        )  # coordinates are 0 to rounding; slopes are differences
     assert scored.rms == pytest.approx(np.sqrt(np.mean(bare**2)), rel=1e-6)
 
 

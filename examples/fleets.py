@@ -101,7 +101,7 @@ V15 = {
     "with a further surface": '"appendage"',
     "with a further surface and the Earth's shadow": '"appendage", "earth_shadow"',
 }
-"""Effects of each model. The last are those that a diagnosis names (docs/real_data)."""
+"""Effects of each model. A diagnosis names the last two and a background of each night, which no unseen night has (docs/real_data)."""
 
 
 def v15() -> dict[str, Any]:
@@ -290,7 +290,7 @@ def observers() -> dict[str, Any]:
     spared = scene.model_copy(
         update={
             "model": scene.model.model_copy(
-                update={"effects": [*scene.model.effects, "outliers"], "parameters": parameters}
+                update={"effects": [*(scene.model.effects or ()), "outliers"], "parameters": parameters}
             )
         }
     )
@@ -343,6 +343,7 @@ def of_neighbours(columns: np.ndarray, bright: np.ndarray, member: np.ndarray) -
 
 def passes(recording: Recording) -> np.ndarray:
     """Which pass each row (T,) is of: those of one object within an hour of the clock."""
+    assert recording.object is not None
     hours = np.floor(recording.seconds / 3600).astype(int)
     return np.unique(np.stack([recording.object, hours]), axis=1, return_inverse=True)[1].ravel()
 

@@ -33,6 +33,10 @@ def probability(found: dict[str, Any]) -> str:
     return "not stored" if said is None else f"{said:.2f}"
 
 
+def magnitudes(value: float | None) -> str:
+    return "not stored" if value is None else f"{value:.3f} mag"
+
+
 def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
     """A row for the laboratory's body, once its diagnosis is stored."""
     if BODY not in diagnoses:
@@ -236,8 +240,8 @@ def body() -> dict[str, str]:
         "laboratory_probability": probability(one),
         "laboratory_rms_before": f"{gain['rms_before']:.3f}",
         "laboratory_rms_after": f"{gain['rms_after']:.3f}",
-        "laboratory_unseen_before": f"{gain['heldout_rms_before']:.3f}",
-        "laboratory_unseen_after": f"{gain['heldout_rms_after']:.3f}",
+        "laboratory_unseen_before": magnitudes(gain["heldout_rms_before"]),
+        "laboratory_unseen_after": magnitudes(gain["heldout_rms_after"]),
         "laboratory_parameters": table(
             [
                 ("number", "value", "standard deviation"),

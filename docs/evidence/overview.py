@@ -169,6 +169,21 @@ def remaining() -> str:
     return table([head, *rows])
 
 
+CLOCKS = {"time_offset", "wobble"}
+
+
+def clocks() -> str:
+    """How many tracks alone are blamed on clocks or wobbles, and how many of these about their families."""
+    alone = read("real_data/verdicts.json")
+    blamed = [
+        one["remains"]
+        for found in stored_families().values()
+        for number, one in found["tracks"].items()
+        if "remains" in one and CLOCKS & set(alone[f"mmt9 {number}"]["named"])
+    ]
+    return f"{len(blamed)}, about their families {sum(bool(CLOCKS & set(one['named'])) for one in blamed)}"
+
+
 def freed() -> str:
     """What each family's fit found of what is shared."""
     names = (
@@ -485,6 +500,7 @@ def tables() -> dict[str, str]:
         "evidence_families": families(),
         "evidence_families_remain": remaining(),
         "evidence_families_shared": freed(),
+        "evidence_families_clocks": clocks(),
         "evidence_nights": nights(),
         "evidence_classes": classes(),
         "evidence_splits": splits(),

@@ -23,6 +23,7 @@ from scipy.stats import norm, t
 
 import torchlc
 from torchlc.cli import scaffold
+from torchlc.files.numbers import Free
 from torchlc.geometry.orbit import earth
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import fit_map
@@ -41,6 +42,12 @@ ERROR_MAG = 0.05
 """Of every row of the v2 mini; what rows differ by beyond it is fitted. The quoted errors, 0.02 to 0.3 mag, are a tenth of that."""
 ROUNDS = 4
 """Of expectation and maximisation: passes stop changing their mode."""
+SURVEY_DEG = 43.65
+"""Latitude of the survey's station; no visual observer is there."""
+BRIGHT_MAG = 3.0
+"""At 400 km: between the two kinds of passes of the satellites below LOW_KM."""
+TOLD_BY = ("height", "day", "phase angle", "elevation", "azimuth", "station's latitude")
+NEIGHBOURS = 15
 LEAST_OBJECTS = 15
 """On either side of a split of the population."""
 
@@ -94,7 +101,7 @@ V15 = {
     "with a further surface": '"appendage"',
     "with a further surface and the Earth's shadow": '"appendage", "earth_shadow"',
 }
-"""Effects of each model. The last are those that a diagnosis names (docs/real_data)."""
+"""Effects of each model. A diagnosis names the last two and a background of each night, which no unseen night has (docs/real_data)."""
 
 
 def v15() -> dict[str, Any]:
@@ -170,6 +177,7 @@ altaz = true
         "elevation": alt,
         "azimuth": az,
         "station's latitude": latitude,
+        "range": column("range_to_sat_km_satchecker"),
     }
     return scene, recording, lit, recorded
 
@@ -269,12 +277,83 @@ def low_modes() -> dict[str, Any]:
     return modes(scene, recording.keep(lit & (recorded["height"] < LOW_KM), "of the other class"))
 
 
+def observers() -> dict[str, Any]:
+    """The satellites below LOW_KM by who saw them: the survey's photometer, or visual observers, each fitted by itself and asked for
+    satellites that it has not seen, with an offset of each, or with rows that may be of another kind; how much rows of one pass differ,
+    and the share of rows of each station that are bright."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, recording, lit, recorded = v2mini(Path(folder))
+    low = lit & (recorded["height"] < LOW_KM)
+    latitude, distance = recorded["station's latitude"][low], recorded["range"][low]
+    some = recording.keep(low, "of the other class")
+    parameters = scene.model.parameters | {"zero_point": Free(value=0.0, sigma=0.5, prior="normal")}
+    spared = scene.model_copy(
+        update={
+            "model": scene.model.model_copy(
+                update={"effects": [*(scene.model.effects or ()), "outliers"], "parameters": parameters}
+            )
+        }
+    )
+    surveyed = np.abs(latitude - SURVEY_DEG) < 0.05
+    found: dict[str, Any] = {}
+    for name, rows in (("photometer", surveyed), ("visual", ~surveyed)):
+        kept = some.keep(rows, "of the other observers")
+        assert kept.object is not None
+        group = passes(kept)
+        mean = np.bincount(group, kept.observed) / np.bincount(group)
+        apart = len(kept) - len(mean)
+        unseen = held_out(scene, kept, kept.object)
+        among_bad = held_out(spared, kept, kept.object)
+        found[name] = {
+            "rows": len(kept),
+            "objects": len(kept.object_ids),
+            "passes": len(mean),
+            "within_pass": float(np.sqrt(((kept.observed - mean[group]) ** 2).sum() / apart)),
+            "unseen": robust(unseen),
+            "unseen_with_outliers": robust(among_bad),
+            "unseen_median_of_passes": robust(
+                np.array([np.median(unseen[group == k]) for k in range(len(mean))])
+            ),
+        }
+        print(name, found[name], flush=True)
+    at_400_km = some.observed - 5 * np.log10(distance / 400.0)
+    found["stations"] = [
+        {
+            "latitude": float(one),
+            "rows": int((latitude == one).sum()),
+            "bright": float(np.mean(at_400_km[latitude == one] < BRIGHT_MAG)),
+        }
+        for one in np.unique(latitude)
+        if (latitude == one).sum() >= LEAST_OBJECTS
+    ]
+    columns = np.array([column[low] for name, column in recorded.items() if name in TOLD_BY])
+    assert some.object is not None
+    share = of_neighbours(columns, at_400_km < BRIGHT_MAG, some.object)
+    found["bright_told"] = area_under_curve(share, at_400_km < BRIGHT_MAG)
+    return found
+
+
+def of_neighbours(columns: np.ndarray, bright: np.ndarray, member: np.ndarray) -> np.ndarray:
+    """Share (T,) of bright rows among the NEIGHBOURS nearest rows of other members, in columns (C, T) scaled to a deviation of 1."""
+    scaled = columns / columns.std(1, keepdims=True)
+    apart = ((scaled[:, :, None] - scaled[:, None]) ** 2).sum(0)
+    apart[member[:, None] == member] = np.inf
+    return bright[np.argsort(apart, 1)[:, :NEIGHBOURS]].mean(1)
+
+
+def passes(recording: Recording) -> np.ndarray:
+    """Which pass each row (T,) is of: those of one object within an hour of the clock."""
+    assert recording.object is not None
+    hours = np.floor(recording.seconds / 3600).astype(int)
+    return np.unique(np.stack([recording.object, hours]), axis=1, return_inverse=True)[1].ravel()
+
+
 def fleet() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         dark = told_dark(*v2mini(Path(folder), 0.0)[:3])
         scene, recording, lit, recorded = v2mini(Path(folder))
     lighted = recording.keep(lit, "flagged as not illuminated")
-    recorded = {name: column[lit] for name, column in recorded.items()}
+    recorded = {name: column[lit] for name, column in recorded.items() if name != "range"}
     assert lighted.object is not None
     model, theta = fitted(scene, lighted)
     values = dict(zip(model.names, theta.tolist(), strict=True))
@@ -352,9 +431,7 @@ def modes(scene: torchlc.Scene, recording: Recording, folds: int = FOLDS) -> dic
     """Whether satellites of one class fly in two ways, changing from pass to pass: what two models predict of unseen satellites, against
     one model with a population of offsets."""
     assert recording.object is not None
-    hours = np.floor(recording.seconds / 3600).astype(int)
-    _, group = np.unique(np.stack([recording.object, hours]), axis=1, return_inverse=True)
-    group = group.ravel()
+    group = passes(recording)
     seen = two_modes(scene, recording, group)
     owner = np.array([recording.object[group == k][0] for k in range(group.max() + 1)])
     turned = [one for one in np.unique(owner) if len(set(seen["first"][owner == one])) == 2]
@@ -482,7 +559,7 @@ def area_under_curve(score: np.ndarray, positive: np.ndarray) -> float:
     return float(np.mean((difference > 0) + 0.5 * (difference == 0)))
 
 
-PARTS = {"v15": v15, "v2mini": fleet, "modes": low_modes, "visor": visor}
+PARTS = {"v15": v15, "v2mini": fleet, "modes": low_modes, "observers": observers, "visor": visor}
 
 
 def main() -> None:

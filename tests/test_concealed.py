@@ -12,7 +12,7 @@ import pytest
 import torch
 from scipy import stats
 
-from benchmarks.concealed.__main__ import main
+from benchmarks.concealed.__main__ import main, run
 from benchmarks.concealed.answer import absent, method, method_names
 from benchmarks.concealed.case import Case
 from benchmarks.concealed.linear import conditional
@@ -145,7 +145,9 @@ def test_the_pit_is_a_closed_body() -> None:
     assert np.linalg.norm(crosses, axis=1).sum() / 2 == pytest.approx(24 + 4 * side * deep, abs=1e-6)
 
 
-def test_the_command_makes_asks_and_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_makes_asks_and_scores(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two traced cases: nothing missing is called none, a second lamp is seen; a second run asks no one again."""
     pytest.importorskip(
         "mitsuba", reason="mitsuba is not installed (pip install -r benchmarks/concealed/requirements.txt)"
@@ -166,6 +168,18 @@ def test_the_command_makes_asks_and_scores(tmp_path: Path, capsys: pytest.Captur
     before = [file.read_text() for file in files]
     main(call)
     assert [file.read_text() for file in files] == before
+    assert content["left_out"].get(method("sbi_flow").TITLE) == (absent("sbi_flow") or None)
+
+    def stopped(job):
+        if job.kind == "unlisted":
+            raise KeyboardInterrupt
+        return run(job)
+
+    (tmp_path / "summary.json").unlink()
+    monkeypatch.setattr("benchmarks.concealed.__main__.run", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main(call)
+    assert json.loads((tmp_path / "summary.json").read_text())["scores"] == content["scores"]
     with pytest.raises(SystemExit, match="holds cases of seed 5"):
         main([*call[:1], "6", *call[2:]])
 

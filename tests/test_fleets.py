@@ -12,10 +12,14 @@ from scipy.stats import multivariate_normal, norm
 
 import torchlc
 from tests.effects.passes import magnitudes, model_with, orbiting, rows
-from torchlc.diagnosis.proof import log_density, make_blocks
+from torchlc.diagnosis.hypotheses import Hypothesis
+from torchlc.diagnosis.proof import log_density, make_blocks, unseen
 from torchlc.errors import InputError
+from torchlc.files.numbers import Free
+from torchlc.inference.density import Posterior
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import fit_map, whitener
+from torchlc.inference.posterior import fitted_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.draw import draw
 from torchlc.noise.object_scatter import Shared
@@ -135,10 +139,6 @@ def test_unseen_objects_are_scored_with_the_spread():
     blocks = make_blocks(model.assembly.context.seconds, group)
     held = [set(recording.object[rows.numpy()]) for rows, _ in blocks]
     assert sum(map(len, held)) == OBJECTS  # none in two blocks
-    from torchlc.diagnosis.hypotheses import Hypothesis
-    from torchlc.inference.density import Posterior
-    from torchlc.inference.posterior import fitted_at
-
     posterior = Posterior(Likelihood(model), False)
     at = fitted_at(Hypothesis(), posterior, posterior.coordinates(theta))
     physical = torch.tensor(posterior.physical, dtype=torch.long)
@@ -150,6 +150,39 @@ def test_unseen_objects_are_scored_with_the_spread():
     delta = at.delta[one].numpy()
     expected = multivariate_normal(np.zeros(len(one)), covariance).logpdf(delta)
     assert float(log_density(at, at, one)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_offset_of_an_unseen_curve_is_known_by_its_prior_alone():
+    """Whole curves are left out, each with a zero point of its own: the density of each block is SciPy's of the marginal distribution over
+    the prior, and what is left of its rows is all of their offset."""
+    sigma = 0.4
+    zero_point = Free(value=0.0, sigma=sigma, prior="normal", per="curve")
+    scene = SCENE.model_copy(
+        update={
+            "model": SCENE.model.model_copy(
+                update={"parameters": {**SCENE.model.parameters, "zero_point": zero_point}}
+            )
+        }
+    )
+    whole, _ = fleet(count=6)
+    recording = replace(whole, object=None, object_ids=(), curve=whole.object, curve_ids=whole.object_ids)
+    model = LightCurve(scene, recording)
+    assert len(model.names) == 6
+    at = fitted_at(
+        Hypothesis(),
+        Posterior(Likelihood(model), False),
+        torch.as_tensor(np.random.default_rng(1).normal(size=6)),
+    )
+    blocks = make_blocks(model.assembly.context.seconds, model.assembly.context.curve)
+    bare = recording.observed - magnitudes(SCENE, recording)
+    scored = unseen(at, blocks)
+    for (block, _), density in zip(blocks, scored.log_density.tolist(), strict=True):
+        some = block.numpy()
+        expected = marginal(bare[some], ERROR, (recording.curve[some], sigma))
+        assert density == pytest.approx(
+            expected, rel=1e-6
+        )  # coordinates are 0 to rounding; slopes are differences
+    assert scored.rms == pytest.approx(np.sqrt(np.mean(bare**2)), rel=1e-6)
 
 
 def test_scatter_between_objects_is_not_named_as_physics():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.stats import norm
 
 from examples import fleets
@@ -23,6 +24,20 @@ def test_the_density_of_a_mixture_of_passes_is_that_of_products_of_normal_densit
     for mode, (share, sigma) in enumerate(((0.3, 0.5), (0.7, 2.0))):
         expected = [share * norm.pdf(delta[mode, group == k], scale=sigma).prod() for k in range(3)]
         np.testing.assert_allclose(np.exp(found[mode]), expected, rtol=1e-12)
+
+
+def test_the_nearest_rows_are_those_of_other_members():
+    """Against SciPy's k-d tree of the rows of all other members, for each row."""
+    random = np.random.default_rng(2)
+    columns, member = random.normal(size=(3, 80)) * [[1.0], [5.0], [0.2]], random.integers(9, size=80)
+    bright = random.random(80) < 0.4
+    scaled = (columns / columns.std(1)[:, None]).T
+    expected = []
+    for row in range(80):
+        others = member != member[row]
+        near = cKDTree(scaled[others]).query(scaled[row], fleets.NEIGHBOURS)[1]
+        expected.append(bright[others][near].mean())
+    np.testing.assert_allclose(fleets.of_neighbours(columns, bright, member), expected, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")

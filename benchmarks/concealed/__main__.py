@@ -3,7 +3,8 @@
     python -m benchmarks.concealed --seed S --cases N -o DIR [--classes one,two] [--methods diagnosis,chi_square]
 
 A stopped run goes on where it was. DIR holds a folder for each case and ``summary.json``; ``--publish FILE`` writes the
-summary elsewhere too. A method whose library is not installed is left out, and this is said; ``pip install -r
+summary elsewhere too. Both are written anew after each case, so that a run that is stopped leaves the scores of what it
+has done. A method whose library is not installed is left out, and this is said, in the summary too; ``pip install -r
 benchmarks/concealed/requirements.txt`` installs all of them.
 """
 
@@ -17,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -148,6 +149,11 @@ def told(options: argparse.Namespace) -> dict[str, Any]:
         "generators": {name: sum(one["generator"] == name for one in answers) for name in GENERATORS},
         "failed": len(rows) - len(good),
         "titles": {row["method"]: method(row["method"]).TITLE for row in good},
+        "left_out": {
+            method(name).TITLE: absent(name)
+            for name in method_names()
+            if absent(name) and not any(row["method"] == name for row in good)
+        },
         "scores": summary(good),
         "overview": overview(
             good, "diagnosis", f"python -m benchmarks.concealed --seed {options.seed} -o DIR"
@@ -208,16 +214,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     claim(options.out, options.seed)
     if options.processes == 1:
         for job in wanted:
-            print(run(job), flush=True)
+            publish(run(job), options)
     else:
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            for line in pool.map(run, wanted):
-                print(line, flush=True)
+            for done in as_completed([pool.submit(run, job) for job in wanted]):
+                publish(done.result(), options)
+
+
+def publish(line: str, options: argparse.Namespace) -> None:
+    """Prints what is said of a case, and writes the summary of all that are done; never half of it."""
+    print(line, flush=True)
     content = json.dumps(told(options), indent=1) + "\n"
     for path in (options.out / "summary.json", options.publish):
         if path is not None:
-            path.write_text(content, encoding="utf-8")
+            whole = path.with_name(path.name + ".new")
+            whole.write_text(content, encoding="utf-8")
+            whole.replace(path)
 
 
 if __name__ == "__main__":

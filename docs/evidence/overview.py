@@ -4,11 +4,13 @@ wrote; docs/conf.py has the tables, docs/fill_numbers.py writes them into the pa
 from __future__ import annotations
 
 import json
+import statistics
 from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 DIAGNOSES = "`python examples/calibration/real_recordings.py docs/real_data --only {}`"
+FAMILIES = "`python examples/calibration/mmt9_families.py docs/evidence`"
 BODY, THERE = "hac_body03", ("self_shadowing", "near_field", "radiance_power", "start_phase")
 """The laboratory's body, and the effects that its rendering is known to have."""
 NOT_THERE = ("finite_sun", "background", "radiance_threshold")
@@ -29,6 +31,10 @@ def probability(found: dict[str, Any]) -> str:
     """That of the first name, where the diagnosis was stored with it."""
     said = found.get("probability")
     return "not stored" if said is None else f"{said:.2f}"
+
+
+def magnitudes(value: float | None) -> str:
+    return "not stored" if value is None else f"{value:.3f} mag"
 
 
 def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -61,6 +67,147 @@ def laboratory(diagnoses: dict[str, Any]) -> list[tuple[str, ...]]:
 def between(numbers: list[float]) -> str:
     """The least and the largest of some probabilities."""
     return f"{min(numbers):.2f} to {max(numbers):.2f}"
+
+
+def shared_families() -> list[tuple[str, ...]]:
+    """A row for each family of tracks: what one model of all leaves of tracks that it has seen and of those that it has not, and what
+    is named of the rest."""
+    rows = []
+    for name, found in stored_families().items():
+        tracks = found["tracks"].values()
+        asked = [one["remains"] for one in tracks if "remains" in one]
+        near = sum(one["unseen_rms_about_own_offset"] < 1.5 * one["noise"] for one in tracks)
+        said = [named(one) for one in asked]
+        rows.append(
+            (
+                f"[{name}](mmt9.md), {len(tracks)} tracks in one fit",
+                "none documented; sizes, attitude, materials free and shared",
+                "; ".join(f"{one} ({said.count(one)})" for one in dict.fromkeys(said)) or "not stored",
+                between([one["probability"] for one in asked]) if asked else "not stored",
+                f"silent: {near} of {len(tracks)} tracks are predicted by the others to 1.5 times their noise, an offset of each apart; "
+                f"left of a track in the fit {median(tracks, 'rms_about_own_offset')} mag, of one left out "
+                f"{median(tracks, 'unseen_rms_about_own_offset')} mag, noise {median(tracks, 'noise')} mag (medians)",
+                FAMILIES,
+            )
+        )
+    return rows
+
+
+def stored_families() -> dict[str, Any]:
+    """Fits of families by name, those that were made."""
+    file = "evidence/mmt9_families.json"
+    return read(file) if (DOCS / file).exists() else {}
+
+
+def median(rows: Any, key: str) -> str:
+    return f"{statistics.median(row[key] for row in rows):.2f}"
+
+
+def families() -> str:
+    """What the model that a family shares leaves, track by track."""
+    keys = (
+        "noise",
+        "recorded",
+        "rms_about_own_offset",
+        "own_angles_rms_about_own_offset",
+        "unseen_rms",
+        "unseen_rms_about_own_offset",
+    )
+    rows = [
+        (
+            name,
+            number,
+            *(f"{one[key]:.3f}" for key in keys),
+            f"{one['unseen_rms_about_own_offset'] / one['noise']:.1f}",
+        )
+        for name, found in stored_families().items()
+        for number, one in found["tracks"].items()
+    ]
+    head = (
+        "family",
+        "track",
+        "noise",
+        "scatter recorded",
+        "left, shared",
+        "left, own angles",
+        "left out",
+        "left out, own offset",
+        "over the noise",
+    )
+    return table([head, *rows])
+
+
+def remaining() -> str:
+    """What a diagnosis about its family's fit says of each track, beside that of the track alone."""
+    alone = read("real_data/verdicts.json")
+    rows = []
+    for name, found in stored_families().items():
+        for number, one in found["tracks"].items():
+            if "remains" in one:
+                told = one["remains"]
+                gain = told["improvement"]
+                rows.append(
+                    (
+                        name,
+                        number,
+                        named(alone[f"mmt9 {number}"]),
+                        named(told),
+                        probability(told),
+                        f"{gain['rms_before']:.3f} to {gain['rms_after']:.3f}",
+                        f"{told['cpu_seconds']:.0f}",
+                    )
+                )
+    head = (
+        "family",
+        "track",
+        "said of the track alone",
+        "said about its family",
+        "probability",
+        "rms, mag",
+        "CPU s",
+    )
+    return table([head, *rows])
+
+
+CLOCKS = {"time_offset", "wobble"}
+
+
+def clocks() -> str:
+    """How many tracks alone are blamed on clocks or wobbles, and how many of these about their families."""
+    alone = read("real_data/verdicts.json")
+    blamed = [
+        one["remains"]
+        for found in stored_families().values()
+        for number, one in found["tracks"].items()
+        if "remains" in one and CLOCKS & set(alone[f"mmt9 {number}"]["named"])
+    ]
+    return f"{len(blamed)}, about their families {sum(bool(CLOCKS & set(one['named'])) for one in blamed)}"
+
+
+def freed() -> str:
+    """What each family's fit found of what is shared."""
+    names = (
+        "attitude_offset.x",
+        "attitude_offset.y",
+        "attitude_offset.z",
+        "panel_offset.deg",
+        "object_scatter.mag",
+        "jitter.mag",
+    )
+    rows = [
+        (name, *(f"{found['parameters'][key]:.2f}" for key in names))
+        for name, found in stored_families().items()
+    ]
+    head = (
+        "family",
+        "turn about X, deg",
+        "Y",
+        "Z",
+        "arrays, deg",
+        "spread of offsets, mag",
+        "error beyond the noise, mag",
+    )
+    return table([head, *rows])
 
 
 def tracks() -> str:
@@ -108,8 +255,8 @@ def body() -> dict[str, str]:
         "laboratory_probability": probability(one),
         "laboratory_rms_before": f"{gain['rms_before']:.3f}",
         "laboratory_rms_after": f"{gain['rms_after']:.3f}",
-        "laboratory_unseen_before": f"{gain['heldout_rms_before']:.3f}",
-        "laboratory_unseen_after": f"{gain['heldout_rms_after']:.3f}",
+        "laboratory_unseen_before": magnitudes(gain["heldout_rms_before"]),
+        "laboratory_unseen_after": magnitudes(gain["heldout_rms_after"]),
         "laboratory_parameters": table(
             [
                 ("number", "value", "standard deviation"),
@@ -192,6 +339,7 @@ def overview() -> str:
             "not shown: nominal shapes may be behind these names",
             DIAGNOSES.format("mmt9"),
         ),
+        *shared_families(),
         (
             "[Tumbling bodies](../tutorials/tumbling.md)",
             "a made-up recording of known rotation",
@@ -254,6 +402,45 @@ def classes() -> str:
     return table([head, *rows])  # fmt: skip
 
 
+def observers() -> str:
+    """Satellites below 430 km by who saw them."""
+    found = read("evidence/fleets.json")["observers"]
+    rows = [
+        (
+            title,
+            str(row["rows"]),
+            str(row["objects"]),
+            str(row["passes"]),
+            f"{row['within_pass']:.2f}",
+            f"{row['unseen']:.2f}",
+            f"{row['unseen_with_outliers']:.2f}",
+            f"{row['unseen_median_of_passes']:.2f}",
+        )
+        for key, title in (("photometer", "the survey's photometer"), ("visual", "visual observers"))
+        for row in [found[key]]
+    ]
+    head = (
+        "seen by",
+        "rows",
+        "satellites",
+        "passes",
+        "rows of one pass differ by, mag",
+        "robust sigma, rows of unseen satellites",
+        "where rows may be outliers",
+        "of medians of their passes",
+    )
+    return table([head, *rows])
+
+
+def bright() -> str:
+    """Share of bright rows by station."""
+    rows = [
+        (f"{row['latitude']:.1f}", str(row["rows"]), f"{100 * row['bright']:.0f} %")
+        for row in read("evidence/fleets.json")["observers"]["stations"]
+    ]
+    return table([("station's latitude", "rows", "brighter than 3 mag at 400 km"), *rows])
+
+
 def splits() -> str:
     rows = [
         (
@@ -310,9 +497,16 @@ def tables() -> dict[str, str]:
         **body(),
         "evidence_overview": overview(),
         "evidence_tracks": tracks(),
+        "evidence_families": families(),
+        "evidence_families_remain": remaining(),
+        "evidence_families_shared": freed(),
+        "evidence_families_clocks": clocks(),
         "evidence_nights": nights(),
         "evidence_classes": classes(),
         "evidence_splits": splits(),
+        "evidence_observers": observers(),
+        "evidence_bright": bright(),
+        "evidence_bright_told": f"{fleets['observers']['bright_told']:.2f}",
         "evidence_dark": dark(),
         "evidence_visor": visor(),
         "evidence_v15_rows": str(fleets["v15"]["rows"]),

@@ -91,6 +91,7 @@ def told(scene_file: Path, recording_file: Path, budget: float | None) -> dict[s
             for row in content["candidates"][:MOST]
         ],
         "sets": content["sets"][:MOST],
+        "budget": budget,
         "cpu_seconds": time.process_time() - began,
     }
 

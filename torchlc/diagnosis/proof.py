@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -77,33 +77,48 @@ def difference(first: Unseen, second: Unseen) -> tuple[float, float]:
 
 
 def unseen(at: Fitted, blocks: Sequence[tuple[Tensor, Tensor]]) -> Unseen:
-    """Every block predicted by a fit without it."""
+    """Every block predicted by a fit without it. A number of a group of rows that is left out whole, such as the offset of a curve,
+    is known by its prior alone, which is wide: such a model pays for that in the density."""
     densities, squares, count = [], 0.0, 0
     for rows, removed in blocks:
-        rest = _without(at, removed)
-        known = at if rest is None else fitted_at(at.hypothesis, at.posterior, rest.g)
-        densities.append(log_density(known, rest or at, rows))
+        known = _without(at, removed)
+        densities.append(log_density(known, known, rows))
         squares += float((known.off_mag[rows] ** 2).sum())
         count += len(rows)
     return Unseen(torch.stack(densities), math.sqrt(squares / max(count, 1)))
 
 
-def _without(at: Fitted, removed: Tensor) -> Fitted | None:
-    """The model fitted to all other rows; None where nothing is free, or no two rows are left."""
+def _without(at: Fitted, removed: Tensor) -> Fitted:
+    """The model of all rows at what the others tell of it, whose covariance is theirs too; as it is where nothing is free, or no two
+    rows are left."""
     recording = at.model.recording
     kept = np.ones(len(recording), dtype=bool)
     kept[removed.numpy()] = False
     if not at.posterior.size or kept.sum() < 2:
-        return None
+        return at
     some = recording.keep(kept, "unseen")
     entries = [effect.entry for effect in at.model.effects]
     likelihood = Likelihood(
         LightCurve(at.model.scene, some, assembly=assemble(at.model.scene, some, entries))
     )
-    if likelihood.model.names != at.names:
-        return None
-    slopes = at.slopes[torch.as_tensor(kept)][None]
-    return fit(at.hypothesis, Posterior(likelihood, at.posterior.scaled), at.g[None], turns=1, slopes=slopes)
+    # numbers of curves, nights or objects that have no row left are not in the others' model
+    place = {name: column for column, name in enumerate(at.names)}
+    columns = torch.tensor(
+        [place[name] for name in likelihood.model.names] + [at.posterior.own] * at.posterior.scaled,
+        dtype=torch.long,
+    )
+    slopes = at.slopes[torch.as_tensor(kept)][:, columns][None]
+    rest = fit(
+        at.hypothesis,
+        Posterior(likelihood, at.posterior.scaled),
+        at.g[None, columns],
+        turns=1,
+        slopes=slopes,
+    )
+    g = torch.zeros_like(at.g).index_copy(0, columns, rest.g)
+    covariance = torch.eye(len(g), dtype=g.dtype)
+    covariance[columns[:, None], columns] = rest.covariance
+    return replace(fitted_at(at.hypothesis, at.posterior, g), covariance=covariance)
 
 
 def log_density(known: Fitted, rest: Fitted, rows: Tensor) -> Tensor:

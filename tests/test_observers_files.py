@@ -4,6 +4,7 @@ work when they are followed.
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 import zoneinfo
@@ -128,6 +129,47 @@ def test_encodings(read, encoding: str, newline: str):
         "Zeit;Helligkeit;Fehler;Notiz", mark=";", comma=True, more=";sch\u00f6n"
     )
     holds(read(text.replace("\n", newline).encode(encoding)))
+
+
+@pytest.mark.parametrize("mark", [b"", codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE])
+@pytest.mark.parametrize("name", EXPORTS)
+def test_two_bytes_a_character(read, name: str, mark: bytes):
+    """As the "Unicode text" of Windows programs, with the mark of the order of bytes or without."""
+    order = "be" if mark == codecs.BOM_UTF16_BE else "le"
+    holds(read(mark + EXPORTS[name].encode(f"utf-16-{order}")))
+
+
+def test_two_bytes_a_character_that_break_off(read):
+    with pytest.raises(InputError, match="UTF-16 text that is damaged"):
+        read(table("time,mag,mag_err").encode("utf-16")[:-1])
+
+
+@pytest.mark.parametrize("rows", [0, 1, 3])
+@pytest.mark.parametrize("names", [0, 1])
+@pytest.mark.parametrize("name", EXPORTS)
+def test_delimiters_at_the_end_of_lines(read, name: str, names: int, rows: int):
+    """Of the rows, of the line of names, or of every second row, as spreadsheets and print statements leave them."""
+    lines = EXPORTS[name].splitlines()
+    mark = next((mark for mark in "\t;,|" if mark in lines[-1]), None)
+    if mark is None:
+        return
+    ends = [names * mark if re.match(r"#?[A-Za-z]", line) else rows * mark for line in lines]
+    holds(read("\n".join(line + end for line, end in zip(lines, ends, strict=True))))
+    if not names:
+        ends[-2] = ""
+        holds(read("\n".join(line + end for line, end in zip(lines, ends, strict=True))))
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_a_line_for_a_spreadsheet(read, name: str):
+    holds(read(f"sep=;\n{EXPORTS[name]}"))
+
+
+def test_a_value_too_many_is_refused(read):
+    with pytest.raises(InputError, match="row 2: 4 values; expected 3"):
+        read(table("JD,Mag,Err").replace(f"{MAG[1]}", f"{MAG[1]},7"))
+    with pytest.raises(InputError, match="row 3: 2 values; expected 3"):
+        read(table("JD,Mag,Err").replace(f",{ERROR[2]}", ""))
 
 
 def test_what_was_taken_is_said_in_one_line(read):
@@ -650,3 +692,14 @@ def test_all_missing_keys_of_a_scene_are_told_at_once():
     assert all(
         key in str(caught.value) for key in ("name", "orbit", "attitude.mode", "components", "materials")
     )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_scenes_and_manifests_of_windows(tmp_path: Path, encoding: str):
+    text = SCENE.replace("\n", "\r\n")
+    (tmp_path / "scene.toml").write_bytes(text.encode(encoding))
+    assert load_scene(tmp_path / "scene.toml").to_toml() == Scene.from_toml(SCENE).to_toml()
+    (tmp_path / "rows.csv").write_bytes(table("time,mag,mag_err").encode(encoding))
+    (tmp_path / "all.csv").write_bytes("scene,recording,task\r\nscene.toml,rows.csv,fit\r\n".encode(encoding))
+    jobs = list(read_manifest(tmp_path / "all.csv"))
+    assert [job.recording.name for job in jobs] == ["rows.csv"]

@@ -110,6 +110,14 @@ EXPORTS = {
     + "".join(f"433|CCD|B01|{Time(jd, format='jd').isot}Z|10.1|20.2|{mag}|{error}|V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "AAVSO download": table("JD,Magnitude,Uncertainty,HQuncertainty,Band,Observer Code", more=",,V,XYZ"),
     "dates with strokes, no names": "".join(f"{Time(jd, format='jd').strftime('%d/%m/%Y %H:%M:%S')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "a date with a share of the day": "UT Date;Mag;Err\n"
+    + "".join(f"2020-10-{17 + jd - 2459139.5:.6f};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "dates and times in digits": "date;time;mag;err\n"
+    + "".join(f"{Time(jd, format='jd').strftime('%Y%m%d;%H%M%S')};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "date and time in German": "Datum/Zeit UT;Helligkeit (mag);Fehler (mag)\n"
+    + "".join(f"{Time(jd, format='jd').strftime('%d.%m.%Y %H:%M:%S')};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "local times with their offset": "Local Time,Mag,Err\n"
+    + "".join(f"{Time(jd + 2 / 24, format='jd').isot}+02:00,{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "date and time apart": "Date,UT,Mag,Err\n"
     + "".join(f"{Time(jd, format='jd').isot.replace('T', ',')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
 }  # fmt: skip
@@ -307,6 +315,16 @@ class TestUserSays:
             assert abs((recording.time[0] - Time(expected)).to_value(u.s)) < 1e-3
             assert f"zone {zone}" in " ".join(recording.warnings)
 
+    @pytest.mark.parametrize("name", ["time", "Local Time"])
+    def test_an_offset_in_some_rows_only_is_refused(self, read, name: str):
+        """The others may be of the same zone, or UTC."""
+        times = ["2020-10-17T17:00:00+02:00", "2020-10-17T17:10:00"]
+        for order in (times, times[::-1]):
+            with pytest.raises(
+                InputError, match=r"an offset from UTC, as other times|local time; expected UTC"
+            ):
+                read(f"{name},mag,mag_err\n" + "".join(f"{time},14.9,0.02\n" for time in order))
+
     def test_a_time_that_clocks_show_twice_is_refused(self, read):
         with pytest.raises(InputError, match="show once"):
             read("time,mag\n2026-10-25T02:30:00,12\n", columns="time_zone=Europe/Vienna")
@@ -492,6 +510,15 @@ def test_hints_work_when_they_are_followed(read, text: str):
     answers = {"exptime=SECONDS": "exptime=10", "time=1,mag=2,mag_err=3": "time=1,flux=2,flux_err=3"}
     option = options[-1].rstrip(",")
     assert len(read(text, columns=answers.get(option, option))) >= 2
+
+
+def test_days_of_a_spreadsheet(read):
+    """43831 is 1 January 2020 in every spreadsheet."""
+    text = "time,mag\n43831.25,12.1\n43831.50,12.2\n"
+    with pytest.raises(InputError) as caught:
+        read(text)
+    (option,) = re.findall(r"--columns (time_format=jd-241\S*)", str(caught.value))
+    assert read(text, columns=option).time.isot[0] == "2020-01-01T06:00:00.000"
 
 
 class TestFormatsOfOthers:

@@ -66,6 +66,8 @@ STAMPS: dict[str, Stamp] = {
         Stamp(),
     ),
     **dict.fromkeys(("timestamp", "timestamputc", "isotime", "obsdate"), Stamp()),
+    **dict.fromkeys(("utdate", "utcdate", "dateut", "utdatetime", "datetimeut", "timeut", "uttime", "utctimestamp"), Stamp()),
+    **dict.fromkeys(("datumzeit", "datumuhrzeit", "datumzeitut", "datumzeitutc", "dateheure", "dateheureut", "fechahora", "dataora"), Stamp()),
     **dict.fromkeys(("localtime", "timelocal", "civiltime", "datetimelocal", "localdatetime"), Stamp()),
     **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
     "date": Stamp(),

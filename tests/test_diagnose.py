@@ -18,8 +18,10 @@ import torchlc
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
+from torchlc.diagnosis.joint import joint_sets
 from torchlc.diagnosis.plan import Forecast, next_nights, told_by
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
+from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
@@ -469,6 +471,7 @@ def test_a_budget_that_is_spent_says_what_was_not_examined(demo) -> None:
     assert {row["effect"] for row in content["unexamined"]} == {"panel_offset", "background"}
     told = [text for text in found.warnings if "not examined" in text]
     assert len(told) == 1 and all(name in told[0] for name in ("panel_offset", "background"))
+    assert any(text.startswith("the search was ended after") for text in found.warnings)
     assert any("Probabilities, among what was examined: " in text for text in found.lines())
 
 
@@ -528,3 +531,32 @@ def test_runs_of_a_mask() -> None:
 )
 def test_entries_read_as_they_are_written(text: str) -> None:
     assert str(Entry.parse(text)) == text
+
+
+def test_two_effects_are_found_together_that_neither_a_third_nor_their_sizes_hide(demo_refit) -> None:
+    """Residuals are made of two changes of the light; a third, half of each, explains more of them than either alone does."""
+    refit = demo_refit
+    generator = torch.Generator().manual_seed(5)
+    first, second = torch.randn(2, len(refit.delta), generator=generator, dtype=torch.float64)
+    between = first + second + 0.8 * torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
+    at = changed(refit, 3 * first + 3 * second)
+    unit = refit.wide / refit.sigma
+
+    def made(entry: str, change: torch.Tensor) -> Probe:
+        moved = (change * unit)[None]
+        score = float((moved[0] @ (at.delta / at.sigma)) ** 2 / moved[0].square().sum())
+        one = torch.ones(1, dtype=torch.bool)
+        return Probe(
+            entry, torch.ones(1, 1, dtype=torch.float64), moved, moved.new_tensor([score]), ~one, moved, True
+        )
+
+    probes = {
+        one.entry: one
+        for one in (made("background", first), made("saturation", second), made("wobble", between))
+    }
+    assert max(probes, key=lambda entry: probes[entry].score) == "wobble"
+    best, *_ = joint_sets(probes, at, 2, lambda entries: 0.0, 3)
+    assert set(best) == {"background", "saturation"}
+    apart = joint_sets(probes, at, 2, lambda entries: -math.inf if "background" in entries else 0.0, 3)
+    assert [set(one) for one in apart] == [{"saturation", "wobble"}]
+    assert joint_sets(probes, at, 4, lambda entries: 0.0, 3) == []

@@ -13,6 +13,7 @@ from tests.rays import blocked
 from tests.test_mesh_files import OUTLINES, obj
 from torchlc.diagnosis.engine import Clock, Search
 from torchlc.diagnosis.hypotheses import Workbench
+from torchlc.diagnosis.probes import rescored
 from torchlc.diagnosis.run import diagnose
 
 TURN_S, CAMERA_KM, LAMP_KM = 3600.0, 0.3, 1.5e8
@@ -121,7 +122,8 @@ def test_a_curve_that_begins_elsewhere_is_found_with_its_angle(one_late):
     search.null()
     at = search.visited[search.best().hypothesis.under(*search.robust)]
     entry = "start_phase@curve"
-    found = search.extend(at, entry, search.probe_all(at, [entry])[entry])
+    known = search.probe_all(at, [entry])[entry]
+    found = search.extend(at, entry, known)
     values = dict(zip(found.names, found.theta.tolist(), strict=True))
     late = [values[f"start_phase.deg[az{azimuth:.0f}]"] for azimuth in AZIMUTHS]
     assert late == pytest.approx(
@@ -130,6 +132,10 @@ def test_a_curve_that_begins_elsewhere_is_found_with_its_angle(one_late):
     assert (
         search.log_odds(found.hypothesis) > search.log_odds(at.hypothesis) + 50.0
     )  # 20 rows, no outliers any more
+    # the same changes of the light promise no less beside the scene's own model, and no more than noise beside what holds them
+    before = rescored(known, at, at).together
+    assert before >= known.together > 0
+    assert rescored(known, at, found).together < len(AZIMUTHS) < 0.5 * before
 
 
 def test_every_member_for_laboratories_is_asked(one_late):

@@ -28,6 +28,7 @@ from torchlc.diagnosis.hypotheses import (
     effect_columns,
     effect_starts,
 )
+from torchlc.diagnosis.joint import joint_sets
 from torchlc.diagnosis.probes import (
     Probe,
     apart,
@@ -75,27 +76,36 @@ BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 GROWN = 8
 BEAM = 3
+JOINT = 4
 MOST_LOOKED = 6
 DRAWS = 500
 RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
+MOST_S = 900.0
+"""CPU seconds after which a search without a budget ends: thirty times what most take, and as long as somebody waits unasked."""
+PROBING_S = 10.0
+"""CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
 DEAR_FIT_S, MOST_FIT_S = 2.0, 150.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach, and not at all; and of a probe,
 beyond which that of the first round serves for all sets."""
 
 
 class Clock(Budget):
-    """The budget of a search that tells how far it is, and that a person may stop."""
+    """The budget of a search, MOST_S if nobody ``gave`` one, that tells how far it is, and that a person may stop. ``cut`` is
+    whether something was left out for want of time."""
 
     def __init__(self, budget: float | None, progress: Callable[[str, float], None] | None = None) -> None:
-        super().__init__(budget)
+        super().__init__(MOST_S if budget is None else budget)
         self.progress = progress
-        self.stopped = False
+        self.gave = budget is not None
+        self.stopped = self.cut = False
 
     def left(self, share: float = 1.0) -> bool:
-        return not self.stopped and super().left(share)
+        in_time = super().left(share)
+        self.cut |= not in_time
+        return in_time and not self.stopped
 
     def affords(self, seconds: float) -> bool:
         """Whether a step of so many seconds is worth it: within half of what is left of the budget, and MOST_FIT_S."""
@@ -333,21 +343,30 @@ class Search:
         self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
     ) -> dict[str, Probe]:
         """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
-        it is. Those that take long are made once, beside the scene's own model; those of dear geometries otherwise ``anew``, or held
-        against this fit as they were made last."""
+        it is. Those that take long are made once, beside the scene's own model. Others are made ``anew``, what the last probe promises
+        most first, as long as all together take PROBING_S; those of dear geometries otherwise are held against this fit as they were
+        made last."""
+        held = {entry: rescored(*self.latest[entry], at) for entry in entries if entry in self.latest}
+        alone = {entry: self.posterior(Hypothesis((entry,), self.robust)) for entry in entries}
+
+        def place(entry: str) -> tuple[bool, float, bool]:
+            return entry in held, -held[entry].score if entry in held else 0.0, turns(alone[entry], entry)
+
         found = {}
-        for entry in sorted(
-            entries, key=lambda one: turns(self.posterior(at.hypothesis.with_effect(one)), one)
-        ):
+        began = self.clock.spent
+        for entry in sorted(entries, key=place):
             if not self.clock.left(share):
                 break
+            spent = self.clock.spent - began > PROBING_S
+            if entry in held and (spent or (not anew and (at.posterior.dear or alone[entry].dear))):
+                found[entry] = held[entry]
+                continue
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
-            known = self.latest.get(entry)
-            held = known is not None and not anew and (at.posterior.dear or posterior.dear)
-            cost = 0.0 if held else least_seconds(posterior, entry)
-            if known is not None and (held or cost > DEAR_FIT_S):
-                found[entry] = rescored(*known, at)
+            as_last = entry in held and not anew and posterior.dear
+            cost = 0.0 if as_last else least_seconds(posterior, entry)
+            if entry in held and (as_last or cost > DEAR_FIT_S):
+                found[entry] = held[entry]
             elif self.clock.affords(cost):
                 found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
                 self.latest[entry] = found[entry], at
@@ -422,6 +441,38 @@ class Search:
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
 
+    def jointly(self) -> None:
+        """Sets of two and of FEW_EFFECTS by what their probes promise together: what one effect alone would be blamed for may be several
+        that each take little of it."""
+        at = self.visited[Hypothesis().under(*self.robust)]
+        quick = {
+            entry: one
+            for entry, one in self.probes.items()
+            if one.visible
+            and len(one.scores)
+            and one.psi.shape[-1]
+            and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
+        }
+
+        def log_odds(entries: Sequence[str]) -> float:
+            together = Hypothesis()
+            for entry in entries:
+                if not self.bench.compatible(together, entry):
+                    return -math.inf
+                together = together.with_effect(entry)
+            return self.bench.log_odds(together)
+
+        for size in (2, FEW_EFFECTS):
+            for chosen in joint_sets(quick, at, size, log_odds, JOINT):
+                if not self.clock.left(0.7) or self.exactly(*chosen):
+                    continue
+                hypothesis = Hypothesis(tuple(chosen), self.robust)
+                parameters = self.posterior(hypothesis).model.parameter_set
+                theta = carried(parameters, at.theta[None], at.names)
+                for entry, psi in chosen.items():
+                    theta[:, effect_columns(parameters, entry)] = psi
+                self.refit(hypothesis, theta, at, turns=1, most=1)
+
     def tell_unexamined(self) -> None:
         """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""
         judged = {one.plain for one in (*self.visited, *self.linear)}
@@ -471,21 +522,24 @@ class Search:
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of effects, as long as they gain: grown from the leaders, then without each of their members, and with each
         exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader whose rows
-        err independently that leaves nothing, by the p-value that ``left`` gives, is only asked for what may hide beside it;
+        err independently that leaves nothing, by the p-value that ``left`` gives, and has nothing ahead of it, is only asked for what
+        may hide beside it; where it has another law than the scene, the best under the scene's own grows beside it;
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
         behind if FEW_EFFECTS more gained as much each as the best one alone."""
         grown: set[frozenset[str]] = set()
         for size in itertools.count(1):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             alike = self.foremost
-            clean = left(self.visited[alike]) > CLEAN_P
             ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
+            clean = ahead <= NEAR and left(self.visited[alike]) > CLEAN_P
             behind = ahead > REACH + FEW_EFFECTS * self.gain_alone
             if not sized or (clean and len(alike.added) < size) or behind:
                 break
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
-            for number, stem in enumerate(stems):
+            if stems[0].law:  # beside the wrong law others lead
+                stems += [one for one in sized if not one.law][:1]
+            for number, stem in enumerate(dict.fromkeys(stems)):
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
@@ -493,12 +547,13 @@ class Search:
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             close = not clean and gained > (REACH if beyond else -REACH)
             for entry in best[0].added if close else ():  # shrink, then swap
-                if self.clock.left(0.8):
-                    at = self.visited[best[0]]
-                    known = self.visited.get(self.less(at, entry))
-                    if known is None or not known.posterior.dear:
-                        self.shrunk(at, entry)
-                    self.grow(self.less(at, entry), entries, grown, GROWN // 2, anew=False)
+                at = self.visited[best[0]]
+                fewer = self.less(at, entry)
+                quick = refit_seconds(self.posterior(fewer)) < DEAR_FIT_S
+                if quick and self.clock.left(0.8):
+                    self.shrunk(at, entry)
+                if fewer in self.visited and self.clock.left(0.8):
+                    self.grow(fewer, entries, grown, GROWN // 2, anew=False)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
@@ -518,13 +573,15 @@ class Search:
             if self.bench.compatible(stem, entry) and self.bench.carries(stem.with_effect(entry))
         ]
         found = self.probe_all(at, possible, anew=anew)
-        for entry in sorted(found, key=lambda one: -found[one].score)[:most]:
-            members = frozenset((*stem.plain, entry))
-            promising = found[entry].score > self.least_score(stem, entry) or not found[entry].psi.shape[-1]
-            if members in grown or not self.clock.left(0.8) or not promising:
-                continue
-            if self.affordable(entry, at, found[entry]):
-                grown.add(members)
+        promising = [
+            entry
+            for entry, one in found.items()
+            if frozenset((stem.law, *stem.plain, entry)) not in grown
+            and (one.score > self.least_score(stem, entry) or not one.psi.shape[-1])
+        ]
+        for entry in sorted(promising, key=lambda one: -found[one].score)[:most]:
+            if self.clock.left(0.8) and self.affordable(entry, at, found[entry]):
+                grown.add(frozenset((stem.law, *stem.plain, entry)))
                 self.extend(at, entry, found[entry])
 
     def least_score(self, stem: Hypothesis, entry: str) -> float:
@@ -564,14 +621,14 @@ class Search:
 
     def pruned(self) -> None:
         """A leader whose rows err together without each of its effects, as long as one fewer is better: what the others were added for
-        may be what rows share. One whose geometry is dear stays."""
+        may be what rows share."""
         while self.correlated(self.leader) and len(self.leader.added) > 1:
             best = self.leader
             at = self.visited[best]
-            if at.posterior.dear:
-                break
             for entry in best.added:
-                if self.less(at, entry) not in self.visited and self.clock.left(0.9):
+                fewer = self.less(at, entry)
+                cost = refit_seconds(self.posterior(fewer))
+                if fewer not in self.visited and self.clock.left(0.9) and self.clock.affords(cost):
                     self.shrunk(at, entry, turns=1)
             if self.leader == best:
                 break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -52,6 +52,8 @@ class Probe:
     """What the parts of a divided offset score together, less the one that each would in pure noise."""
     begin: Tensor | None = None
     """Values (k,) of a divided offset where each part is best by itself, of those that were tried of all parts alike."""
+    part: Tensor | None = None
+    """Which part of a divided offset each change of the light is of, (G,)."""
 
     @property
     def score(self) -> float:
@@ -101,17 +103,14 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     signatures, scores, usable, visible = _scored(moved, basis, u)
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
-        begin, gained = _each_best(bench, at, posterior, entry, theta)
+        members = torch.arange(len(torch.unique(part)))
+        of = members.repeat_interleave(len(psi))
+        begin, gained, farther = _each_best(bench, at, posterior, entry, theta)
+        if begin is not None:
+            moved, of = torch.cat([moved, farther]), torch.cat([of, members])
+        promised = max(together, gained)
         return Probe(
-            entry,
-            psi[:0],
-            signatures[:0],
-            scores[:0],
-            usable[:0],
-            moved[:0],
-            visible,
-            max(together, gained),
-            begin,
+            entry, psi[:0], signatures[:0], scores[:0], usable[:0], moved, visible, promised, begin, of
         )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
     return Probe(entry, psi[usable], signatures, scores, aimed[usable], moved[usable], visible)
@@ -132,12 +131,16 @@ def _scored(moved: Tensor, basis: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Te
 def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
     """A probe that was made beside another fit, held against the residuals of this one: the same changes of the light, where new ones
     would take long."""
-    if not len(known.psi):
+    if not len(known.moved):
         return known
     moved = known.moved * before.sigma / at.sigma
     basis = torch.linalg.qr(at.tangent)[0]
     u = torch.cat([at.delta / at.sigma, at.g])
     signatures, scores, usable, visible = _scored(moved, basis, u)
+    if known.part is not None:
+        best = scores.new_ones(int(known.part.max()) + 1)
+        best.scatter_reduce_(0, known.part[usable], scores, "amax")
+        return replace(known, moved=moved, visible=visible, together=float((best - 1.0).sum()))
     return Probe(
         known.entry, known.psi[usable], signatures, scores, known.aimed[usable], moved[usable], visible
     )
@@ -199,12 +202,12 @@ def turns(posterior: Posterior, entry: str) -> bool:
 
 def _each_best(
     bench: Workbench, at: Fitted, posterior: Posterior, entry: str, theta: Tensor
-) -> tuple[Tensor | None, float]:
+) -> tuple[Tensor | None, float, Tensor]:
     """Of a divided offset whose parts may lie anywhere within its bounds: the values (k,) at which each part has the least sum of
-    squares, of GRID that all parts are given alike, and what these take off the sum less what they cost in the prior. No descent
-    finds an offset that is farther than the light follows in proportion."""
+    squares, of GRID that all parts are given alike, what these take off the sum less what they cost in the prior, and the
+    whitened change of the light (k, T) by each. No descent finds an offset that is farther than the light follows in proportion."""
     if not _anywhere(entry):
-        return None, 0.0
+        return None, 0.0, at.delta.new_zeros(0, len(at.delta))
     parameters, (quantity,) = posterior.likelihood.model.parameter_set, effect_class(entry).quantities
     columns = effect_columns(parameters, entry)
     edges = torch.linspace(quantity.low, quantity.high, GRID + 1, dtype=theta.dtype)
@@ -212,13 +215,15 @@ def _each_best(
     many = theta.repeat(len(tried), 1)
     many[:, columns] = tried[:, None]
     with torch.no_grad():
-        squares = (posterior.likelihood.residuals(many).delta / at.sigma).square()
+        left = posterior.likelihood.residuals(many).delta / at.sigma
         prior = posterior.scores.scores(many)[:, columns].square()
     part = bench.base.row_index[str(Entry.parse(entry).per)][0]
-    cost = torch.stack([squares[:, part == k].sum(1) for k in range(len(columns))], 1) + prior
+    cost = torch.stack([left[:, part == k].square().sum(1) for k in range(len(columns))], 1) + prior
     cost = torch.nan_to_num(cost, nan=torch.inf)
     least, chosen = cost.min(0)
-    return tried[chosen], float((cost[0] - least).sum())
+    moved = torch.nan_to_num(at.delta / at.sigma - left[chosen])
+    farther = torch.where(part == torch.arange(len(columns))[:, None], moved, 0.0)
+    return tried[chosen], float((cost[0] - least).sum()), farther
 
 
 def _each_moved(entry: str, offsets: Tensor) -> Tensor:

@@ -101,8 +101,14 @@ class Diagnosis:
         untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
         late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
-        if self.search.clock.stopped:
+        clock = self.search.clock
+        if clock.stopped:
             warned.append("interrupted: the verdict is that of what had been examined")
+        elif clock.cut and clock.seconds is not None:
+            warned.append(
+                f"the search was ended after {clock.seconds:.0f} s of CPU time: some sets of effects or ways to err were not tried; "
+                f"--budget {2 * clock.seconds:.0f} goes on"
+            )
         return list(dict.fromkeys(warned))
 
     def _repr_html_(self) -> str:

@@ -44,7 +44,7 @@ def diagnose(
     """What the scene's model leaves out of a recording.
 
     ``effects`` restricts the candidates (noise is always considered), each as :func:`check_candidates` takes it;
-    ``budget`` is in CPU seconds, after which the verdict says what was not examined; ``quick`` is one of QUICK_S. An
+    ``budget`` is in CPU seconds, MOST_S if none is given, after which the verdict says what was not examined; ``quick`` is one of QUICK_S. An
     interruption ends the search as a budget does, once the scene's own model is fitted. Upper limits are left out, and
     counted as dropped. ``steps`` keeps what is finished, and knows what an earlier run had. Raises InputError for an unknown
     effect name.
@@ -56,7 +56,7 @@ def diagnose(
         check_candidates(effects, bench.base)
     possible = bench.candidates(effects)
     # somebody who names an effect, or says how long it may take, waits for it
-    bounded = clock.bounded or effects is not None
+    bounded = clock.gave or effects is not None
     search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
     bench.entries = [entry for entry in possible if bounded or search.seconds_of(entry) < MOST_ALONE_S]
     untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
@@ -106,9 +106,10 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
         return _gate(at, found, {}, search.seed, level=False).global_p
 
     # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
-    lobes = search.bench.laws if search.bench.recording.error is not None else {}
-    if lobes and _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
-        search.laws(entries)
+    if _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
+        search.jointly()
+        if search.bench.recording.error is not None:
+            search.laws(entries)
     search.sets(entries, left)
     search.afresh()
     search.nominal_sizes()

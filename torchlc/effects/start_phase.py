@@ -22,6 +22,8 @@ class StartPhase(Effect):
     shown = Shown(LABORATORY, TIME, {"deg": 10.0})
     stage = "spin"
     divisible = True
+    prior_odds = 0.1
+    """What is recorded under the sky has its times, and a clock is more often wrong than the turn by as much."""
     quantities = (
         Quantity(
             "deg", "deg", -180.0, 180.0, "true less assumed phase of the spin",

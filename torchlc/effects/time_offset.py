@@ -8,6 +8,9 @@ from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import PASS, PASS_GLINT, Shown
 
+APART_S = 10.0
+"""Of clocks of several observers: most are right to seconds, and some are off by minutes, or by an hour of a zone."""
+
 
 class TimeOffset(Effect):
     """Object, Sun and station are all taken at stamp + s: 0.044 mag for 60 s near a GEO glint.
@@ -24,7 +27,7 @@ class TimeOffset(Effect):
     quantities = (
         Quantity(
             "s", "s", -3600.0, 3600.0, "true time less stamped time",
-            off=0.0, typical=10.0, prior="normal", mean=0.0, sigma=10.0,
+            off=0.0, typical=10.0, prior="normal", mean=0.0, sigma=10.0, apart=APART_S,
         ),
     )  # fmt: skip
 

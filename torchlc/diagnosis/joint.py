@@ -1,0 +1,59 @@
+"""Sets of effects by what their changes of the light promise together: those that no path of one effect after another leads to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.probes import Probe
+from torchlc.inference.posterior import Fitted
+
+VALUES = 3
+"""Probed values of each effect that are put together: all of three times forty in threes are 280,000 sets."""
+ALIKE = 0.05
+"""What is added to the squares of unit changes: two that are alike to 1 in 40 promise no more together than one."""
+
+
+def joint_sets(
+    probes: Mapping[str, Probe],
+    at: Fitted,
+    size: int,
+    log_odds: Callable[[Sequence[str]], float],
+    most: int,
+) -> list[dict[str, Tensor]]:
+    """The ``most`` best sets of ``size`` effects by the linear forms of their probes beside a fit, each with the values psi (k,) that
+    promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together."""
+    basis = torch.linalg.qr(at.tangent)[0]
+    u = torch.cat([at.delta / at.sigma, at.g])
+    entries, places, rows = [], [], []
+    for entry, one in probes.items():
+        for place in torch.argsort(one.scores, descending=True)[:VALUES].tolist():
+            entries.append(entry)
+            places.append(place)
+            rows.append(one.moved[place])
+    if len(set(entries)) < size:
+        return []
+    moved = torch.stack(rows)
+    padded = torch.cat([moved, moved.new_zeros(len(moved), len(u) - moved.shape[1])], 1)
+    off = padded - (padded @ basis) @ basis.T
+    unit = off / torch.linalg.vector_norm(off, dim=1, keepdim=True)
+    gram = unit @ unit.T + ALIKE * torch.eye(len(unit), dtype=unit.dtype)
+    pull = unit @ u
+    names = list(dict.fromkeys(entries))
+    member = torch.tensor([names.index(entry) for entry in entries])
+    sets = torch.combinations(torch.arange(len(entries)), size)
+    sets = sets[(member[sets].diff(dim=1) > 0).all(1)]
+    inner = torch.linalg.cholesky(gram[sets[:, :, None], sets[:, None, :]])
+    promised = torch.cholesky_solve(pull[sets][..., None], inner)[..., 0].mul(pull[sets]).sum(1)
+    found: dict[frozenset[str], dict[str, Tensor]] = {}
+    best: dict[frozenset[str], float] = {}
+    # of sets that promise alike the odds decide, which are within some tens of each other
+    for number in torch.argsort(promised, descending=True)[: 200 * most].tolist():
+        chosen = {entries[k]: probes[entries[k]].psi[places[k]] for k in sets[number].tolist()}
+        key = frozenset(chosen)
+        if key not in found:
+            found[key], best[key] = chosen, 0.5 * float(promised[number]) + log_odds(sorted(chosen))
+    order = sorted(found, key=lambda key: -best[key])
+    return [found[key] for key in order if best[key] > float("-inf")][:most]

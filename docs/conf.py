@@ -14,7 +14,7 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnosis import discrepancy, engine, gate, hypotheses, proof, run, where
+from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses, proof, run, where
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
@@ -48,8 +48,8 @@ myst_substitutions = {
     "far": f"{discrepancy.FAR:g}",
     "refitted": str(discrepancy.REFITTED),
     "quick_s": f"{run.QUICK_S:g}",
-    "most_s": f"{engine.MOST_S:g}",
-    "reach": f"{engine.REACH:g}",
+    "most_s": f"{clock.MOST_S:g}",
+    "reach": f"{fits.REACH:g}",
     "few_effects": hypotheses.FEW_EFFECTS,
     "alone_s": f"{run.MOST_ALONE_S:g}",
     "scale_sigma": f"{posterior.SCALE_SIGMA:g}",

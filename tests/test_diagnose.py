@@ -15,7 +15,8 @@ import torch
 from scipy import special
 
 import torchlc
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.joint import joint_sets
@@ -27,12 +28,13 @@ from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
 from torchlc.files.steps import Steps
-from torchlc.inference.posterior import Posterior, fit, fitted_at, integrated
+from torchlc.inference.density import Posterior
+from torchlc.inference.posterior import fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
 ROOT = Path(__file__).parents[1]
@@ -60,9 +62,9 @@ def practice(name: str):
 )
 def test_practice_case_is_named(name: str) -> None:
     """Verdict, name and chi-square of the answer; the interval against the true one where there is one. What is missing
-    shows within 40 s; that nothing is, after all of it."""
+    shows within 12 s where a search goes on much longer; that nothing is, or that a name stands alone, after all of it."""
     scene, recording, answer = practice(name)
-    budget = 40.0 if answer["verdict"] == "missing_physics" else None
+    budget = 12.0 if name in ("earth_shadow", "appendage", "panel_offset") else None
     content = json.loads(json.dumps(diagnose(scene, recording, budget=budget).to_json(), allow_nan=False))
     assert content["verdict"] == answer["verdict"]
     assert content["named"] == answer["effects"]

@@ -136,7 +136,8 @@ def test_unseen_objects_are_scored_with_the_spread():
     held = [set(recording.object[rows.numpy()]) for rows, _ in blocks]
     assert sum(map(len, held)) == OBJECTS  # none in two blocks
     from torchlc.diagnosis.hypotheses import Hypothesis
-    from torchlc.inference.posterior import Posterior, fitted_at
+    from torchlc.inference.density import Posterior
+    from torchlc.inference.posterior import fitted_at
 
     posterior = Posterior(Likelihood(model), False)
     at = fitted_at(Hypothesis(), posterior, posterior.coordinates(theta))

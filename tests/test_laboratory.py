@@ -11,7 +11,8 @@ import pytest
 import torchlc
 from tests.rays import blocked
 from tests.test_mesh_files import OUTLINES, obj
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Workbench
 from torchlc.diagnosis.probes import rescored
 from torchlc.diagnosis.run import diagnose

@@ -16,9 +16,10 @@ from torchlc.api import fit
 from torchlc.diagnosis.gate import Battery, gate
 from torchlc.diagnosis.hypotheses import Hypothesis
 from torchlc.errors import InputError
+from torchlc.inference.density import Posterior
 from torchlc.inference.likelihood import LEFT_WEAK_MAG, Likelihood
 from torchlc.inference.optimiser import fit_map
-from torchlc.inference.posterior import Posterior, fitted_at
+from torchlc.inference.posterior import fitted_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.error_law import above_zero, error_powers, power_difference
 from torchlc.noise.outliers import Mixture

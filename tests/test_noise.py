@@ -19,7 +19,8 @@ from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.effects.test_red_noise import matern
 from tests.small_case import write_case
 from tests.test_likelihood import FREE, KNOWN, recorded, seven  # noqa: F401
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.proof import filtered_log_density
 from torchlc.effects import registry

@@ -13,9 +13,10 @@ from tests.rotating_bodies import Circle, box, recording, scene, steady, unit_of
 from torchlc.api import usable
 from torchlc.inference.rotation import pole_grid
 from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.kinds import FLOOR, unlike_sides
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.refine import Refiner
-from torchlc.inference.rotation.search import FLOOR, STRUCTURE, _unlike
+from torchlc.inference.rotation.search import STRUCTURE
 from torchlc.lightcurve.model import LightCurve
 
 PERIOD_S, POLE = 61.7, unit_of(143.0, 36.0)
@@ -50,7 +51,7 @@ def test_opposite_sides_of_unlike_paint_are_not_taken_for_a_free_rotation(tmp_pa
     states = pole_grid.search(rows, body, pole_grid.directions(300), grid, symmetry=2)
     still = torch.zeros(3, dtype=torch.float64)
     one_paint = Refiner(rows, body, FLOOR).refined(states[:12], [still] * 12)[0]
-    two_paints = _unlike(rows, body, states, bounds, 120)[0]
+    two_paints = unlike_sides(rows, body, states, bounds, 120)[0]
     assert one_paint.chi2 > 5 * len(rows.flux)
     assert two_paints.chi2 < STRUCTURE * len(rows.flux)
     assert abs(two_paints.frequency * PERIOD_S - 1) < 0.02

@@ -11,10 +11,10 @@ import torchlc
 from tests.rotating_bodies import Circle, cylinder, recording, scene, steady, unit_of
 from torchlc.api import usable
 from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.kinds import FLOOR, sides_taken
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.pole_grid import GridState
 from torchlc.inference.rotation.refine import Local, Refiner
-from torchlc.inference.rotation.search import FLOOR, _sides_taken
 from torchlc.lightcurve.model import LightCurve
 
 PERIOD_S, POLE, PHASE = 61.7, unit_of(143.0, 36.0), 0.21
@@ -69,6 +69,6 @@ def test_passes_are_joined_by_the_side_that_a_steady_turn_shows(tmp_path: Path) 
     wrong = refiner.refined([state], [start.tilt])[0]
     off = (wrong.phases - turns - (wrong.phases - turns)[0]).numpy()
     assert abs(abs(off[1] - np.round(off[1])) - 0.5) < 0.02
-    best = _sides_taken(rows, refiner, wrong, 1, (1 / 65.0, 1 / 58.0))[0]
+    best = sides_taken(rows, refiner, wrong, 1, (1 / 65.0, 1 / 58.0))[0]
     off = (best.phases - turns - (best.phases - turns)[0]).numpy()
     np.testing.assert_allclose(off - np.round(off), 0.0, atol=0.01)

@@ -12,8 +12,9 @@ from scipy import stats
 
 import torchlc
 from torchlc.diagnosis.alternatives import NOMINAL
+from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
-from torchlc.diagnosis.engine import Clock, Search
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate

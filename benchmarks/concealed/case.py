@@ -19,10 +19,11 @@ from astropy.time import Time
 
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.probes import probe
-from torchlc.inference.posterior import Fitted, Posterior, fit, material_starts
+from torchlc.inference.density import Fitted, Posterior
+from torchlc.inference.posterior import fit, material_starts
 from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene, load_scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 Array = np.ndarray
 STARTS = 12

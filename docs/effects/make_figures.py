@@ -26,10 +26,11 @@ from torchlc.diagnosis.coordinates import coordinates
 from torchlc.effects import registry
 from torchlc.figures.style import BEFORE, DATA, MODEL, style
 from torchlc.geometry.orbit import above_horizon, make_track, observation_grid
+from torchlc.inference.density import Posterior
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.posterior import Posterior, fit
+from torchlc.inference.posterior import fit
 from torchlc.readers import Recording
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 from torchlc.stages.showing import (
     ECLIPSE,
     LABORATORY,

@@ -35,7 +35,7 @@ from torchlc.diagnosis.plan import LEAST_P, ROWS, TOLD, Option
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.readers import load_recording
 from torchlc.scene import load_scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 from torchlc.terminal import quiet_libraries
 
 

@@ -23,7 +23,7 @@ import torch
 import torchlc
 from torchlc.diagnosis.result import effect_parameters
 from torchlc.diagnosis.run import diagnose
-from torchlc.inference.posterior import Fitted
+from torchlc.inference.density import Fitted
 from torchlc.terminal import quiet_libraries
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

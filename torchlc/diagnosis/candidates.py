@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from torchlc.effects import Entry, names, registry
 from torchlc.errors import InputError
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.scene.problems import shown
 from torchlc.suggest import did_you_mean
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchlc.geometry.orbit.track import angle_between
 from torchlc.lightcurve.model import LightCurve
-from torchlc.stages.effect import View
+from torchlc.stages.light import View
 
 TIME = "time"
 """The coordinate along which stretches of a recording are told anyway."""

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from torchlc.diagnosis.coordinates import in_words
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
-from torchlc.inference.posterior import Fitted, Linear, fit
+from torchlc.inference.density import Fitted, Linear
+from torchlc.inference.posterior import fit
 
 ODDS = 0.05
 """That something is missing that the library does not hold, against that nothing is: one recording in twenty."""

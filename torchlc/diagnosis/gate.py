@@ -16,7 +16,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from torchlc.inference.posterior import BAD_ROW, Fitted
+from torchlc.inference.density import BAD_ROW, Fitted
 
 DRAWS = 2000
 LAGS = (1, 2, 4, 8)

@@ -18,13 +18,14 @@ from torch import Tensor
 from torchlc.diagnosis.alternatives import NOMINAL, under_other_laws, with_free_sizes
 from torchlc.effects import effect_class, registry
 from torchlc.inference.likelihood import Likelihood
-from torchlc.lightcurve.assembly import Assembly, assemble
+from torchlc.lightcurve.assembled import Assembly
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 SCALE = "error scale"
 """The quoted errors times a factor, which is no effect of the library: log-normal about 1."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.probes import Probe
-from torchlc.inference.posterior import Fitted
+from torchlc.inference.density import Fitted
 
 VALUES = 3
 """Probed values of each effect that are put together: all of three times forty in threes are 280,000 sets."""

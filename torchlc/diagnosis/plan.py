@@ -18,9 +18,9 @@ from torch import Tensor
 from torchlc.errors import TorchlcError
 from torchlc.geometry.orbit import above_horizon, make_track
 from torchlc.geometry.orbit.grid import observation_grid
+from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.normal_scores import FARTHEST
-from torchlc.inference.posterior import Fitted, Posterior
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording

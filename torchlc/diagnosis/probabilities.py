@@ -13,8 +13,8 @@ from torchlc.diagnosis.engine import NEAR, Search
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
-from torchlc.inference.posterior import BAD_ROW
-from torchlc.stages.effect import Entry
+from torchlc.inference.density import BAD_ROW
+from torchlc.stages.entry import Entry
 
 UNKNOWN_ODDS = 0.02
 """Prior odds of something that no hypothesis here describes, beside the leader."""

@@ -10,9 +10,9 @@ from torch import Tensor
 from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
 from torchlc.effects import effect_class
+from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.posterior import Fitted, Posterior
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 
 GRID = 24
 """Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""

@@ -18,8 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.posterior import Fitted, Posterior, fit, fitted_at
+from torchlc.inference.posterior import fit, fitted_at
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.stages.noise import Law

@@ -23,13 +23,15 @@ from torchlc.diagnosis.proof import Unseen, difference
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.effects import with_title
+from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
-from torchlc.inference.posterior import BAD_ROW, Fitted
-from torchlc.lightcurve.assembly import divided_offset
 from torchlc.lightcurve.model import LightCurve
+from torchlc.lightcurve.numbers import divided_offset
 from torchlc.readers import Recording, left_out
 from torchlc.scene import Scene
-from torchlc.stages.effect import Effect, Entry, View
+from torchlc.stages.effect import Effect
+from torchlc.stages.entry import Entry
+from torchlc.stages.light import View
 from torchlc.tensors.moving import on_cpu
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.candidates import check_candidates
+from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import CLEAN_P, Clock, Search
+from torchlc.diagnosis.engine import CLEAN_P, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
@@ -20,7 +21,8 @@ from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
 from torchlc.files.steps import Steps
-from torchlc.inference.posterior import Fitted, fitted_at
+from torchlc.inference.density import Fitted
+from torchlc.inference.posterior import fitted_at
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 
 from torchlc.diagnosis.hypotheses import effect_columns
-from torchlc.inference.posterior import Fitted
+from torchlc.inference.density import Fitted
 
 UNSEEN = 3.0
 """Root sum of squares, in errors of a row, of a change of the light that one of some twenty candidates would reach in noise

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from torchlc.diagnosis.gate import runs
 from torchlc.diagnosis.hypotheses import carried
+from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.posterior import STEPS, Fitted, Posterior, descend
+from torchlc.inference.posterior import STEPS, descend
 from torchlc.noise import Noise, Residuals
 from torchlc.noise.error_law import MAG_PER_LN
 

@@ -10,7 +10,8 @@ from typing import Any
 from torchlc.diagnosis.coordinates import TIME, in_words
 from torchlc.digits import stated
 from torchlc.effects import registry, with_title
-from torchlc.stages.effect import Entry, first_sentence
+from torchlc.stages.effect import first_sentence
+from torchlc.stages.entry import Entry
 
 MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""

@@ -6,7 +6,8 @@ from __future__ import annotations
 from torchlc import noise
 from torchlc.naming import import_modules
 from torchlc.noise.kind import NoiseKind
-from torchlc.stages.effect import EFFECTS, GEOMETRY_STAGES, STAGES, Context, Effect, Entry
+from torchlc.stages.effect import EFFECTS, GEOMETRY_STAGES, STAGES, Context, Effect
+from torchlc.stages.entry import Entry
 
 import_modules(noise.__name__, noise.__path__)
 import_modules(__name__, __path__)

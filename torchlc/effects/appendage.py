@@ -6,7 +6,8 @@ import torch
 
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley
 from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
-from torchlc.stages.effect import Effect, Patch
+from torchlc.stages.effect import Effect
+from torchlc.stages.light import Patch
 from torchlc.stages.showing import NIGHT, Shown
 
 

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torchlc.shapes import Facets
 from torchlc.shapes.part import frame_about
-from torchlc.stages.effect import Context, Effect, Patch
+from torchlc.stages.effect import Context, Effect
+from torchlc.stages.light import Patch
 from torchlc.stages.showing import LABORATORY, TIME, Shown
 
 HOLLOW = 1e-3

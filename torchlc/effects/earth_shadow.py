@@ -13,7 +13,8 @@ from torch import Tensor
 
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
-from torchlc.stages.effect import Effect, Instants
+from torchlc.stages.effect import Effect
+from torchlc.stages.instants import Instants
 from torchlc.stages.showing import ECLIPSE, Shown
 from torchlc.tensors.autodiff_state import readable, traced
 

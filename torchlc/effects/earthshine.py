@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchlc.effects.sun_distance import AU_KM
 from torchlc.parameters import REFLECTANCE, Quantity
-from torchlc.stages.effect import Effect, Light
+from torchlc.stages.effect import Effect
+from torchlc.stages.light import Light
 from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.vectors import least_axis
 

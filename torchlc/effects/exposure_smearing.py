@@ -15,7 +15,8 @@ from torch.nn.functional import normalize
 from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
-from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect, Instants, Nodes
+from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect
+from torchlc.stages.instants import Instants, Nodes
 from torchlc.stages.showing import SPIN, Shown
 
 DIFFUSE_RAD = 0.1

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.sun_distance import AU_KM
-from torchlc.stages.effect import Context, Disc, Effect
+from torchlc.stages.effect import Context, Effect
+from torchlc.stages.light import Disc
 from torchlc.stages.showing import MIRROR, PANEL_GLINT, Shown
 
 SUN_RADIUS_KM = 695_700.0

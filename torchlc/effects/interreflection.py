@@ -13,7 +13,8 @@ from torchlc.pairs.cavity import Cavity, albedo_table, cavities, exchanged, retu
 from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.pairs.facet_pairs import joined, slotted
 from torchlc.parameters import Quantity
-from torchlc.stages.effect import Context, Effect, Scatter, Surface, View
+from torchlc.stages.effect import Context, Effect, Scatter
+from torchlc.stages.light import Surface, View
 from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.autodiff_state import traced
 

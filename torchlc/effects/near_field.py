@@ -8,7 +8,8 @@ from dataclasses import replace
 import torch
 
 from torchlc.parameters import Quantity
-from torchlc.stages.effect import Effect, Near, Patch
+from torchlc.stages.effect import Effect
+from torchlc.stages.light import Near, Patch
 from torchlc.stages.showing import LABORATORY, TIME, Shown
 
 CLOSE = 0.1

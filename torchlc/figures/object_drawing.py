@@ -12,7 +12,7 @@ from torchlc.figures.raster import Mesh, fan, looking_along, render
 from torchlc.figures.style import INK, OBSERVER, PALETTE, SUN, component_colour, plain, style
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, iso_times
-from torchlc.stages.effect import View
+from torchlc.stages.light import View
 
 
 def posed_mesh(model: LightCurve, view: View, row: int) -> Mesh:

@@ -59,7 +59,8 @@ def extent(figure: Figure) -> Bbox | str:
     once. "tight", which measures anew, where it cannot be: rendering then says why."""
     with own_settings():
         try:
-            figure.draw_without_rendering()
+            if figure.get_layout_engine() is not None:  # which moves axes as they are drawn
+                figure.draw_without_rendering()
             return figure.get_tightbbox().padded(matplotlib.rcParams["savefig.pad_inches"])
         except MemoryError:
             raise

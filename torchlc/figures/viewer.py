@@ -16,7 +16,7 @@ from torchlc.figures.style import component_colour
 from torchlc.geometry.orbit import angle_between
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import iso_times
-from torchlc.stages.effect import View
+from torchlc.stages.light import View
 
 MOST_ROWS = 240
 MOST_TRIANGLES = 6000

@@ -24,7 +24,7 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.lightcurve.pipeline import DARKEST
 from torchlc.parameters import EXPONENT, FRESNEL, INDEX, LOBE_REFLECTANCE, REFLECTANCE, WIDTH, Free, Prior
 from torchlc.shapes import Band, Dome
-from torchlc.stages.effect import View
+from torchlc.stages.light import View
 from torchlc.tensors.moving import on_cpu
 
 COVERED = 0.5

@@ -17,7 +17,8 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from torchlc.lightcurve.assembly import Assembly, assemble
+from torchlc.lightcurve.assembled import Assembly
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.evaluators import Evaluator, chosen
 from torchlc.lightcurve.evaluators.clock import MOST_TRACED_PAIRS
 from torchlc.lightcurve.evaluators.exact import ExactGeometry
@@ -27,7 +28,8 @@ from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import GEOMETRY_STAGES, Brightness, Effect, Noise, View
+from torchlc.stages.effect import GEOMETRY_STAGES, Effect, Noise
+from torchlc.stages.light import Brightness, View
 from torchlc.tensors.moving import CPU, moved, on
 
 MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))

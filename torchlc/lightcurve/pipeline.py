@@ -18,7 +18,7 @@ from torch import Tensor
 from torchlc.brdf.base import Brdf
 from torchlc.geometry.orbit import State
 from torchlc.geometry.rotation.matrices import rotation_towards
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.tables import (
     Key,
     Tables,
@@ -32,16 +32,9 @@ from torchlc.pairs.discs import DiscPairs, DiscSurface
 from torchlc.pairs.still import CoveredSurface, StillPairs
 from torchlc.shapes import Facets, tracking_pose
 from torchlc.shapes.part import like
-from torchlc.stages.effect import (
-    Brightness,
-    Light,
-    Nodes,
-    Patch,
-    Reflect,
-    Request,
-    Surface,
-    View,
-)
+from torchlc.stages.effect import Reflect
+from torchlc.stages.instants import Nodes, Request
+from torchlc.stages.light import Brightness, Light, Patch, Surface, View
 from torchlc.tensors.autodiff_state import readable, transformed
 from torchlc.tensors.vectors import turned_back, unit
 

@@ -13,18 +13,9 @@ from torchlc.geometry.orbit import State
 from torchlc.pairs.discs import DiscSurface
 from torchlc.pairs.facet_pairs import disc_pairs, pair_table
 from torchlc.pairs.still import CoveredSurface
-from torchlc.stages.effect import (
-    Columns,
-    Effect,
-    Instants,
-    Light,
-    Nodes,
-    Patch,
-    Scatter,
-    Sky,
-    Surface,
-    View,
-)
+from torchlc.stages.effect import Effect, Scatter
+from torchlc.stages.instants import Columns, Instants, Nodes
+from torchlc.stages.light import Light, Patch, Sky, Surface, View
 
 Record = TypeVar("Record", State, Nodes)
 Key = tuple[str, str, bool, str | None]

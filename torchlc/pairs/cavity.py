@@ -21,7 +21,8 @@ from torchlc.occlusion.rays import Traced
 from torchlc.pairs.double_reflection import NEAR, form_factor
 from torchlc.shapes import Facets
 from torchlc.shapes.part import like
-from torchlc.stages.effect import Context, View
+from torchlc.stages.effect import Context
+from torchlc.stages.light import View
 
 PATCHES = 96
 """Into how many patches a part is divided: halving them moves the light of a white bowl by 2e-3."""

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Brdf, Incidence, projected
-from torchlc.stages.effect import Disc, Surface
+from torchlc.stages.light import Disc, Surface
 
 LEFT_OUT, LEFT_OUT_MAG = 5e-6, 1e-4
 """Share of a row's light that the lobes of its pairs may leave out together, and what is stated, mag: cosines and Fresnel's

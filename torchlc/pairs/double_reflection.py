@@ -24,7 +24,8 @@ from torchlc.pairs.facet_pairs import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.shapes.plate import Plate
-from torchlc.stages.effect import Context, View
+from torchlc.stages.effect import Context
+from torchlc.stages.light import View
 from torchlc.tensors.autodiff_state import traced
 
 POINTS, CELLS = 4, 4

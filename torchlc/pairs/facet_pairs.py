@@ -18,7 +18,8 @@ from torch.nn.functional import pad
 from torchlc.brdf.base import Brdf, Incidence, projected
 from torchlc.pairs.discs import DiscPairs
 from torchlc.shapes.curved import Band, Dome, Plane, Points, share_near
-from torchlc.stages.effect import Columns, Light, Patch, Response, View
+from torchlc.stages.instants import Columns
+from torchlc.stages.light import Light, Patch, Response, View
 from torchlc.tensors.autodiff_state import followed, readable, transformed
 from torchlc.tensors.vectors import dot, turned_back
 

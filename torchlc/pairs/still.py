@@ -17,7 +17,8 @@ from torch import Tensor
 
 from torchlc.pairs.facet_pairs import EMPTY, cover_of, packed, tabulated
 from torchlc.shapes.curved import Plane
-from torchlc.stages.effect import Columns, Patch, Surface, View
+from torchlc.stages.instants import Columns
+from torchlc.stages.light import Patch, Surface, View
 
 
 @dataclass(frozen=True)

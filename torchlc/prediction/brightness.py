@@ -22,7 +22,8 @@ from torchlc.prediction.passes import Pass, Span
 from torchlc.readers import Recording
 from torchlc.readers.groups import compact, local_nights
 from torchlc.scene import Free, Orbit, Scene
-from torchlc.stages.effect import Effect, Entry
+from torchlc.stages.effect import Effect
+from torchlc.stages.entry import Entry
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 """Ends of the 95 % interval and of the 68 % interval, and the median."""

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchlc.inference.identifiability import bare_model
 from torchlc.lightcurve.model import LightCurve
 from torchlc.shapes import Band, Dome
-from torchlc.stages.effect import Patch, View
+from torchlc.stages.light import Patch, View
 from torchlc.tensors.vectors import unit
 
 NEAR_WIDTHS = 2.0

@@ -21,7 +21,8 @@ from torchlc.readers import counted
 from torchlc.report.figures import Drawn, by_section, draw_all, png
 from torchlc.report.page import environment, origin, titled
 from torchlc.results.fit_result import FitResult
-from torchlc.stages.effect import Entry, first_sentence
+from torchlc.stages.effect import first_sentence
+from torchlc.stages.entry import Entry
 from torchlc.version import __version__
 
 MANY_ROWS = 30

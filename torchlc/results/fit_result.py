@@ -31,7 +31,7 @@ from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, left_out
 from torchlc.results.tables import parameter_table
 from torchlc.scene import Scene
-from torchlc.stages.effect import View
+from torchlc.stages.light import View
 
 if TYPE_CHECKING:
     import arviz

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from torchlc.stages.effect import Context, Patch, Response, View
+from torchlc.stages.effect import Context
+from torchlc.stages.light import Patch, Response, View
 
 
 def not_resolved(context: Context) -> str | None:

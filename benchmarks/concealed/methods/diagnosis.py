@@ -9,7 +9,7 @@ from benchmarks.concealed.answer import Answer
 from benchmarks.concealed.case import Case
 from torchlc.diagnosis.run import diagnose
 from torchlc.effects import registry
-from torchlc.stages.effect import Entry
+from torchlc.stages.entry import Entry
 from torchlc.terminal import quiet_libraries
 
 TITLE = "torchlc diagnose"

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchlc.brdf.base import Incidence, coupled_diffuse, lambert
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.parameters import EXPONENT, REFLECTANCE, WIDTH
 from torchlc.tensors.vectors import unit
 

@@ -9,11 +9,12 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.evaluators.contract import Evaluator, cubic
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables, phase_angle_of, sky_of
-from torchlc.stages.effect import Brightness, Effect
+from torchlc.stages.effect import Effect
+from torchlc.stages.light import Brightness
 from torchlc.tensors.autodiff_state import apart
 
 NODES = 9

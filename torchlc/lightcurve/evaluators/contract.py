@@ -9,11 +9,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet
-from torchlc.stages.effect import Brightness, Surface
+from torchlc.stages.light import Brightness, Surface
 from torchlc.tensors.autodiff_state import apart
 
 MOST_SLOTS = 12

@@ -22,7 +22,7 @@ from torchlc.lightcurve.tables import (
 )
 from torchlc.pairs.discs import LEFT_OUT_MAG
 from torchlc.pairs.still import StillPairs, still_pairs, turns
-from torchlc.stages.effect import Brightness, Patch, Surface, View
+from torchlc.stages.light import Brightness, Patch, Surface, View
 from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48

@@ -23,7 +23,7 @@ from torch import Tensor
 from torchlc.lightcurve.evaluators.contract import Evaluator, condensed, put
 from torchlc.lightcurve.evaluators.exact import ExactGeometry
 from torchlc.lightcurve.tables import Key, Record, Tables
-from torchlc.stages.effect import Brightness, Sky, Surface
+from torchlc.stages.light import Brightness, Sky, Surface
 from torchlc.tensors.autodiff_state import apart, transformed
 
 STEP = 2.0

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchlc.lightcurve.evaluators.contract import Evaluator
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
-from torchlc.stages.effect import Brightness, Surface
+from torchlc.stages.light import Brightness, Surface
 from torchlc.tensors.autodiff_state import apart
 
 

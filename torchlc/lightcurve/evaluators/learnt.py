@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from torchlc.lightcurve.evaluators.exact import ExactGeometry
-from torchlc.stages.effect import Brightness
+from torchlc.stages.light import Brightness
 
 
 class LearntGeometry(ExactGeometry):

@@ -7,11 +7,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchlc.lightcurve.assembly import Assembly
+from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.evaluators.contract import Evaluator, cubic, put
 from torchlc.lightcurve.pipeline import Pipeline
 from torchlc.lightcurve.tables import Tables
-from torchlc.stages.effect import Brightness, Effect, Surface
+from torchlc.stages.effect import Effect
+from torchlc.stages.light import Brightness, Surface
 from torchlc.tensors.autodiff_state import apart, readable
 
 

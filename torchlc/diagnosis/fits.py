@@ -1,0 +1,303 @@
+"""Hypotheses at their minima: how each is fitted, from where, and which of them lead."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.hypotheses import (
+    SCALE,
+    Hypothesis,
+    Workbench,
+    carried,
+    effect_columns,
+    effect_starts,
+)
+from torchlc.diagnosis.probes import (
+    Probe,
+    apart,
+    scanned_column,
+    scanned_hours,
+)
+from torchlc.files.steps import Steps
+from torchlc.inference.density import Fitted, Posterior
+from torchlc.inference.evidence import Evidence
+from torchlc.inference.optimiser import find_modes
+from torchlc.inference.posterior import (
+    fit,
+    fitted_at,
+    integrated,
+    material_starts,
+    merged,
+)
+
+REACH = 12.0
+"""Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
+STARTS = 12
+"""Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed."""
+PLACES = 3
+"""Values of an effect's own parameters that a refit begins from."""
+BEAM = 3
+"""Sets of each size that grow, and modes of the noise level that the scene's own model is fitted from."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Coordinates of a minimum, (P,)."""
+
+    g: Tensor
+
+
+@dataclass
+class Fits:
+    """What has been visited: every hypothesis at its minima."""
+
+    bench: Workbench
+    clock: Clock
+    seed: int
+    visited: dict[Hypothesis, Fitted] = field(default_factory=dict)
+    steps: Steps = field(default_factory=Steps)
+    """Refits and evidences as they are finished, those of an earlier run that was killed among them."""
+    _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
+
+    def log_odds(self, hypothesis: Hypothesis) -> float:
+        """ln of posterior odds, up to a constant."""
+        return self.visited[hypothesis].log_z + self.bench.log_odds(hypothesis)
+
+    def ranked(self, among: Iterable[Hypothesis] | None = None) -> list[Hypothesis]:
+        """Visited hypotheses, best first."""
+        return sorted(self.visited if among is None else among, key=self.log_odds, reverse=True)
+
+    @property
+    def leader(self) -> Hypothesis:
+        return self.ranked()[0]
+
+    @property
+    def foremost(self) -> Hypothesis:
+        """The leader under the robust noise."""
+        return self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+
+    @property
+    def mark(self) -> float:
+        """Log odds of the foremost, which candidates under the same noise have to come near."""
+        return self.log_odds(self.foremost)
+
+    def best(self, *added: str) -> Fitted:
+        """The best of what was visited with exactly these effects."""
+        return self.visited[self.exactly(*added)[0]]
+
+    def exactly(self, *added: str) -> list[Hypothesis]:
+        """What was visited with exactly these effects, best first."""
+        return self.ranked(one for one in self.visited if set(one.plain) == set(added))
+
+    def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
+        """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
+        for one in (hypothesis, hypothesis.under(*self.robust)):
+            found = _sorted_as(self.visited, one)
+            if found in self.visited:
+                return found
+        return None
+
+    @property
+    def robust(self) -> tuple[str, ...]:
+        """The noise under which candidates are compared: a free scale of the errors and bad rows."""
+        if self.bench.base.context.errors is False:
+            return ()
+        laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes]
+        return (SCALE, *laws[:1])
+
+    def correlated(self, hypothesis: Hypothesis) -> bool:
+        """Whether its rows err together."""
+        kinds = self.bench.kinds()
+        return any(kinds[kind].correlates for kind in hypothesis.noise if kind in kinds)
+
+    def noises(self) -> list[tuple[str, ...]]:
+        """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
+        between rows."""
+        kinds = self.bench.kinds()
+        found: list[tuple[str, ...]] = [(), *((name,) for name in kinds)]
+        if self.bench.base.context.errors:
+            found += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
+        return found
+
+    @property
+    def gain_alone(self) -> float:
+        """What the best effect alone adds to the log odds of the scene's own model, each under the robust noise."""
+        robust = [one for one in self.ranked() if one.noise == self.robust and not one.law]
+        null, *_ = (one for one in robust if not one.added)
+        alone = next((one for one in robust if len(one.added) == 1), null)
+        return max(self.log_odds(alone) - self.log_odds(null), 0.0)
+
+    def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether a hypothesis was visited and is better than another."""
+        return one in self.visited and self.log_odds(one) > self.log_odds(other)
+
+    def posterior(self, hypothesis: Hypothesis) -> Posterior:
+        if hypothesis not in self._posteriors:
+            likelihood = self.bench.likelihood(hypothesis)
+            self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
+        return self._posteriors[hypothesis]
+
+    def keep(self, new: Fitted) -> Fitted:
+        """The hypothesis with its minima and those that it had before."""
+        old = self.visited.get(new.hypothesis)
+        if old is not None:
+            new = merged([*old.minima, *new.minima])
+            new = old if new.laplace <= old.laplace + 1e-3 and len(new.minima) == len(old.minima) else new
+        self.visited[new.hypothesis] = new
+        return new
+
+    def refit(
+        self, hypothesis: Hypothesis, starts: Tensor, noise_from: Fitted | None = None, **options
+    ) -> Fitted:
+        """A fit from natural values (S, P) kept; noise begins as in another fit, or as its prior has it."""
+        posterior = self.posterior(hypothesis)
+        g = posterior.coordinates(starts)
+        g[:, posterior.noise_columns] = 0.0
+        if noise_from is not None:
+            for column, name in zip(posterior.noise_columns, _noise_names(posterior), strict=True):
+                known = dict(
+                    zip(_noise_names(noise_from.posterior), noise_from.posterior.noise_columns, strict=True)
+                )
+                if name in known:
+                    g[:, column] = noise_from.g[known[name]]
+        best = max(map(self.log_odds, self.visited), default=-math.inf)
+        # the scene's own model, which all gains are counted from, is fitted to the end
+        floor = best - REACH - self.bench.log_odds(hypothesis) if hypothesis.added else -math.inf
+        nominal = self.nominal_columns(posterior)
+        made: list[Fitted] = []
+
+        def minima() -> list[Minimum]:
+            made.append(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+            return [Minimum(one.g) for one in made[0].minima]
+
+        name = f"{hypothesis} from {hashlib.sha256(g.numpy().tobytes()).hexdigest()} {options}"
+        found = self.steps.of(name, Minimum, minima)
+        return self.keep(
+            made[0] if made else merged([fitted_at(hypothesis, posterior, one.g) for one in found])
+        )
+
+    def nominal_columns(self, posterior: Posterior) -> list[int]:
+        """Columns of the scene's own geometry, where there are others that leave that as it is."""
+        own = set(self.bench.likelihood(Hypothesis()).model.names)
+        names = posterior.model.names
+        found = [column for column in posterior.model.assembly.geometry_columns if names[column] in own]
+        return found if set(posterior.physical) - set(found) else []
+
+    def null(self) -> None:
+        """The scene's own model, under the robust noise and under every other."""
+        hypothesis = Hypothesis().under(*self.robust)
+        posterior = self.posterior(hypothesis)
+        theta = posterior.theta(torch.zeros(posterior.size, dtype=torch.float64))
+        generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+        starts = [posterior.model.parameter_set.start()[None], theta[None]]
+        starts.append(material_starts(posterior, theta, STARTS, generator))
+        if posterior.likelihood.fitted_errors:
+            modes = find_modes(posterior.likelihood, starts=2 * STARTS, adam_steps=60, seed=self.seed)[0]
+            starts = [torch.stack([mode.theta for mode in modes[:BEAM]])]
+        found = self.refit(hypothesis, torch.cat(starts))
+        for noise in self.noises():
+            if noise != self.robust:
+                self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
+
+    def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
+        """A hypothesis under another noise, from its minima."""
+        hypothesis = at.hypothesis.under(*noise)
+        parameters = self.bench.likelihood(hypothesis).model.parameter_set
+        begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
+        if starts is not None:
+            begin.append(carried(parameters, starts, at.names))
+        return self.refit(hypothesis, torch.cat(begin), at, turns=1)
+
+    def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
+        """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
+        hypothesis = at.hypothesis.with_effect(entry)
+        posterior = self.posterior(hypothesis)
+        parameters = posterior.model.parameter_set
+        columns = effect_columns(parameters, entry)
+        generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
+        places = PLACES if columns and not posterior.dear else 1
+        psi = effect_starts(parameters, entry, places, generator)
+        if found is not None and len(found.psi) and columns:
+            likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
+            psi[: len(likely)] = likely[:places]
+        if found is not None and found.begin is not None:
+            psi[0] = found.begin
+        pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
+        starts = torch.cat(
+            [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
+        )
+        starts[:, columns] = psi.repeat(len(pool), 1)
+        new = self.refit(hypothesis, starts, at, turns=1, most=2)
+        posterior.model.forget()
+        return self.rescanned(entry, new)
+
+    def rescanned(self, entry: str, at: Fitted) -> Fitted:
+        """A fit of an effect that no descent finds the row of, tried again at every row from where it came to."""
+        column = scanned_column(entry)
+        if column is None or at.posterior.dear:
+            return at
+        place = effect_columns(at.model.parameter_set, entry)[column]
+        hours = scanned_hours(self.bench)
+        theta = at.theta.repeat(len(hours), 1)
+        theta[:, place] = hours
+        g = at.posterior.coordinates(theta)
+        g[:, at.posterior.noise_columns] = at.g[at.posterior.noise_columns]
+        # rows before its instant are as if it came last, the others as if it came first
+        seconds = self.bench.base.context.seconds
+        begun = seconds / 3600 > hours[:, None]
+
+        def at_every(ends: Tensor) -> Tensor:
+            first, last = ends.expand(2, len(seconds))
+            return torch.where(begun, first, last)
+
+        with torch.no_grad():
+            every = at.posterior.residuals(g[[0, -1]]).each(at_every)
+            density = at.posterior.held_density(every, g)
+        best = torch.argsort(density, descending=True)[:PLACES]
+        return self.refit(at.hypothesis, theta[best], at, turns=1, most=1)
+
+    def less(self, at: Fitted, entry: str) -> Hypothesis:
+        """The hypothesis of a fit without one of its effects, in the order in which it was visited, if it was."""
+        return _sorted_as(self.visited, at.hypothesis.without(entry))
+
+    def shrunk(self, at: Fitted, entry: str, **options) -> None:
+        """A fit without one of its effects, from the numbers that it has."""
+        fewer = self.less(at, entry)
+        parameters = self.bench.likelihood(fewer).model.parameter_set
+        self.refit(fewer, carried(parameters, at.theta[None], at.names), at, **options)
+
+    def weighed(self, at: Fitted, draws: int) -> Fitted:
+        """A fit with its evidence by ``draws``."""
+
+        def evidence() -> list[Evidence]:
+            found = integrated(at, draws, at.hypothesis.seed + self.seed).evidence
+            return [] if found is None else [found]
+
+        place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
+        found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}", Evidence, evidence)
+        return replace(at, evidence=found[0]) if found else at
+
+
+def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis in the order of effects in which it was visited, if it was."""
+    return next(
+        (
+            one
+            for one in visited
+            if set(one.added) == set(hypothesis.added)
+            and replace(one, added=()) == replace(hypothesis, added=())
+        ),
+        hypothesis,
+    )
+
+
+def _noise_names(posterior: Posterior) -> list[str]:
+    names = [*posterior.model.names, SCALE]
+    return [names[column] for column in posterior.noise_columns]

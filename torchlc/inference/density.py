@@ -1,0 +1,336 @@
+"""The posterior density of one model, what is known of it at a minimum, and its linear form there.
+
+Everything uncertain is a coordinate g with a standard normal prior (:mod:`torchlc.inference.normal_scores`): materials,
+sizes, attitude, zero points, the effects' parameters, and those of the noise, among them a factor of the quoted errors.
+
+Letters: S starts, T rows, P coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchlc.inference.evidence import TAILS, Evidence, StudentMixture
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.normal_scores import FARTHEST, NormalScores
+from torchlc.inference.optimiser import noise_columns, whitener
+from torchlc.lightcurve.model import LightCurve
+from torchlc.noise import Noise, Residuals
+from torchlc.stages.noise import Law, Normal
+from torchlc.tensors.least_squares import Colours
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
+
+SCALE_SIGMA = 0.3
+"""What is believed of quoted errors: a third too small or too large."""
+NEAR_ZERO = 1e-3
+"""Deviate below which a deviance residual is taken as linear, for its square root has no slope at 0."""
+AT_ONCE = 256
+"""Draws that are worked out together."""
+DEAR_S = 4e-3
+"""CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
+BAD_ROW = 0.5
+"""Probability above which a row is taken as, and told to be, an outlier."""
+
+
+class Posterior:
+    """Log density of the coordinates g (..., P) of a likelihood, those of its model, then one for the scale of the quoted
+    errors where ``scaled``."""
+
+    def __init__(self, likelihood: Likelihood, scaled: bool) -> None:
+        self.likelihood = likelihood
+        self.scores = NormalScores(likelihood.model.parameter_set)
+        self.scaled = scaled and not likelihood.fitted_errors
+        self.own = len(likelihood.model.names)
+        self.size = self.own + self.scaled
+        self.noise_columns = [*noise_columns(likelihood), *([self.own] if self.scaled else [])]
+        self.physical = [i for i in range(self.size) if i not in self.noise_columns]
+
+    @cached_property
+    def seconds_each(self) -> float:
+        """CPU seconds that a new geometry takes; 0 where it is fixed, or of so few facets that it is not worth the watch."""
+        if not self.model.geometry_free or self.model.evaluator.gridded:
+            return 0.0
+        g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
+        with torch.no_grad():
+            began = time.process_time()
+            self.residuals(g[:1] - 1e-6)  # what all geometries share is made here
+            first = time.process_time() - began
+            if first > 500 * DEAR_S:
+                return first
+            g = g[:1] if first > 5 * DEAR_S else g
+            began = time.process_time()
+            self.residuals(g + 1e-6 * torch.arange(1.0, 1.0 + len(g), dtype=g.dtype)[:, None])
+        return (time.process_time() - began) / len(g)
+
+    @property
+    def dear(self) -> bool:
+        return self.seconds_each > DEAR_S
+
+    @property
+    def model(self) -> LightCurve:
+        return self.likelihood.model
+
+    def theta(self, g: Tensor) -> Tensor:
+        return self.scores.theta(g[..., : self.own])
+
+    def coordinates(self, theta: Tensor) -> Tensor:
+        """Coordinates of natural values (..., P), errors as quoted."""
+        g = self.scores.scores(theta)
+        return torch.cat([g, g.new_zeros(*g.shape[:-1], self.size - self.own)], -1)
+
+    def factor(self, g: Tensor) -> Tensor | float:
+        """What the quoted errors are multiplied by, (..., 1)."""
+        return torch.exp(SCALE_SIGMA * g[..., self.own : self.own + 1]) if self.scaled else 1.0
+
+    def residuals(self, g: Tensor) -> Residuals:
+        """Residuals at coordinates (..., P)."""
+        found = self.likelihood.residuals(self.theta(g))
+        return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
+
+    def turning(self, columns: Sequence[int]) -> list[int]:
+        """Places in ``columns`` of those that move the geometry."""
+        geometry = self.model.assembly.geometry_columns
+        return [place for place, column in enumerate(columns) if column in geometry]
+
+    def under(self, found: Residuals, g: Tensor, new: Tensor) -> Residuals:
+        """Residuals found at g (P,) as they are at new coordinates (P,) that differ in the noise alone."""
+        return (
+            replace(found, sigma=found.sigma * (self.factor(new) / self.factor(g))) if self.scaled else found
+        )
+
+    def noise(self, g: Tensor) -> Noise:
+        return self.model.noise(self.theta(g))
+
+    def log_density(self, g: Tensor) -> Tensor:
+        """ln of likelihood times prior, (N,), at coordinates (N, P)."""
+        return torch.cat([self._log_density(piece) for piece in g.split(AT_ONCE)])
+
+    def _log_density(self, g: Tensor) -> Tensor:
+        total = self.held_density(self.residuals(g), g)
+        return torch.nan_to_num(total, nan=-math.inf)
+
+    def held_density(self, found: Residuals, g: Tensor) -> Tensor:
+        """The same of residuals that are worked out already, with sigma as at g."""
+        prior = (
+            -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size + self.scores.correction(g[..., : self.own])
+        )
+        return self.likelihood.density(found, self.noise(g)) + prior
+
+    def colours(self) -> Colours | None:
+        """Physical coordinates that belong to single curves, whose slopes of rows and priors are taken together; None if
+        there are none."""
+        given = self.likelihood.colours(prior_rows=False)
+        if given is None:
+            return None
+        place = {column: number for number, column in enumerate(self.physical)}
+        groups = [tuple(place[one] for one in group if one in place) for group in given.groups]
+        own = torch.eye(len(place), dtype=torch.bool)
+        return Colours(
+            tuple(group for group in groups if group), torch.cat([given.touched[self.physical], own], 1)
+        )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A ``hypothesis``, whatever stands for one, at one minimum g (P,): its residuals ``found`` with sigma (T,) as fitted, its ``noise``, the ``slopes``
+    (T, P) = d residual / d g, ``peak``, the log density there, and the Laplace ``covariance`` (P, P). ``others`` are
+    further minima that the data leave possible, ``evidence`` what importance sampling made of them all."""
+
+    hypothesis: Any
+    posterior: Posterior
+    g: Tensor
+    found: Residuals
+    noise: Noise
+    slopes: Tensor
+    peak: float
+    covariance: Tensor
+    others: tuple[Fitted, ...] = ()
+    evidence: Evidence | None = None
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return self.posterior.likelihood
+
+    @property
+    def model(self) -> LightCurve:
+        return self.posterior.model
+
+    @property
+    def names(self) -> list[str]:
+        return self.model.names
+
+    @cached_property
+    def theta(self) -> Tensor:
+        return self.posterior.theta(self.g)
+
+    @property
+    def delta(self) -> Tensor:
+        return self.found.delta
+
+    @property
+    def scale(self) -> Tensor:
+        return self.found.scale.expand(self.found.delta.shape)
+
+    @cached_property
+    def sigma(self) -> Tensor:
+        """Standard deviation of each row, (T,), for its weight under the law of errors."""
+        return self.noise.law.weighted(self.delta, self.wide)
+
+    @property
+    def wide(self) -> Tensor:
+        """Standard deviation of each row, (T,), of the quoted errors as fitted with what noise adds."""
+        sigma = self.found.sigma
+        if self.likelihood.fitted_errors:
+            sigma = self.likelihood.fitted_levels(self.delta)[self.likelihood.curve]
+        return self.noise.sigma(sigma, self.scale).expand(self.delta.shape)
+
+    @property
+    def quoted(self) -> Tensor:
+        """Standard deviation of each row, (T,), as quoted, or as fitted where none is."""
+        if self.likelihood.fitted_errors:
+            return self.likelihood.fitted_levels(self.delta)[self.likelihood.curve]
+        return self.likelihood.error.expand(self.delta.shape)
+
+    @property
+    def prediction(self) -> Tensor:
+        return self.found.prediction
+
+    @property
+    def off_mag(self) -> Tensor:
+        """Datum minus prediction, mag (T,)."""
+        off = self.likelihood.observed - self.prediction
+        return off if self.likelihood.kind == "mag" else off / self.scale
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals over the quoted errors."""
+        return float((self.delta / self.quoted).square().sum())
+
+    @property
+    def log_z(self) -> float:
+        """Log evidence: of all the minima by importance sampling, or by Laplace's method as long as that is not done."""
+        if self.evidence is not None and math.isfinite(self.evidence.log_z):
+            return self.evidence.log_z
+        return float(torch.logsumexp(torch.tensor([one.laplace for one in (self, *self.others)]), 0))
+
+    @property
+    def laplace(self) -> float:
+        log_det = float(torch.linalg.slogdet(self.covariance)[1]) if self.posterior.size else 0.0
+        return self.peak + HALF_LOG_2PI * self.posterior.size + 0.5 * log_det
+
+    @property
+    def minima(self) -> tuple[Fitted, ...]:
+        return (self, *self.others)
+
+    @property
+    def left(self) -> float:
+        """What a step to where the slopes point would gain in log density; inf where they do not say, for want of a law of
+        errors whose weights they have."""
+        index = torch.tensor(self.posterior.physical, dtype=torch.long)
+        if not len(index):
+            return 0.0
+        tangent = self.tangent[:, index]
+        u = torch.cat([self.whitened(self.delta[:, None])[:, 0], self.g])
+        free = (self.g[index].abs() < FARTHEST).to(u)
+        gradient = free * (tangent.T @ u)
+        return float(0.5 * gradient @ torch.linalg.solve(tangent.T @ tangent, gradient))
+
+    def whitened(self, columns: Tensor) -> Tensor:
+        """Columns (T, n) divided by the root of the noise's covariance about this minimum."""
+        if not self.noise.processes:
+            return columns / self.sigma[:, None]
+        rows = whitener(self.likelihood, self.found, self.noise, fitted=True)
+        return rows(replace(self.found, delta=columns.T, sigma=self.found.sigma, scale=self.found.scale)).T
+
+    @cached_property
+    def tangent(self) -> Tensor:
+        """Whitened slopes (T, P), those of noise 0, above the prior's rows (P, P)."""
+        return torch.cat([self.whitened(self.slopes), torch.eye(self.posterior.size, dtype=self.g.dtype)])
+
+    def outlying(self) -> Tensor:
+        """Probability (T,) that a row is one of the wide ones of its law, from its weight; 0 under a normal law."""
+        weight = self.noise.law.weight(self.delta / self.wide)
+        widest = torch.as_tensor(self.noise.law.widest).to(weight)
+        least = 1 / widest**2
+        return ((1 - weight) / (1 - least).clamp(min=1e-9)).clamp(0, 1) * (widest > 1)
+
+    def draws(self, count: int, seed: int = 0) -> Tensor:
+        """``count`` equally likely draws of theta (count, P): the weighted ones of the evidence, resampled, or of the
+        normal approximation about each minimum."""
+        generator = torch.Generator().manual_seed(seed)
+        if self.evidence is not None and self.evidence.effective > 20:
+            weight = torch.exp(self.evidence.log_weight)
+            g = self.evidence.draws[torch.multinomial(weight, count, replacement=True, generator=generator)]
+        else:
+            g = mixture_of(self.minima, dof=200).draw(count, generator)
+        return self.posterior.theta(g)
+
+
+def deviance_rows(likelihood: Likelihood, noise: Noise, at: Residuals) -> Callable[[Residuals], Tensor]:
+    """A function that turns residuals into rows whose sum of squares is minus twice the log density, up to a constant;
+    noise and its scale are those of the residuals ``at``."""
+    if noise.processes or likelihood.fitted_errors or likelihood.selected is not None:
+        return whitener(likelihood, at, noise, fitted=True)
+
+    def rows(found: Residuals) -> Tensor:
+        return deviance(noise.law, found.delta / noise.sigma(found.sigma, at.scale))
+
+    return rows
+
+
+def deviance(law: Law, u: Tensor) -> Tensor:
+    """The deviate, same shape, of which half the square is what the density of u is below that at 0."""
+    if isinstance(law, Normal):
+        return u
+    near = torch.full_like(u[..., :1], NEAR_ZERO)
+    slope = torch.sqrt(law.weight(near))
+    apart = u.abs() > NEAR_ZERO
+    below = law.log_density(torch.zeros_like(near)) - law.log_density(torch.where(apart, u, 1.0))
+    return torch.where(apart, torch.sign(u) * torch.sqrt((2 * below).clamp(min=1e-300)), u * slope)
+
+
+def mixture_of(minima: Sequence[Fitted], dof: int = TAILS) -> StudentMixture:
+    return StudentMixture(
+        torch.stack([one.g for one in minima]),
+        torch.stack([one.covariance for one in minima]),
+        torch.tensor([one.laplace for one in minima], dtype=minima[0].g.dtype),
+        dof,
+    )
+
+
+class Linear(Posterior):
+    """The posterior with residuals linear in g about a minimum, and further linear columns ``basis`` (T, m) in the
+    recording's unit, each times a coordinate of its own with a standard normal prior."""
+
+    def __init__(self, at: Fitted, basis: Tensor | None = None) -> None:
+        super().__init__(at.likelihood, at.posterior.scaled)
+        self.at = at
+        self.basis = at.slopes.new_zeros(len(at.delta), 0) if basis is None else basis
+        self.first = self.size
+        self.size += self.basis.shape[1]
+        self.physical = [*self.physical, *range(self.first, self.size)]
+        self.plain = at.found.sigma / at.posterior.factor(at.g)
+
+    def residuals(self, g):
+        at = self.at
+        delta = at.delta + (g[..., : self.first] - at.g) @ at.slopes.T - g[..., self.first :] @ self.basis.T
+        sigma = (self.plain * self.factor(g)).expand(delta.shape)
+        shape = delta.shape
+        return replace(
+            at.found,
+            delta=delta,
+            sigma=sigma,
+            scale=at.scale.expand(shape),
+            prediction=at.prediction.expand(shape),
+        )
+
+    def colours(self):
+        return None

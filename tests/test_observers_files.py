@@ -4,6 +4,7 @@ work when they are followed.
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 import zoneinfo
@@ -109,6 +110,14 @@ EXPORTS = {
     + "".join(f"433|CCD|B01|{Time(jd, format='jd').isot}Z|10.1|20.2|{mag}|{error}|V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "AAVSO download": table("JD,Magnitude,Uncertainty,HQuncertainty,Band,Observer Code", more=",,V,XYZ"),
     "dates with strokes, no names": "".join(f"{Time(jd, format='jd').strftime('%d/%m/%Y %H:%M:%S')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "a date with a share of the day": "UT Date;Mag;Err\n"
+    + "".join(f"2020-10-{17 + jd - 2459139.5:.6f};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "dates and times in digits": "date;time;mag;err\n"
+    + "".join(f"{Time(jd, format='jd').strftime('%Y%m%d;%H%M%S')};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "date and time in German": "Datum/Zeit UT;Helligkeit (mag);Fehler (mag)\n"
+    + "".join(f"{Time(jd, format='jd').strftime('%d.%m.%Y %H:%M:%S')};{mag};{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    "local times with their offset": "Local Time,Mag,Err\n"
+    + "".join(f"{Time(jd + 2 / 24, format='jd').isot}+02:00,{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "date and time apart": "Date,UT,Mag,Err\n"
     + "".join(f"{Time(jd, format='jd').isot.replace('T', ',')},{mag},{error}\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
 }  # fmt: skip
@@ -128,6 +137,47 @@ def test_encodings(read, encoding: str, newline: str):
         "Zeit;Helligkeit;Fehler;Notiz", mark=";", comma=True, more=";sch\u00f6n"
     )
     holds(read(text.replace("\n", newline).encode(encoding)))
+
+
+@pytest.mark.parametrize("mark", [b"", codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE])
+@pytest.mark.parametrize("name", EXPORTS)
+def test_two_bytes_a_character(read, name: str, mark: bytes):
+    """As the "Unicode text" of Windows programs, with the mark of the order of bytes or without."""
+    order = "be" if mark == codecs.BOM_UTF16_BE else "le"
+    holds(read(mark + EXPORTS[name].encode(f"utf-16-{order}")))
+
+
+def test_two_bytes_a_character_that_break_off(read):
+    with pytest.raises(InputError, match="UTF-16 text that is damaged"):
+        read(table("time,mag,mag_err").encode("utf-16")[:-1])
+
+
+@pytest.mark.parametrize("rows", [0, 1, 3])
+@pytest.mark.parametrize("names", [0, 1])
+@pytest.mark.parametrize("name", EXPORTS)
+def test_delimiters_at_the_end_of_lines(read, name: str, names: int, rows: int):
+    """Of the rows, of the line of names, or of every second row, as spreadsheets and print statements leave them."""
+    lines = EXPORTS[name].splitlines()
+    mark = next((mark for mark in "\t;,|" if mark in lines[-1]), None)
+    if mark is None:
+        return
+    ends = [names * mark if re.match(r"#?[A-Za-z]", line) else rows * mark for line in lines]
+    holds(read("\n".join(line + end for line, end in zip(lines, ends, strict=True))))
+    if not names:
+        ends[-2] = ""
+        holds(read("\n".join(line + end for line, end in zip(lines, ends, strict=True))))
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_a_line_for_a_spreadsheet(read, name: str):
+    holds(read(f"sep=;\n{EXPORTS[name]}"))
+
+
+def test_a_value_too_many_is_refused(read):
+    with pytest.raises(InputError, match="row 2: 4 values; expected 3"):
+        read(table("JD,Mag,Err").replace(f"{MAG[1]}", f"{MAG[1]},7"))
+    with pytest.raises(InputError, match="row 3: 2 values; expected 3"):
+        read(table("JD,Mag,Err").replace(f",{ERROR[2]}", ""))
 
 
 def test_what_was_taken_is_said_in_one_line(read):
@@ -264,6 +314,16 @@ class TestUserSays:
             recording = read(f"time,mag\n{cell},12.0\n", columns=f"time_zone={zone}")
             assert abs((recording.time[0] - Time(expected)).to_value(u.s)) < 1e-3
             assert f"zone {zone}" in " ".join(recording.warnings)
+
+    @pytest.mark.parametrize("name", ["time", "Local Time"])
+    def test_an_offset_in_some_rows_only_is_refused(self, read, name: str):
+        """The others may be of the same zone, or UTC."""
+        times = ["2020-10-17T17:00:00+02:00", "2020-10-17T17:10:00"]
+        for order in (times, times[::-1]):
+            with pytest.raises(
+                InputError, match=r"an offset from UTC, as other times|local time; expected UTC"
+            ):
+                read(f"{name},mag,mag_err\n" + "".join(f"{time},14.9,0.02\n" for time in order))
 
     def test_a_time_that_clocks_show_twice_is_refused(self, read):
         with pytest.raises(InputError, match="show once"):
@@ -450,6 +510,15 @@ def test_hints_work_when_they_are_followed(read, text: str):
     answers = {"exptime=SECONDS": "exptime=10", "time=1,mag=2,mag_err=3": "time=1,flux=2,flux_err=3"}
     option = options[-1].rstrip(",")
     assert len(read(text, columns=answers.get(option, option))) >= 2
+
+
+def test_days_of_a_spreadsheet(read):
+    """43831 is 1 January 2020 in every spreadsheet."""
+    text = "time,mag\n43831.25,12.1\n43831.50,12.2\n"
+    with pytest.raises(InputError) as caught:
+        read(text)
+    (option,) = re.findall(r"--columns (time_format=jd-241\S*)", str(caught.value))
+    assert read(text, columns=option).time.isot[0] == "2020-01-01T06:00:00.000"
 
 
 class TestFormatsOfOthers:
@@ -650,3 +719,14 @@ def test_all_missing_keys_of_a_scene_are_told_at_once():
     assert all(
         key in str(caught.value) for key in ("name", "orbit", "attitude.mode", "components", "materials")
     )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_scenes_and_manifests_of_windows(tmp_path: Path, encoding: str):
+    text = SCENE.replace("\n", "\r\n")
+    (tmp_path / "scene.toml").write_bytes(text.encode(encoding))
+    assert load_scene(tmp_path / "scene.toml").to_toml() == Scene.from_toml(SCENE).to_toml()
+    (tmp_path / "rows.csv").write_bytes(table("time,mag,mag_err").encode(encoding))
+    (tmp_path / "all.csv").write_bytes("scene,recording,task\r\nscene.toml,rows.csv,fit\r\n".encode(encoding))
+    jobs = list(read_manifest(tmp_path / "all.csv"))
+    assert [job.recording.name for job in jobs] == ["rows.csv"]

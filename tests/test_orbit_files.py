@@ -261,9 +261,9 @@ class TestElementLines:
         with pytest.raises(InputError, match=message):
             self.read(tmp_path, content.format(GEO_1, GEO_2, LATER, GEO_2[:60]))
 
-    def test_utf_16(self, tmp_path: Path):
-        with pytest.raises(InputError, match="UTF-16 text"):
-            self.read(tmp_path, f"{GEO_1}\n{GEO_2}\n".encode("utf-16"))
+    @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+    def test_encodings(self, tmp_path: Path, encoding: str):
+        assert self.read(tmp_path, f"{GEO_1}\r\n{GEO_2}\r\n".encode(encoding))[0].lines == (GEO_1, GEO_2)
 
     def test_the_nearest_set(self, tmp_path: Path):
         """Across a turn of the year; of two sets of one epoch the last on file counts."""

@@ -96,6 +96,15 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
     assert result.provenance["inputs"]["recording"]["sha256"] in shown
 
 
+def test_a_chain_too_short_to_judge_shows_no_nan(tmp_path: Path):
+    """Three steps have no R-hat: the table says so in words."""
+    result = torchlc.fit(*write_case(tmp_path, rows=9), steps=3)
+    assert result.posterior is not None and not np.isfinite(result.posterior.rhat).all()
+    text = torchlc.write_report(result, tmp_path / "report.html").read_text()
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", text)
+    assert "not known" in cells and not {"nan", "inf"} & set(cells)
+
+
 def test_the_first_paragraph_says_that_a_model_does_not_fit(tmp_path: Path):
     """Errors quoted ten times too small: what was added to them is not mistaken for a good fit."""
     from torchlc.report.fit_page import words

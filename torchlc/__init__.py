@@ -8,11 +8,14 @@ The verbs are :func:`load`, :func:`simulate`, :func:`predict`, :func:`visibility
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
 
 from torchlc.version import __version__
 
+TYPE_CHECKING = False
+"""As that of typing, whose import takes as long as all else that stands before the program's handler of Ctrl-C."""
 if TYPE_CHECKING:
+    from typing import Any
+
     from torchlc.api import diagnose, fit, load, predict, rotation, simulate, visibility
     from torchlc.campaigns.run import CampaignResult, campaign
     from torchlc.errors import InputError, TorchlcError

@@ -11,11 +11,14 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from outcomes import OUTCOMES, WORTH, group, judged, ordered, summary
 
 from torchlc.figures.style import BEFORE, GRID, MODEL, style
 
+CLOSE = 0.06
+"""Of two probabilities: their numbers, two digits wide, would touch."""
 GAINS = (1.0, 2.0, 4.0, 5.0, 8.0, 14.0, 30.0, 300.0)
 
 
@@ -40,7 +43,13 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
             begin = 0.0
             for word, colour in OUTCOMES.items():
                 share = members.count(word) / len(members)
-                left.barh(place, share, left=begin, color=colour, label=word if place == 0 else None)
+                left.barh(
+                    place,
+                    share,
+                    left=begin,
+                    color=colour,
+                    label=word.replace("_", " ") if place == 0 else None,
+                )
                 begin += share
             left.text(1.01, place, str(len(members)), va="center")
         left.set_yticks(range(len(kinds)), kinds)
@@ -53,13 +62,14 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
             and row["truth"]["gain"] is not None
         ]
         gains = np.array([row["truth"]["gain"] for row in one])
-        for words, label, colour in (
-            (("right", "in family"), "named", MODEL),
+        for words, label, colour, mark in (  # where both are the same, the wider one shows behind
             (
                 ("right", "in family", "unexplained", "noise_model", "wrong name", "extra name"),
                 "not adequate",
                 BEFORE,
+                10,
             ),
+            (("right", "in family"), "named", MODEL, 5),
         ):
             hit = np.array(
                 [row["verdict"] != "adequate" and judged(row) in words for row in one], dtype=float
@@ -69,16 +79,16 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
             kept = [(x, y.mean()) for x, y in zip(centres, shares, strict=True) if len(y)]
             if kept:
                 x, y = zip(*kept, strict=True)
-                middle.plot(x, y, "o-", color=colour, label=label)
+                middle.plot(x, y, "o-", color=colour, label=label, markersize=mark, linewidth=mark / 3)
         middle.set_xscale("log")
         middle.set_xticks(
             [1, 2, 5, 10, 20, 50, 100], labels=["1", "2", "5", "10", "20", "50", "100"], minor=False
         )
         middle.minorticks_off()
         middle.set(
-            xlabel="size of the effect: root of its chi-square", ylabel="share of recordings", ylim=(0, 1.02)
+            xlabel="size of the effect: root of its chi-square", ylabel="share of recordings", ylim=(0, 1.06)
         )
-        middle.legend()
+        middle.legend(loc="lower right")
         clean = np.sort([row["global_p"] for row in rows if group(row) == "nothing missing"])
         right.plot([0, 1], [0, 1], color=GRID)
         right.step(clean, (np.arange(len(clean)) + 1) / max(len(clean), 1), color=MODEL, where="post")
@@ -88,14 +98,31 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
         told, share = ([one[key] for one in bins] for key in ("told", "right"))
         spread = [math.sqrt(max(p * (1 - p), 0.0) / one["cases"]) for p, one in zip(share, bins, strict=True)]
         last.errorbar(told, share, spread, fmt="o", color=MODEL)
-        for one in bins:
-            last.annotate(
-                str(one["cases"]), (one["told"], one["right"]), (4, -11), textcoords="offset points"
-            )
         last.set(
-            xlabel="probability of the answer as told", ylabel="share right", xlim=(0, 1.03), ylim=(0, 1.05)
+            xlabel="probability of the answer as told\n(numbers: answers of each mark)",
+            ylabel="share right",
+            xlim=(max(0.0, min([*told, 1.0]) - 0.1), 1.01),
+            ylim=(0, 1.06),
         )
+        number_marks(last, bins)
         figure.savefig(file, dpi=110, facecolor="white")
+
+
+def number_marks(axes: Axes, bins: Sequence[dict[str, Any]]) -> None:
+    """How many answers each mark stands for, beside it; where marks stand close, each a line below the one before."""
+    level, before = 0, -math.inf
+    for one in sorted(bins, key=lambda one: one["told"]):
+        level = level + 1 if one["told"] - before < CLOSE else 0
+        before = one["told"]
+        axes.annotate(
+            str(one["cases"]),
+            (one["told"], one["right"]),
+            (-10, -7 - 13 * level),
+            textcoords="offset points",
+            ha="right",
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": GRID, "shrinkA": 0, "shrinkB": 3},
+        )
 
 
 def concealed(row: dict[str, Any]) -> str:

@@ -20,6 +20,7 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
+from torchlc.files.encodings import wide_encoding_of
 from torchlc.files.reading import readable_file
 from torchlc.scene.reading import reading_of
 from torchlc.suggest import did_you_mean
@@ -102,7 +103,7 @@ def read_manifest(
 def _rows(path: Path, seed: int = 0, threads: int = 1) -> Iterator[tuple[int, Job]]:
     """(line, object) of every row."""
     readable_file(path, FORMAT)
-    with path.open(encoding="utf-8-sig", newline="") as stream:
+    with path.open(encoding=wide_encoding_of(path) or "utf-8-sig", newline="") as stream:
         reader = csv.reader(stream, strict=True)
         try:
             header = next(reader, None)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -126,7 +127,7 @@ def find_modes(
             likelihood, parameters.from_flat(leading), noise, iterations=LONG_POLISH, go_on=budget.left
         )
     if model.assembly.stage("noise") or likelihood.fitted_errors or likelihood.selected is not None:
-        leaders = parameters.from_flat(_leaders(best, noise_columns(likelihood)))
+        leaders = parameters.from_flat(best.y[_leaders(best, noise_columns(likelihood))])
         best = _noise_in_turn(likelihood, leaders, budget)
     modes = _distinct(likelihood, best)
     return modes, history, best
@@ -179,7 +180,10 @@ def polish(
 ) -> Minimum:
     """Levenberg-Marquardt from natural values theta (S, P) with the noise held, and the columns ``held`` at the
     values of the first row: the noise's covariance whitens the rows, prior rows follow. Noise levels of curves
-    without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay. ``go_on`` may end it."""
+    without errors are those of the residuals at ``level_at`` (P,), where noise parameters then stay. ``go_on`` may end it.
+
+    Where parts shade each other, slopes along numbers that move the geometry are followed from step to step, for each is a
+    geometry to work out anew; then every distinct minimum near the best is polished once more by exact slopes."""
     model = likelihood.model
     parameters = model.parameter_set
     low, high = parameters.flat_bounds()
@@ -198,15 +202,13 @@ def polish(
             return torch.cat([whiten(likelihood.residuals(natural)), parameters.prior_residuals(natural)], -1)
 
         colours = likelihood.colours(prior_rows=True)
-        return minimise(
-            residual,
-            parameters.to_flat(theta),
-            low,
-            high,
-            iterations=iterations,
-            colours=colours,
-            go_on=go_on,
-        )
+        dear = model.assembly.geometry_columns if model.assembly.parts_meet else ()
+        box: dict[str, Any] = {"low": low, "high": high, "colours": colours, "go_on": go_on}
+        found = minimise(residual, parameters.to_flat(theta), iterations=iterations, dear=dear, **box)
+        if not dear:
+            return found
+        near = _leaders(found, (), most=len(found.y), depth=DISTINCT_CHI2)
+        return found.replaced(near, minimise(residual, found.y[near], iterations=iterations, **box))
 
 
 def whitener(
@@ -297,19 +299,21 @@ def fit_noise(likelihood: Likelihood, theta: Tensor, *, search: bool = True, ste
     return parameters.to_natural(_with_columns(z, index, part[None]))[0]
 
 
-def _leaders(found: Minimum, noise: Sequence[int], most: int = 4) -> Tensor:
-    """Flat coordinates (S, P) of the best minima that differ by more than a thousandth in what is not
-    ``noise``."""
-    kept: list[Tensor] = []
+def _leaders(found: Minimum, noise: Sequence[int], most: int = 4, depth: float = math.inf) -> list[int]:
+    """Which starts (S,) are the best minima, within ``depth`` of the first, that differ by more than a thousandth in what is
+    not ``noise``."""
+    kept: list[int] = []
     apart = torch.ones(found.y.shape[-1], dtype=torch.bool, device=found.y.device)
     apart[list(noise)] = False
     for index in torch.argsort(found.cost).tolist():
         y = found.y[index]
-        if all(bool(((y - other).abs() > 1e-3 * (1 + y.abs()))[apart].any()) for other in kept):
-            kept.append(y)
+        if kept and not bool(found.cost[index] <= found.cost[kept[0]] + depth):
+            break
+        if all(bool(((y - other).abs() > 1e-3 * (1 + y.abs()))[apart].any()) for other in found.y[kept]):
+            kept.append(index)
         if len(kept) == most:
             break
-    return torch.stack(kept)
+    return kept
 
 
 def _noise_in_turn(likelihood: Likelihood, theta: Tensor, budget: Budget) -> Minimum:

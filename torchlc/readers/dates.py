@@ -26,6 +26,8 @@ YEAR_LAST = re.compile(
 TWO_DIGITS = re.compile(r"\s*\d{1,2}([-/.])\d{1,2}\1\d\d(?!\d)", re.ASCII)
 DAY_OF_YEAR = re.compile(r"(?P<year>\d{4})[-:](?P<day>\d{3})(?!\d)[T :]*", re.ASCII)
 WITHOUT_MARKS = re.compile(r"(\d{4})(\d\d)(\d\d)[T ](\d\d)(\d\d)(\d\d(?:\.\d+)?)?(?=\D|$)", re.ASCII)
+DATE_IN_DIGITS = re.compile(r"\s*(19|20)\d\d(0[1-9]|1[0-2])[0-3]\d\s*", re.ASCII)
+CLOCK_IN_DIGITS = re.compile(r"\s*[0-2]\d[0-5]\d([0-6]\d(\.\d+)?)?\s*", re.ASCII)
 HALVES = re.compile(
     r"(?P<hour>\d{1,2})(?P<rest>:\d\d(?::\d\d(?:\.\d+)?)?)\s*(?P<half>[AaPp])\.?[Mm]\.?(?![A-Za-z])", re.ASCII
 )
@@ -39,6 +41,8 @@ WHICH_ORDER = "the year first, or the order of day and month told: both can be a
 
 def are_apart(date: str, clock: str) -> bool:
     """Is this a date, and that a time of day, in two cells?"""
+    if DATE_IN_DIGITS.fullmatch(date):
+        return CLOCK_IN_DIGITS.fullmatch(clock) is not None
     return bool(
         re.fullmatch(rf"\s*{DATE}\s*", date) and re.fullmatch(rf"\s*{CLOCK}\s*(Z|UTC?)?\s*", clock, re.I)
     )

@@ -12,15 +12,17 @@ import astropy.units as u
 import numpy as np
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import is_moment
+from torchlc.readers.dates import ORDERS, Calendar, is_moment
 from torchlc.readers.roles import ROLES, VECTORS, stamp_of
 from torchlc.readers.table import METADATA, Header, first_row
 from torchlc.scene.reading import LESS_A_DATE, SINCE, TIME_FORMATS, Reading, is_time_format
 from torchlc.scene.timestamps import (
+    ISO,
     JULIAN_DATE,
     MJD_ZERO,
     REDUCED,
     REDUCED_ZERO,
+    UnreadableTime,
     instant,
 )
 from torchlc.suggest import did_you_mean
@@ -350,10 +352,23 @@ def _remarks(header: Header) -> list[str]:
     ]
 
 
+def _has_offset(header: Header) -> bool:
+    """Does the first time say its own offset from UTC, as in 2020-10-17T17:00:00+02:00?"""
+    cells, places = first_row(header), header.places("time")
+    if max(places) >= len(cells):
+        return False
+    text = "T".join(cells[place].strip() for place in places)
+    try:
+        match = ISO.fullmatch(Calendar(ORDERS[0]).iso([text])[0])
+    except UnreadableTime:
+        return False
+    return match is not None and match["offset"] is not None
+
+
 def _stated_scale(header: Header, reading: Reading, place: str, text: str, given: str | None) -> str | None:
     """The time scale that a statement names, None where it names none; ``given`` is that of time_scale."""
     if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
-        if reading.time_zone is not None:
+        if reading.time_zone is not None or _has_offset(header):
             return None
         hint = (
             "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"

@@ -68,8 +68,12 @@ MARKERS = np.array(
 """-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
 CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
+OFFSET = re.compile(r":\d\d(\.\d+)?\s*[+-]\d\d", re.ASCII)
+"""An offset from UTC behind a time of day."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+SPREADSHEET_TO = 51000.0
+"""2039 in days of a spreadsheet, 1998 in modified Julian dates: recordings of objects of known elements are rarely older."""
 JULIAN_DATES_FROM = 2_400_000.0
 SECONDS_SINCE_1970 = (1e8, 1e10)
 """1973 to 2286; in milliseconds a thousand times these."""
@@ -115,6 +119,7 @@ class _Reader:
         self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
         self.time_format = self.timing.format
         self.calendar = Calendar(reading.date_order or "")
+        self.offsets = False
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
@@ -176,7 +181,9 @@ class _Reader:
             self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
         try:
             if self.time_format == "iso":
-                days = julian_dates_of_iso(self._iso(cells), self.timing.scale)
+                texts = self._iso(cells)
+                days = julian_dates_of_iso(texts, self.timing.scale)
+                self._check_offsets(texts)
             else:
                 if not all(map(str.strip, cells)):
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
@@ -209,6 +216,14 @@ class _Reader:
                     raise UnreadableTime(index, cell, f"no offset beside time_zone = {self.timing.zone}")
         return cells
 
+    def _check_offsets(self, texts: Sequence[str]) -> None:
+        """All times hold an offset from UTC, or "Z", where one of the file holds an offset."""
+        self.offsets |= OFFSET.search("\n".join(texts)) is not None
+        for index, cell in enumerate(texts if self.offsets else ()):
+            match = ISO.fullmatch(cell)
+            if match and match["zone"] is None:
+                raise UnreadableTime(index, cell, "an offset from UTC, as other times of the file have")
+
     def _time_hint(self, found: str, expected: str) -> str | None:
         """What to do about a time that is no Julian date but may be one of a known kind."""
         try:
@@ -221,7 +236,11 @@ class _Reader:
             return "Write decimals with a point, or say --columns decimal=comma"
         if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
             mjd = declared.ways_to_say(self.header, "time_format", "mjd")
-            return f"Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: {mjd}"
+            days = ", or for the days of a spreadsheet, since 1899-12-30, --columns time_format=jd-2415018.5"
+            return (
+                "Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: "
+                f"{mjd}{days if number < SPREADSHEET_TO else ''}"
+            )
         for form, scale in (("unix", 1.0), ("unix-ms", 1000.0)):
             if SECONDS_SINCE_1970[0] < number / scale < SECONDS_SINCE_1970[1] and self.time_format != form:
                 said = declared.ways_to_say(self.header, "time_format", form)

@@ -10,7 +10,7 @@ import astropy.units as u
 
 from torchlc.errors import InputError
 from torchlc.readers.dates import are_apart
-from torchlc.readers.table import Header, first_row
+from torchlc.readers.table import Header, first_row, is_as_wide
 from torchlc.scene.reading import OPTION, SETTINGS, Reading
 from torchlc.suggest import did_you_mean
 
@@ -66,6 +66,8 @@ STAMPS: dict[str, Stamp] = {
         Stamp(),
     ),
     **dict.fromkeys(("timestamp", "timestamputc", "isotime", "obsdate"), Stamp()),
+    **dict.fromkeys(("utdate", "utcdate", "dateut", "utdatetime", "datetimeut", "timeut", "uttime", "utctimestamp"), Stamp()),
+    **dict.fromkeys(("datumzeit", "datumuhrzeit", "datumzeitut", "datumzeitutc", "dateheure", "dateheureut", "fechahora", "dataora"), Stamp()),
     **dict.fromkeys(("localtime", "timelocal", "civiltime", "datetimelocal", "localdatetime"), Stamp()),
     **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
     "date": Stamp(),
@@ -267,7 +269,7 @@ def _date_and_time(
     if not days or not hours or (stamp.format and not stamp.light_path):
         return {}
     cells = first_row(header)
-    if len(cells) != len(header.names):
+    if not is_as_wide(cells, header.names):
         return {}
     for day in days:
         for hour in hours:

@@ -15,6 +15,7 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal, decimals
+from torchlc.files.encodings import wide_encoding_of
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
@@ -31,6 +32,8 @@ FORMAT = "CSV with a header line, or ECSV"
 AS_A_LIMIT = "Write a magnitude's limit as in >18.5 and a flux's as in <0.1: fainter than this. Or write a number, and true in a column upper_limit."
 METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
 """What comment lines ``# key: value`` above the header of a CSV may say, as the metadata of an ECSV."""
+OF_SPREADSHEETS = re.compile(r'"?sep=.?"?[\s,;]*', re.IGNORECASE)
+"""The first line of a table for Excel: which delimiter follows."""
 NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
 """Bytes that no line of text holds, whatever its encoding; the end mark of DOS, 1a, is let through."""
 
@@ -120,8 +123,6 @@ def count_lines(path: Path) -> int:
             last = block[-1:]
     if not start:
         raise InputError(path, None, "the file is empty", FORMAT)
-    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
     return lines + (last != b"\n")
 
 
@@ -132,17 +133,23 @@ def too_long(path: Path) -> InputError:
 
 
 def encoding_of(path: Path) -> str:
-    """ "utf-8-sig", or "cp1252" (which holds Latin-1) for a text that is no UTF-8; InputError for no text."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
+    """ "utf-8-sig", the name of a wide encoding, or "cp1252" (which holds Latin-1) for a text that is neither;
+    InputError for no text.
+    """
+    wide = wide_encoding_of(path)
+    name = wide or "utf-8-sig"
+    decoder = codecs.getincrementaldecoder(name)()
     try:
         with path.open("rb") as stream:
             while block := stream.read(BLOCK_BYTES):
                 decoder.decode(block)
         decoder.decode(b"", final=True)
     except UnicodeDecodeError:
-        pass
+        if wide:
+            hint = "Save it again as UTF-8"
+            raise InputError(path, None, f"{wide.upper()} text that is damaged", FORMAT, hint) from None
     else:
-        return "utf-8-sig"
+        return name
     with path.open("rb") as stream:
         for number, line in enumerate(stream, 1):
             try:
@@ -157,14 +164,14 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(path: Path) -> Iterator[str]:
-    """Lines of bounded length."""
+    """Lines of bounded length; the first is a comment where it only tells a spreadsheet the delimiter."""
     number = 0
     with path.open(encoding=encoding_of(path)) as stream:
         while line := stream.readline(MAX_LINE):
             number += 1
             if len(line) == MAX_LINE:
                 raise InputError(path, f"line {number}", f"longer than {MAX_LINE} characters", FORMAT)
-            yield line
+            yield f"# {line}" if number == 1 and OF_SPREADSHEETS.fullmatch(line) else line
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
@@ -201,10 +208,33 @@ def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
     width = len(header.names) - sum(
         len(places) > 1 for places in header.columns.values()
     )  # joined ones come last
-    if set(map(len, rows)) != {width}:
-        index = next(i for i, row in enumerate(rows) if len(row) != width)
-        found = f"{len(rows[index])} values"
-        raise InputError(header.source, f"row {start + index + 1}", found, f"{width}, as in the header")
+    if set(map(len, rows)) == {width}:
+        return
+    for index, row in enumerate(rows):
+        check_width(header.source, f"row {start + index + 1}", row, header.names[:width])
+
+
+def is_as_wide(cells: Sequence[str], names: Sequence[str]) -> bool:
+    """Has a row as many cells as there are names, beside blank cells and blank names at the end? A delimiter may end
+    the line of names, or each row."""
+    if len(cells) == len(names):
+        return True
+    least = len(without_blank_end(names))
+    return least <= len(without_blank_end(cells, least)) <= len(names)
+
+
+def check_width(path: Path, place: str, cells: Sequence[str], names: Sequence[str]) -> None:
+    """InputError where a row is not as wide as the names."""
+    if not is_as_wide(cells, names):
+        raise InputError(path, place, f"{len(cells)} values", f"{len(names)}, as in the header")
+
+
+def without_blank_end(cells: Sequence[str], width: int = 0) -> Sequence[str]:
+    """Cells without the blank ones at their end, but ``width`` of them at least."""
+    end = len(cells)
+    while end > width and not cells[end - 1].strip():
+        end -= 1
+    return cells[:end]
 
 
 def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:

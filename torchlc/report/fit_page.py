@@ -215,9 +215,14 @@ def _row(result: FitResult, name: str, row: dict[str, Any]) -> dict[str, Any]:
         "best": plain_number(row["map"], row["sd"]),
         "informed": row["informed"],
         "bar": None if entry is None else prior_bar(entry, row["q05"], row["q95"]),
-        "rhat": None if row["rhat"] is None else f"{row['rhat']:.3f}",
-        "ess": None if row["ess"] is None else f"{row['ess']:.0f}",
+        "rhat": None if row["rhat"] is None else known(row["rhat"], 3),
+        "ess": None if row["ess"] is None else known(row["ess"], 0),
     }
+
+
+def known(value: float, places: int) -> str:
+    """A number with so many decimal places; in words where a chain is too short to tell it."""
+    return f"{value:.{places}f}" if math.isfinite(value) else "not known"
 
 
 def plain_number(value: float, sd: float) -> str:

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from torchlc.errors import InputError
+from torchlc.files.encodings import wide_encoding
 from torchlc.files.numbers import Table
 from torchlc.files.reading import changed, readable_file, sha256_of, unchanged
 from torchlc.files.toml import parse_toml
@@ -149,7 +150,7 @@ def _text(path: Path) -> tuple[str, str]:
     if len(content) > MAX_TOML_BYTES:
         raise InputError(path, None, "more than 1 MiB", "a scene of at most 1 MiB")
     try:
-        text = content.decode("utf-8-sig").replace("\r\n", "\n")
+        text = content.decode(wide_encoding(content) or "utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise InputError(path, f"line {line}", "not UTF-8 text", "UTF-8 text") from None

@@ -13,7 +13,7 @@ from erfa import ErfaWarning
 
 ISO = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?)\s*"
-    r"(?P<zone>Z|UTC|UT|GMT|([+-])(\d\d)(?::?(\d\d))?)?\s*",
+    r"(?P<zone>Z|UTC|UT|GMT|(?P<offset>[+-])(\d\d)(?::?(\d\d))?)?\s*",
     re.IGNORECASE | re.ASCII,
 )
 JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*", re.ASCII)

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
+from torchlc.files.encodings import wide_encoding
 from torchlc.files.numbers import problem
 from torchlc.files.reading import readable_file
 from torchlc.suggest import did_you_mean
@@ -159,9 +160,8 @@ def read_catalogue(path: str | Path) -> list[Elements]:
     if path.stat().st_size > MAX_ELEMENT_BYTES:
         raise InputError(path, None, "more than 50 MB", "two-line element sets")
     content = path.read_bytes()
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(path, None, "UTF-16 text", "UTF-8 text", "Save it again as UTF-8.")
-    texts = re.split(r"\r\n|\r|\n", content.decode("utf-8-sig", errors="replace"))
+    decoded = content.decode(wide_encoding(content) or "utf-8-sig", errors="replace")
+    texts = re.split(r"\r\n|\r|\n", decoded)
     lines = [(number, text.lstrip("\ufeff \t").rstrip()) for number, text in enumerate(texts, 1)]
     lines = [(number, text) for number, text in lines if text and not text.startswith("#")]
     found, lacking, k = [], None, 0

@@ -26,6 +26,13 @@ class Minimum:
     converged: Tensor
     iterations: int
 
+    def replaced(self, starts: Sequence[int], other: Minimum) -> Minimum:
+        """With the state of ``starts`` as ``other``, of as many starts, has it, after this."""
+        index = torch.tensor(list(starts), device=self.y.device)
+        names = ("y", "cost", "jacobian", "residual", "converged")
+        parts = {name: getattr(self, name).index_copy(0, index, getattr(other, name)) for name in names}
+        return Minimum(**parts, iterations=self.iterations + other.iterations)
+
 
 def minimise(
     residual: Callable[[Tensor], Tensor],

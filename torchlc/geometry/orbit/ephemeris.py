@@ -17,6 +17,7 @@ from erfa import ErfaWarning
 
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimals
+from torchlc.files.encodings import wide_encoding_of
 from torchlc.files.reading import readable_file
 from torchlc.geometry.orbit import earth
 from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, REACH_S, STENCIL
@@ -180,7 +181,7 @@ def _blocks(path: Path) -> Iterator[tuple[Mapping[str, str], list[tuple[int, lis
     meta: dict[str, str] = {}
     lines: list[tuple[int, list[str]]] = []
     total, place = 0, "header"
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with path.open(encoding=wide_encoding_of(path) or "utf-8", errors="replace") as stream:
         for number, line in enumerate(stream, 1):
             text = line.strip()
             if number == 1 and not text.lstrip("\ufeff").startswith("CCSDS_OEM_VERS"):

@@ -28,7 +28,7 @@ def read_header(path: Path, reading: Reading | None = None, scene: Scene | None 
     head = read_head(path, reading, scene)
     form = next(one for one in formats() if one.recognises(head))
     header = assigned(form.read(head), reading, form.columns)
-    if encoding_of(path) != "utf-8-sig":
+    if encoding_of(path) == "cp1252":
         told = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
         header = replace(header, notes=(told, *header.notes))
     return header

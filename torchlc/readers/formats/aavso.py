@@ -39,12 +39,15 @@ class Aavso(Format):
         path = head.path
         pairs = (line.partition("=") for line in head.comments)
         said: dict[str, str] = {key.strip().lower(): value.strip().lower() for key, _, value in pairs}
-        by_eye = said["type"] == "visual"
-        wanted_cells = COLUMNS[:3] if by_eye else COLUMNS
         mark = said.get("delim", ",")
+        if len(set(mark)) == 1:  # a spreadsheet fills every line up with delimiters
+            mark = mark[0]
         delimiter = DELIMITERS.get(mark, mark)
         if len(delimiter) != 1:
             raise InputError(path, "#DELIM", repr(mark[:40]), f"one sign, or {', '.join(DELIMITERS)}")
+        said = {key: value.rstrip(f"{delimiter} ") for key, value in said.items()}
+        by_eye = said["type"] == "visual"
+        wanted_cells = COLUMNS[:3] if by_eye else COLUMNS
         dates = {"jd": ("jd", ""), "hjd": ("jd", "HJD")}.get(said.get("date", "jd"))
         if dates is None:
             raise InputError(path, "#DATE", repr(said["date"][:40]), "JD or HJD", "Convert the dates to JD")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import Header, lines_of
+from torchlc.readers.table import Header, check_width, lines_of
 
 NAMES = ("MJD", "m", "dm", "uJy", "duJy", "F")
 
@@ -29,15 +28,14 @@ class Atlas(Format):
         path, names = head.path, _names(head)
         places = [names.index(name) for name in ("MJD", "m", "dm", "F")]
         faintest = names.index("mag5sig") if "mag5sig" in names else None
-        delimiter = "," if "," in head.lines[0][1] else None
+        delimiter = "," if "," in head.first else None
 
         def rows() -> Iterator[list[str]]:
             for number, line in enumerate(lines_of(path), 1):
                 if line.startswith("#") or not line.strip() or line.lstrip().startswith("MJD"):
                     continue
                 cells = [cell.strip() for cell in line.split(delimiter)]
-                if len(cells) != len(names):
-                    raise InputError(path, f"line {number}", f"{len(cells)} values", f"{len(names)}")
+                check_width(path, f"line {number}", cells, names)
                 date, mag, error, band = (cells[place] for place in places)
                 if checked_decimal(mag, path, f"line {number}, m") < 0:
                     mag, error = "" if faintest is None else f">{cells[faintest]}", ""
@@ -51,7 +49,10 @@ class Atlas(Format):
 
 
 def _names(head: Head) -> list[str]:
-    """Names of the columns, in a comment or the first line; none where it is another format."""
-    first = head.lines[0][1].lstrip("# ")
-    names = [name.strip() for name in (first.split(",") if "," in first else first.split())]
-    return names if set(NAMES) <= set(names) else []
+    """Names of the columns, in a comment or the first other line; none where it is another format."""
+    for line in (*head.comments, head.first):
+        text = line.lstrip("# ")
+        names = [name.strip() for name in (text.split(",") if "," in text else text.split())]
+        if set(NAMES) <= set(names):
+            return names
+    return []

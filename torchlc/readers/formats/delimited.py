@@ -13,7 +13,7 @@ from torchlc.errors import InputError
 from torchlc.readers.dates import is_moment
 from torchlc.readers.format import FORMATS, Format, Head
 from torchlc.readers.roles import known_names
-from torchlc.readers.table import BLANK, METADATA, Header, check_names
+from torchlc.readers.table import BLANK, METADATA, Header, check_names, without_blank_end
 from torchlc.scene.timestamps import JULIAN_DATE
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -151,8 +151,8 @@ def _by_comment(head: Head, wanted: dict[str, list[str]]) -> Header | None:
             if len(cells) < 2 or (not NUMBER.fullmatch(cells[-1]) and not any(map(NUMBER.fullmatch, cells))):
                 continue
             for between in dict.fromkeys((delimiter, *DELIMITERS)):
-                names = cells_of(comment, between)
-                if len(names) == len(cells) and known_names(names, wanted):
+                names = without_blank_end(cells_of(comment, between))
+                if len(names) == len(without_blank_end(cells, len(names))) and known_names(names, wanted):
                     return _header(head, names, delimiter, number - 1)
         return None
     return None
@@ -174,8 +174,9 @@ def _without_names(head: Head) -> Header | None:
             continue
         if not (NUMBER.fullmatch(cells[0]) or is_moment(cells[0])) or not NUMBER.fullmatch(cells[1]):
             continue
-        names = [str(place) for place in range(1, len(cells) + 1)]
-        header = _header(head, names, delimiter, number - 1)
+        header = _header(head, (), delimiter, number - 1)
+        width = max(len(without_blank_end(row)) for _, row in _sample(head, header))
+        header = replace(header, names=tuple(str(place) for place in range(1, width + 1)))
         if "time" in head.reading.columns:
             return header
         return _guessed(head, header)
@@ -184,7 +185,8 @@ def _without_names(head: Head) -> Header | None:
 
 def _guessed(head: Head, header: Header) -> Header:
     """Time, magnitude and error of a table without names, where its numbers leave no doubt."""
-    rows = [cells for _, cells in _sample(head, header) if len(cells) == len(header.names)]
+    width = len(header.names)
+    rows = [cells for _, row in _sample(head, header) if len(cells := without_blank_end(row, width)) == width]
     comma = header.delimiter != "," and not any(
         WITH_POINT.fullmatch(cell) for cells in rows for cell in cells
     )
@@ -234,7 +236,8 @@ def _by_first_line(head: Head) -> Header:
     lines = [(number, text) for number, text in head.lines if text.strip() and text[0] not in MARKS]
     for (number, text), (_, below) in pairwise(lines):
         for delimiter in _delimiters(head):
-            names, cells = cells_of(text, delimiter), cells_of(below, delimiter)
+            names = without_blank_end(cells_of(text, delimiter))
+            cells = without_blank_end(cells_of(below, delimiter), len(names))
             fits = len(names) == len(cells) > 1 and all(names) and text[0] not in _marks(delimiter)
             if fits and not any(map(NUMBER.fullmatch, names)) and any(map(NUMBER.fullmatch, cells)):
                 return _header(head, names, delimiter, number)

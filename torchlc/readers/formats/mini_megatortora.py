@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 
-from torchlc.errors import InputError
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import Header, lines_of
+from torchlc.readers.table import Header, check_width, lines_of
 
 MMT = {"StdMag", "Mag", "Filter", "Channel"}
 
@@ -37,10 +36,7 @@ class MiniMegaTortora(Format):
                 if line.startswith(("#", "Date,")) or not line.strip():
                     continue
                 cells = line.split() if split else next(csv.reader([line.strip()]))
-                if len(cells) != len(names):
-                    raise InputError(
-                        path, f"line {number}", f"{len(cells)} values", f"{len(names)}: {', '.join(names)}"
-                    )
+                check_width(path, f"line {number}", cells, names)
                 date = "T".join(cells[:2]) if split else cells[place["Date"]]
                 track = f"track {cells[place['Track']]} " if "Track" in place else ""
                 band = cells[place["Filter"]]

@@ -7,7 +7,7 @@ from typing import ClassVar
 from torchlc.errors import InputError
 from torchlc.readers.format import Head
 from torchlc.readers.formats.delimited import NamedTable, cells_of
-from torchlc.readers.table import Header
+from torchlc.readers.table import Header, is_as_wide
 
 
 class Photutils(NamedTable):
@@ -26,7 +26,7 @@ class Photutils(NamedTable):
         if "id" in header.names:
             place = header.names.index("id")
             rows = [cells_of(text, header.delimiter) for number, text in head.lines if number > header.skip]
-            sources = [cells[place] for cells in rows if len(cells) == len(header.names)]
+            sources = [cells[place] for cells in rows if is_as_wide(cells, header.names)]
             if len(set(sources)) > 1 and len(set(sources)) < len(sources):
                 listed = ", ".join(sorted(set(sources))[:8])
                 hint = "Write the rows of the object alone into a file"

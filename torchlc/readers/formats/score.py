@@ -9,7 +9,7 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.objects import chosen_object
-from torchlc.readers.table import BLANK, Header, lines_of
+from torchlc.readers.table import BLANK, Header, check_width, lines_of
 
 SATELLITE = ("satellite_name", "norad_cat_id")
 OF_SCORE = {"observation_time_utc", "apparent_magnitude"}
@@ -42,11 +42,8 @@ class Score(Format):
             reader = csv.reader(lines)
             next(reader)
             for row, cells in enumerate(reader, 1):
-                if len(cells) != len(names):
-                    raise InputError(
-                        path, f"row {row}", f"{len(cells)} values", f"{len(names)}, as in the header"
-                    )
-                yield row, dict(zip(names, map(str.strip, cells), strict=True))
+                check_width(path, f"row {row}", cells, names)
+                yield row, dict(zip(names, map(str.strip, cells), strict=False))
 
         def called(cells: dict[str, str]) -> set[str]:
             return {cells.get(name, "") for name in SATELLITE} - {""}

@@ -82,7 +82,7 @@ def next_nights(sets: Sequence[tuple[Fitted, float]], seed: int = 0) -> list[Opt
             if grid is None:
                 continue
             try:
-                forecasts = [_forecast(fitted, scene, grid) for fitted, _ in sets]
+                forecasts = [_forecast(fitted, grid) for fitted, _ in sets]
             except TorchlcError:
                 continue
             told = told_by(forecasts, p / p.sum(), torch.as_tensor(grid.error), seed)
@@ -136,8 +136,9 @@ def _grid(
     return replace(grid, observed=np.zeros(rows), error=np.full(rows, error), exptime=exptime, kind="mag")
 
 
-def _forecast(fitted: Fitted, scene: Scene, grid: Recording) -> Forecast:
-    """Another night at a fit's coordinates."""
+def _forecast(fitted: Fitted, grid: Recording) -> Forecast:
+    """Another night at a fit's coordinates, under its law of reflection."""
+    scene = fitted.model.scene
     entries = [one.entry for one in fitted.model.effects]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
     if model.parameter_set.names != fitted.names:

@@ -186,10 +186,10 @@ class Diagnosis:
     def completed(self) -> Scene:
         """The scene with the named effects in its list, to be fitted next; the scene itself where nothing is
         named."""
-        scene = self.baseline.model.scene
         if self.verdict != "missing_physics":
-            return scene
-        return completed_scene(scene, self.final.model.effects)
+            return self.search.bench.scene
+        # the scene's own model may be better under another law of reflection, under which not every effect can act
+        return completed_scene(self.final.model.scene, self.final.model.effects)
 
     @cached_property
     def limits(self) -> list[str]:

@@ -130,7 +130,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     clean = [row["global_p"] for row in rows if group(row) == "nothing missing"]
     named = [row for row in rows if row["verdict"] == "missing_physics"]
     right = [row for row in named if judged(row) in GOOD]
-    held = {when: np.sum([row["materials"][when] for row in right], axis=0) for when in ("before", "after")}
+    # surfaces of another law than the scene's have no numbers of its law to be compared with
+    own = [row for row in right if group(row) != "other reflection law"]
+    held = {when: np.sum([row["materials"][when] for row in own], axis=0) for when in ("before", "after")}
     overlaps = [row["overlap"] for row in right if row["overlap"] is not None]
     fitting = [
         abs(row["improvement"]["chi2_after"] / row["improvement"]["dof"] - 1)
@@ -145,10 +147,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "reliability": reliability(rows),
         "median_overlap": float(np.median(overlaps)) if overlaps else None,
         "materials_inside_90": {
-            when: float(inside / whole) if len(right) and whole else None
-            for when, (inside, whole) in held.items()
+            when: float(inside / whole) if whole else None for when, (inside, whole) in held.items()
         }
-        if right
+        if own
         else {},
         "chi2_within_3_sigma": float(np.mean(np.array(fitting) < 3.0)) if fitting else None,
         "processor_seconds": spent(seconds),

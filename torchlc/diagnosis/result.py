@@ -109,7 +109,7 @@ class Diagnosis:
         elif clock.cut and clock.seconds is not None:
             warned.append(
                 f"the search was ended after {clock.seconds:.0f} s of CPU time: some sets of effects or ways to err were not tried; "
-                f"--budget {2 * clock.seconds:.0f} goes on"
+                f"--budget {2 * clock.seconds:.0f} has more of them tried"
             )
         return list(dict.fromkeys(warned))
 

@@ -18,7 +18,7 @@ from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
-from torchlc.inference import posterior
+from torchlc.inference import density, posterior
 from torchlc.report.listing import effects_listing
 
 project = "torchlc"
@@ -52,7 +52,7 @@ myst_substitutions = {
     "reach": f"{fits.REACH:g}",
     "few_effects": hypotheses.FEW_EFFECTS,
     "alone_s": f"{run.MOST_ALONE_S:g}",
-    "scale_sigma": f"{posterior.SCALE_SIGMA:g}",
+    "scale_sigma": f"{density.SCALE_SIGMA:g}",
     "seen_sigma": f"{where.SEEN_SIGMA:g}",
     "unknown_odds": f"{odds.UNKNOWN_ODDS:g}",
     "wide_mag": f"{posterior.WIDE_MAG:g}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 
 import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
+from tests.rotating_bodies import write_turning
 from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
@@ -128,6 +130,21 @@ def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_pat
     assert [one % 360 for one in nights.values()] == pytest.approx(
         [one["phase_deg"] for one in loose["nights"]]
     )
+
+
+def test_a_spent_budget_decides_nothing_and_says_what_was_left_out(tmp_path: Path) -> None:
+    """A budget that is spent at once leaves the first fit of the model, in less CPU time than the whole search, and no better."""
+    scene, recording = write_turning(tmp_path)
+    began = time.process_time()
+    whole = torchlc.rotation(scene, recording).to_json()
+    between = time.process_time()
+    short = torchlc.rotation(scene, recording, budget=1e-3).to_json()
+    assert time.process_time() - between < between - began
+    assert "budget" not in whole["verdict"]
+    assert not short["decided"]
+    assert short["verdict"].startswith("cannot tell: the budget of 0.001 CPU s left out fits of the model")
+    assert len(short["modes"]) == 1 < len(whole["modes"])
+    assert short["modes"][0]["chi2"] >= whole["modes"][0]["chi2"] - 1e-6
 
 
 def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.CaptureFixture[str]) -> None:

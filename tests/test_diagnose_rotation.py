@@ -20,7 +20,7 @@ PERIOD_S = 61.7
 DAY = 86400.0
 TILT_DEG, TOWARDS_DEG = 6.0, 60.0
 EAST_DEG, NORTH_DEG = 4.0, 3.0
-SLOWING_MS_A_DAY = 20.0
+SLOWING_MS_A_DAY = 1.0
 NUTATION_DEG = 2.0
 MOMENTS = np.array([0.6, 0.66, 1.0])
 NOISE = 0.03
@@ -55,18 +55,23 @@ def coning(seconds: np.ndarray) -> np.ndarray:
     return tumbling(later, unit_of(*POLE), MOMENTS, 2 * np.pi / PERIOD_S, np.radians(NUTATION_DEG), 0.2)
 
 
-CASES: dict[str, tuple[Turned, list[float], dict[str, tuple[float, float]]]] = {
-    "axis_tilt": (tilted, [0.0], {"deg": (TILT_DEG, 1.0), "towards_deg": (TOWARDS_DEG, 10.0)}),
-    "pole_offset": (elsewhere, [0.0], {"east": (EAST_DEG, 1.0), "north": (NORTH_DEG, 1.0)}),
-    "period_drift": (slowing, [0.0, 1.0, 3.0], {"ms_per_day": (SLOWING_MS_A_DAY, 1.0)}),
-    "nutation": (coning, [0.0], {"deg": (NUTATION_DEG, 0.4)}),
+CASES: dict[str, tuple[Turned, list[float], float, dict[str, float]]] = {
+    "axis_tilt": (tilted, [0.0], 5e-3, {"deg": TILT_DEG, "towards_deg": TOWARDS_DEG}),
+    "pole_offset": (elsewhere, [0.0], 5e-3, {"east": EAST_DEG, "north": NORTH_DEG}),
+    "period_drift": (slowing, [0.0, 0.1, 0.4, 1.1, 2.6], 5e-5, {"ms_per_day": SLOWING_MS_A_DAY}),
+    "nutation": (coning, [0.0], 5e-3, {"deg": NUTATION_DEG}),
 }
-"""What turns the body, on which days it is seen, and the numbers that are to be found, each with its bound."""
+"""What turns the body, on which days it is seen, the relative bound of the scene's period, and the numbers that are to be found. Of
+days apart the period is known well enough that half a turn is not lost between them, as `torchlc rotation` leaves it."""
+SIGMAS = 4.0
+"""Bound of the numbers in their own standard deviations: by chance once in 16,000."""
+LARGEST_SD = 0.2
+"""Relative to the number: a wide one would be right of anything."""
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_named(name: str, tmp_path: Path) -> None:
-    turned, days, numbers = CASES[name]
+    turned, days, bound, numbers = CASES[name]
     rows = 120 // len(days)
     after = 9.7 * np.arange(rows)
     passes = [
@@ -77,7 +82,7 @@ def test_named(name: str, tmp_path: Path) -> None:
         BODY, turned, passes, materials=(20.0, 0.2, 0.35), noise=NOISE, rng=np.random.default_rng(17)
     )
     (tmp_path / "recording.ecsv").write_text(text)
-    known = scene(BODY, (PERIOD_S, PERIOD_S / 1.005, PERIOD_S * 1.005)).splitlines()
+    known = scene(BODY, (PERIOD_S, PERIOD_S * (1 - bound), PERIOD_S * (1 + bound))).splitlines()
     known = [f"pole = [{POLE[0]}, {POLE[1]}]" if line.startswith("pole") else line for line in known]
     (tmp_path / "scene.toml").write_text("\n".join(known))
     nominal = load_scene(tmp_path / "scene.toml")
@@ -87,5 +92,7 @@ def test_named(name: str, tmp_path: Path) -> None:
     content = result.to_json()
     assert (content["verdict"], content["named"]) == ("missing_physics", [name])
     values = content["candidates"][0]["parameters"]
-    for short, (truth, bound) in numbers.items():
-        assert values[short]["median"] == pytest.approx(truth, abs=bound)
+    for short, truth in numbers.items():
+        spread = values[short]["sd"]
+        assert spread < LARGEST_SD * truth
+        assert abs(values[short]["median"] - truth) < SIGMAS * spread

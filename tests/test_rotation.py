@@ -132,6 +132,32 @@ def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_pat
     )
 
 
+def test_what_was_kept_of_rows_seen_from_elsewhere_is_not_gone_on_from(tmp_path: Path) -> None:
+    """The same magnitudes at the same times, the observer mirrored: the poles are others, so the grid is worked out again; a third
+    run, of the same rows as the second, knows it."""
+    from astropy.table import Table
+
+    scene, recording = write_turning(tmp_path)
+    stages: list[tuple[str, float]] = []
+
+    def stop(stage: str, share: float) -> None:
+        stages.append((stage, share))
+        if stage == "least squares":
+            raise KeyboardInterrupt
+
+    def worked_out() -> bool:
+        stages.clear()
+        with pytest.raises(KeyboardInterrupt):
+            torchlc.rotation(scene, recording, out=tmp_path / "out", progress=stop)
+        return any(stage == "poles" and share for stage, share in stages)
+
+    assert worked_out()
+    table = Table.read(recording, format="ascii.ecsv")
+    table["obs_z"] *= -1
+    table.write(recording, format="ascii.ecsv", overwrite=True)
+    assert [worked_out(), worked_out()] == [True, False]
+
+
 def test_a_spent_budget_decides_nothing_and_says_what_was_left_out(tmp_path: Path) -> None:
     """A budget that is spent at once leaves the first fit of the model, in less CPU time than the whole search, and no better."""
     scene, recording = write_turning(tmp_path)

@@ -145,7 +145,7 @@ def search_rotation(
     say("model", 0.0)
     found: list[Candidate] = []
     for one in tumbles:
-        if not found or allowed(FITS):
+        if not _any_finite(found) or allowed(FITS):
             found.append(fitted(tumbling_trial(scene, recording, rows, one), recording))
     if not any(_explains(one, rows) for one in found):
         more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), allowed, say)
@@ -330,6 +330,11 @@ def _explains(one: Candidate, rows: Rows) -> bool:
     return one.rms <= NOISY * MAG_PER_LN * rows.noise
 
 
+def _any_finite(found: Sequence[Candidate]) -> bool:
+    """Whether a fit has a chi-square; one whose light is nowhere has none."""
+    return any(math.isfinite(one.chi2) for one in found)
+
+
 def _unjoined(found: Sequence[Candidate], rows: Rows) -> bool:
     """Whether the best of the rotations that join the passes takes one of several counts for granted, or leaves structure."""
     best = min(found, key=lambda one: one.deviance, default=None)
@@ -484,7 +489,7 @@ def _fitted(
     for number, trial in enumerate(tasks):
         if trial.changing and not always and found and not _wanting(found, rows):
             continue
-        if found and not allowed(FITS):
+        if _any_finite(found) and not allowed(FITS):
             break
         found.append(fitted(trial, recording))
         say("model", (number + 1) / len(tasks))

@@ -247,5 +247,5 @@ def write_turning(folder: Path) -> tuple[Path, Path]:
         rng=np.random.default_rng(17),
     )  # fmt: skip
     (folder / "turning.ecsv").write_text(rows)
-    (folder / "turning.toml").write_text(scene(body, (30.0, 29.5, 30.5)))
+    (folder / "turning.toml").write_text(scene(body, (30.0, 20.0, 45.0)))
     return folder / "turning.toml", folder / "turning.ecsv"

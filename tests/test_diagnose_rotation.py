@@ -17,10 +17,8 @@ from torchlc.scene import load_scene
 BODY = box(1.2, 1.9, 2.6)
 POLE = (143.0, 36.0)
 PERIOD_S = 61.7
-DAY = 86400.0
 TILT_DEG, TOWARDS_DEG = 6.0, 60.0
 EAST_DEG, NORTH_DEG = 4.0, 3.0
-SLOWING_MS_A_DAY = 1.0
 NUTATION_DEG = 2.0
 MOMENTS = np.array([0.6, 0.66, 1.0])
 NOISE = 0.03
@@ -46,43 +44,33 @@ def elsewhere(seconds: np.ndarray) -> np.ndarray:
     return steady(seconds, np.cos(far) * unit_of(*POLE) + np.sin(far) * way / far, PERIOD_S, 0.2)
 
 
-def slowing(seconds: np.ndarray) -> np.ndarray:
-    return steady(seconds, unit_of(*POLE), PERIOD_S, 0.2, rate=SLOWING_MS_A_DAY * 1e-3 / DAY)
-
-
 def coning(seconds: np.ndarray) -> np.ndarray:
     later = seconds + 1.0  # light leaves before it is seen, and the integral begins at 0
     return tumbling(later, unit_of(*POLE), MOMENTS, 2 * np.pi / PERIOD_S, np.radians(NUTATION_DEG), 0.2)
 
 
-CASES: dict[str, tuple[Turned, list[float], float, dict[str, float]]] = {
-    "axis_tilt": (tilted, [0.0], 5e-3, {"deg": TILT_DEG, "towards_deg": TOWARDS_DEG}),
-    "pole_offset": (elsewhere, [0.0], 5e-3, {"east": EAST_DEG, "north": NORTH_DEG}),
-    "period_drift": (slowing, [0.0, 0.1, 0.4, 1.1, 2.6], 5e-5, {"ms_per_day": SLOWING_MS_A_DAY}),
-    "nutation": (coning, [0.0], 5e-3, {"deg": NUTATION_DEG}),
+CASES: dict[str, tuple[Turned, dict[str, float]]] = {
+    "axis_tilt": (tilted, {"deg": TILT_DEG, "towards_deg": TOWARDS_DEG}),
+    "pole_offset": (elsewhere, {"east": EAST_DEG, "north": NORTH_DEG}),
+    "nutation": (coning, {"deg": NUTATION_DEG}),
 }
-"""What turns the body, on which days it is seen, the relative bound of the scene's period, and the numbers that are to be found. Of
-days apart the period is known well enough that half a turn is not lost between them, as `torchlc rotation` leaves it."""
+"""What turns the body, and the numbers that are to be found."""
 SIGMAS = 4.0
 """Bound of the numbers in their own standard deviations: by chance once in 16,000."""
-LARGEST_SD = 0.2
+LARGEST_SD = 0.25
 """Relative to the number: a wide one would be right of anything."""
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_named(name: str, tmp_path: Path) -> None:
-    turned, days, bound, numbers = CASES[name]
-    rows = 120 // len(days)
-    after = 9.7 * np.arange(rows)
-    passes = [
-        (day * DAY, after, Circle.past(30.0 + 25 * k, 20.0 - 10 * k, 40.0, after[-1], 19000.0))
-        for k, day in enumerate(days)
-    ]
+    turned, numbers = CASES[name]
+    after = 9.7 * np.arange(120)
+    passes = [(0.0, after, Circle.past(30.0, 20.0, 40.0, after[-1], 19000.0))]
     text = recording(
         BODY, turned, passes, materials=(20.0, 0.2, 0.35), noise=NOISE, rng=np.random.default_rng(17)
     )
     (tmp_path / "recording.ecsv").write_text(text)
-    known = scene(BODY, (PERIOD_S, PERIOD_S * (1 - bound), PERIOD_S * (1 + bound))).splitlines()
+    known = scene(BODY, (PERIOD_S, PERIOD_S / 1.005, PERIOD_S * 1.005)).splitlines()
     known = [f"pole = [{POLE[0]}, {POLE[1]}]" if line.startswith("pole") else line for line in known]
     (tmp_path / "scene.toml").write_text("\n".join(known))
     nominal = load_scene(tmp_path / "scene.toml")

@@ -404,7 +404,7 @@ def rotation(
             ]
             directory = stack.enter_context(OutputDirectory(out, ROTATION_FILES, inputs))
         stack.enter_context(resources(None if out is None else Path(out)))
-        kept = _steps(directory, scene, rows, repr((shortest, longest, budget)))
+        kept = _steps(directory, scene, rows, repr((shortest, longest)))
         search = search_rotation(
             scene,
             rows,

@@ -65,8 +65,6 @@ from torchlc.readers import Recording
 from torchlc.scene import Free, Scene
 
 POLES = 500
-STARTS_SHARE = 0.3
-"""Of what is left of a budget, for the first least squares."""
 FITS = "fits of the model to the less likely"
 STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-7
 """CPU seconds for the first least squares, of a start, and of each pair of row and facet and coordinate of a start, as measured on one
@@ -176,7 +174,8 @@ def search_rotation(
             recording.source,
             None,
             f"no rotation of {1 / high:.6g} to {1 / low:.6g} s a turn that joins the passes and that the model can fit",
-            "a wider range of periods (--shortest, --longest), or passes nearer to each other",
+            "a wider range of periods (--shortest, --longest), or passes nearer to each other"
+            + (", or a longer --budget" if allowed.omitted else ""),
         )
     left = len(rows.flux) - len(modes[0].theta)
     noise = None if rows.noise is None else MAG_PER_LN * rows.noise
@@ -281,8 +280,7 @@ def _turns(
         ),
     )
     coordinates = 3 + 2 * rows.passes + sum(body.lobed)
-    seconds = min(STARTS_S, STARTS_SHARE * allowed.budget.remaining)
-    count = int(seconds / (START_S + PAIR_S * len(body.normal) * len(rows.flux) * coordinates))
+    count = int(STARTS_S / (START_S + PAIR_S * len(body.normal) * len(rows.flux) * coordinates))
     count = max(LEAST_STARTS, min(MOST_STARTS, count))
     still = torch.zeros(3, dtype=torch.float64)
     say("least squares", 0.0)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.killed_runs import check_files
-from tests.rotating_bodies import write_turning
 from tests.small_case import write_case
 from tests.warm import said
 
@@ -32,14 +31,13 @@ def write_manifest(folder: Path) -> Path:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("verb", ["fit", "diagnose", "campaign", "rotation"])
+@pytest.mark.parametrize("verb", ["fit", "diagnose", "campaign"])
 def test_killed_again_and_again(verb: str, tmp_path: Path, warm: tuple[str, Path]):
     scene, recording = map(str, write_case(tmp_path, rows=9))
     command = {  # one worker: two that are forked hold open what tells the other that its campaign is gone
         "fit": ["fit", scene, recording, "--steps", "160", "--walkers", "10", "--seed", "3"],
         "diagnose": ["diagnose", scene, recording, *QUICK],
         "campaign": ["campaign", str(write_manifest(tmp_path)), "--workers", "1"],
-        "rotation": ["rotation", *map(str, write_turning(tmp_path))],
     }
     code, output, error = said(
         warm[0], ["killed", str(tmp_path / "runs"), str(KILLS), *command[verb], "--quiet"], env=ENVIRONMENT

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import torch
 
 import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
-from tests.rotating_bodies import write_turning
 from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
@@ -130,47 +128,6 @@ def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_pat
     assert [one % 360 for one in nights.values()] == pytest.approx(
         [one["phase_deg"] for one in loose["nights"]]
     )
-
-
-def test_what_was_kept_of_rows_seen_from_elsewhere_is_not_gone_on_from(tmp_path: Path) -> None:
-    """The same magnitudes at the same times, the observer mirrored: the poles are others, so the grid is worked out again; a third
-    run, of the same rows as the second, knows it."""
-    from astropy.table import Table
-
-    scene, recording = write_turning(tmp_path)
-    stages: list[tuple[str, float]] = []
-
-    def stop(stage: str, share: float) -> None:
-        stages.append((stage, share))
-        if stage == "least squares":
-            raise KeyboardInterrupt
-
-    def worked_out() -> bool:
-        stages.clear()
-        with pytest.raises(KeyboardInterrupt):
-            torchlc.rotation(scene, recording, out=tmp_path / "out", progress=stop)
-        return any(stage == "poles" and share for stage, share in stages)
-
-    assert worked_out()
-    table = Table.read(recording, format="ascii.ecsv")
-    table["obs_z"] *= -1
-    table.write(recording, format="ascii.ecsv", overwrite=True)
-    assert [worked_out(), worked_out()] == [True, False]
-
-
-def test_a_spent_budget_decides_nothing_and_says_what_was_left_out(tmp_path: Path) -> None:
-    """A budget that is spent at once leaves the first fit of the model, in less CPU time than the whole search, and no better."""
-    scene, recording = write_turning(tmp_path)
-    began = time.process_time()
-    whole = torchlc.rotation(scene, recording).to_json()
-    between = time.process_time()
-    short = torchlc.rotation(scene, recording, budget=1e-3).to_json()
-    assert time.process_time() - between < between - began
-    assert "budget" not in whole["verdict"]
-    assert not short["decided"]
-    assert short["verdict"].startswith("cannot tell: the budget of 0.001 CPU s left out fits of the model")
-    assert len(short["modes"]) == 1 < len(whole["modes"])
-    assert short["modes"][0]["chi2"] >= whole["modes"][0]["chi2"] - 1e-6
 
 
 def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ import random
 import signal
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from torchlc.campaigns import processes
 from torchlc.campaigns.objects import read_record
 from torchlc.cli import run
 
-RESULTS = ("fit.json", "diagnosis.json")
+RESULTS = ("fit.json", "diagnosis.json", "rotation.json")
 LATER = 1.1
 """The range of moments grows so with each kill until a run ends: other work on the machine may slow it down."""
 SOON_S = 0.1
@@ -172,6 +173,8 @@ def check_files(folder: Path) -> None:
                 Image.open(path).load()
             case ".pt":
                 assert torch.load(path, weights_only=True)["steps"]
+            case ".toml":
+                assert tomllib.loads(path.read_text())["attitude"]
             case _:
                 raise AssertionError(f"an unknown file {path}")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -234,3 +235,17 @@ effects = ["sun_distance"]
 zero_point = 0.0
 band_sun_magnitude = {SUN_MAG}
 """
+
+
+def write_turning(folder: Path) -> tuple[Path, Path]:
+    """A scene and its recording: a box that turns in 30 s about a pole that the scene does not know, seen for two turns."""
+    body = box(1.2, 1.9, 2.6)
+    after = 2.5 * np.arange(24)
+    seen = [(0.0, after, Circle.past(30.0, 20.0, 30.0, after[-1], 19000.0))]
+    rows = recording(
+        body, lambda seconds: steady(seconds, unit_of(143.0, 36.0), 30.0, 0.2), seen, materials=(20.0, 0.2, 0.35), noise=0.05,
+        rng=np.random.default_rng(17),
+    )  # fmt: skip
+    (folder / "turning.ecsv").write_text(rows)
+    (folder / "turning.toml").write_text(scene(body, (30.0, 20.0, 45.0)))
+    return folder / "turning.toml", folder / "turning.ecsv"

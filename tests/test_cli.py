@@ -22,9 +22,12 @@ from astropy.table import Table
 
 import torchlc
 from tests.bad_input_cases import CASES, Case
+from tests.rotating_bodies import write_turning
 from tests.small_case import write_case
 from torchlc.cli import run
+from torchlc.cli.program import after_interrupt
 from torchlc.files.writing import LOCK_NAME, MANIFEST_NAME
+from torchlc.inference.rotation import pole_grid
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"
 TLE = """\
@@ -237,6 +240,27 @@ def test_an_interrupted_diagnosis_leaves_nothing_and_says_how_to_begin_again(
     assert worker.returncode == 130 and not said
     assert error.splitlines() == [f"torchlc: interrupted; begin again with: torchlc {' '.join(arguments)}"]
     assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupted_rotation_goes_on_from_what_it_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Ctrl-C after the grid of poles: 130 and one line, which without -o says that nothing was kept. The same command again does
+    not work out the grid a second time."""
+    arguments = ["rotation", *map(str, write_turning(tmp_path)), "-o", str(tmp_path / "out"), "--quiet"]
+    worker = process(*arguments)
+    until((tmp_path / "out" / "search.pt").exists, worker)
+    worker.send_signal(signal.SIGINT)
+    said, error = worker.communicate(timeout=180)
+    assert worker.returncode == 130 and not said
+    assert error.splitlines() == [f"torchlc: interrupted; continue with: torchlc {' '.join(arguments)}"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"search.pt", MANIFEST_NAME}
+    assert after_interrupt(arguments[:3]) == f"; begin again with: torchlc {' '.join(arguments[:3])}"
+
+    def again(*_: object, **__: object) -> None:
+        raise AssertionError("the grid is known")
+
+    monkeypatch.setattr(pole_grid, "search", again)
+    assert run(arguments) == 0
+    assert not (tmp_path / "out" / "search.pt").exists() and (tmp_path / "out" / "rotation.json").exists()
 
 
 @pytest.mark.parametrize("buffered", [True, False])

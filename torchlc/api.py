@@ -10,7 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -371,6 +371,7 @@ def rotation(
     shortest: float | None = None,
     longest: float | None = None,
     seed: int = 0,
+    budget: float | None = None,
     out: str | Path | None = None,
     use: str | None = None,
     trust: bool = False,
@@ -380,8 +381,9 @@ def rotation(
     """Rotation states of a body from one or more recordings: pole, period, phase, with all modes that fit.
 
     The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
-    (s) do. With ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed
-    goes on from the last stage that it had finished.
+    (s) do. ``budget`` is in CPU seconds, after which no further stage is begun and the verdict says what was left out. With
+    ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed goes on from the
+    last stage that it had finished.
     """
     from torchlc.inference.rotation.search import search_rotation
     from torchlc.readers.joining import joined
@@ -404,7 +406,13 @@ def rotation(
         stack.enter_context(resources(None if out is None else Path(out)))
         kept = _steps(directory, scene, rows, repr((shortest, longest)))
         search = search_rotation(
-            scene, rows, shortest_s=shortest, longest_s=longest, progress=progress, steps=kept
+            scene,
+            rows,
+            shortest_s=shortest,
+            longest_s=longest,
+            progress=progress,
+            steps=kept,
+            budget_s=budget,
         )
         made = provenance(scene, rows, seed, command)
         made["inputs"] |= {
@@ -453,10 +461,16 @@ def _steps(
     """What a search in a directory has finished; what is there of another scene, recording, setting or version is not known."""
     if directory is None:
         return Steps()
-    numbers = [rows.seconds, rows.observed, *([] if rows.error is None else [rows.error]), rows.upper_limit]
+    columns = {
+        one.name: value
+        for one in fields(rows)
+        if isinstance(value := getattr(rows, one.name), np.ndarray | tuple | str | bool)
+    }
+    first: Any = rows.time[0]
     content = [
         scene.to_toml().encode(),
-        *(one.tobytes() for one in numbers),
+        repr((first.scale, first.jd1, first.jd2, *columns)).encode(),
+        *map(_bytes_of, columns.values()),
         settings.encode(),
         __version__.encode(),
     ]
@@ -464,6 +478,13 @@ def _steps(
     return Steps(
         key, directory.path / STEPS_FILE, lambda fill: directory.write(STEPS_FILE, fill), every_s=every_s
     )
+
+
+def _bytes_of(value: np.ndarray | tuple[str, ...] | str | bool) -> bytes:
+    """What tells a value from another one. An array of objects, as of names of bands, has only their addresses among its bytes."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes() if value.dtype != object else repr(value.tolist()).encode()
+    return repr(value).encode()
 
 
 def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Columns = None) -> Recording:

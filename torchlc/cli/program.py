@@ -19,7 +19,9 @@ def after_interrupt(arguments: list[str]) -> str:
             return f"; continue with: torchlc {shlex.join(again)}"
         case ["campaign"]:
             return f"; continue with: torchlc {shlex.join(arguments)}"
-        case ["diagnose" | "demo"]:
+        case ["rotation"] if any(one.startswith(("-o", "--out")) for one in arguments):
+            return f"; continue with: torchlc {shlex.join(arguments)}"
+        case ["diagnose" | "demo" | "rotation"]:
             return f"; begin again with: torchlc {shlex.join(arguments)}"
     return ""
 

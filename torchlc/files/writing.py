@@ -41,8 +41,10 @@ FIT_FILES = SAMPLED_FILES | {"fit.json", "report.html", "curve.png", "shares.png
 STEPS_FILE = "search.pt"
 """What a search has finished, as long as it runs."""
 DIAGNOSIS_FILES = frozenset({"diagnosis.json", "report.html", "curve.png", "object.png", STEPS_FILE})
+PER_PASS_FILE = "scene_per_pass.toml"
+"""Written only where passes may have a phase each."""
 ROTATION_FILES = frozenset(
-    {"rotation.json", "scene.toml", "periodogram.png", "poles.png", "folded.png", STEPS_FILE}
+    {"rotation.json", "scene.toml", PER_PASS_FILE, "periodogram.png", "poles.png", "folded.png", STEPS_FILE}
 )
 RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""

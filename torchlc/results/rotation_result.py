@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchlc.files.writing import OutputDirectory, without_nan
+from torchlc.files.writing import PER_PASS_FILE, OutputDirectory, without_nan
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.attitude import epochs_seconds, since_nearest
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch
@@ -254,7 +254,9 @@ class RotationResult:
         directory.write_json("rotation.json", self.to_json())
         directory.write_text("scene.toml", self.scene().to_toml())
         if search.loose:
-            directory.write_text("scene_per_pass.toml", self._scene(search.loose[0]).to_toml())
+            directory.write_text(PER_PASS_FILE, self._scene(search.loose[0]).to_toml())
+        else:
+            directory.clear([PER_PASS_FILE])
         from torchlc.figures import rotation as figures
         from torchlc.figures.saving import drawn, save
 

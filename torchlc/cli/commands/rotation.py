@@ -9,6 +9,7 @@ import typer
 
 from torchlc.cli.app import app
 from torchlc.cli.options import (
+    Budget,
     Json,
     OutIfWanted,
     Quiet,
@@ -39,6 +40,7 @@ def rotation(
     ] = None,
     use: Use = None,
     seed: Seed = 0,
+    budget: Budget = None,
     quiet: Quiet = False,
     threads: Threads = None,
     json: Json = False,
@@ -50,8 +52,8 @@ def rotation(
 
     with progress_bar(not (quiet or json)) as progress:
         result = api.rotation(
-            scene, *recordings, shortest=shortest, longest=longest, seed=seed, out=out, use=use, trust=trust,
-            progress=progress, command=command_line(context),
+            scene, *recordings, shortest=shortest, longest=longest, seed=seed, budget=budget, out=out, use=use,
+            trust=trust, progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:
         show_json(result.to_json())

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchlc.errors import InputError
 from torchlc.files.steps import Steps
+from torchlc.inference.budget import Budget
 from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid
 from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
@@ -64,6 +65,7 @@ from torchlc.readers import Recording
 from torchlc.scene import Free, Scene
 
 POLES = 500
+FITS = "fits of the model to the less likely"
 STARTS_S, START_S, PAIR_S = 14.0, 0.06, 2.2e-7
 """CPU seconds for the first least squares, of a start, and of each pair of row and facet and coordinate of a start, as measured on one
 core."""
@@ -95,9 +97,14 @@ def search_rotation(
     longest_s: float | None = None,
     progress: Progress | None = None,
     steps: Steps | None = None,
+    budget_s: float | None = None,
 ) -> RotationSearch:
-    """Rotation states of a body: about a direction fixed in it and in space, or, where that leaves structure, free."""
+    """Rotation states of a body: about a direction fixed in it and in space, or, where that leaves structure, free.
+
+    ``budget_s``: CPU seconds after which no further stage is begun; then nothing is decided, and what was left out is said.
+    """
     say = progress or (lambda _text, _share: None)
+    allowed = _Allowed(budget_s)
     kept = steps or Steps()
     model = LightCurve(*_checked(scene, recording))
     rows = _enough(rows_of(model), recording)
@@ -111,7 +118,7 @@ def search_rotation(
     )
     poles = pole_grid.directions(POLES)
     refiner = Refiner(rows, body, FLOOR)
-    turns = _turns(scene, rows, body, poles, grid, (low, high), refiner, kept, say)
+    turns = _turns(scene, rows, body, poles, grid, (low, high), refiner, kept, allowed, say)
     locals_, tilted, symmetry = turns.best, turns.tilted, turns.symmetry
     warnings += turns.told
     steady, dof = locals_[0].chi2, turns.dof  # the best that a turn about one axis does
@@ -124,7 +131,7 @@ def search_rotation(
             f"the passes have turns of {least:.5g} to {most:.5g} s: no one free rotation holds over them, and none was looked for; "
             "search one pass to look for it"
         )
-    if free:
+    if free and allowed("free rotations"):
         tumbles = kept.of("free", Tumble, lambda: free_rotations(rows, body, low, high, dof, steady, say))
         if not tumbles:
             warnings.append("no pair of frequencies of a free rotation explains the light")
@@ -134,18 +141,22 @@ def search_rotation(
         wide = (low * (1 - 1e-9), high * (1 + 1e-9))
         locals_ = [*sides_taken(rows, refiner, locals_[0], symmetry, wide), *locals_[1:]]
     say("model", 0.0)
-    found = [fitted(tumbling_trial(scene, recording, rows, one), recording) for one in tumbles]
+    found: list[Candidate] = []
+    for one in tumbles:
+        if not _any_finite(found) or allowed(FITS):
+            found.append(fitted(tumbling_trial(scene, recording, rows, one), recording))
     if not any(_explains(one, rows) for one in found):
-        more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), say)
+        more, told = _fitted(scene, recording, rows, locals_, symmetry, tilted, (low, high), allowed, say)
         found += more
         warnings += told
     found = [one for one in found if math.isfinite(one.chi2)]
     modes, loose = merged(found, rows), []
-    if len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows):
+    several = len(np.unique(recording.night[rows.index.numpy()])) > 1 and _unjoined(found, rows)
+    if several and allowed("each night for itself"):
         apart, sharp = _apart(scene, recording, rows, locals_, found, tilted, say)
         if sharp:
             joined, told = _fitted(
-                scene, recording, rows, sharp, symmetry, tilted, (low, high), say, changing=True
+                scene, recording, rows, sharp, symmetry, tilted, (low, high), allowed, say, changing=True
             )
             found = joined + [one for one in found if not any(_one_turn(one, other) for other in joined)]
             warnings += told
@@ -163,11 +174,14 @@ def search_rotation(
             recording.source,
             None,
             f"no rotation of {1 / high:.6g} to {1 / low:.6g} s a turn that joins the passes and that the model can fit",
-            "a wider range of periods (--shortest, --longest), or passes nearer to each other",
+            "a wider range of periods (--shortest, --longest), or passes nearer to each other"
+            + (", or a longer --budget" if allowed.omitted else ""),
         )
     left = len(rows.flux) - len(modes[0].theta)
     noise = None if rows.noise is None else MAG_PER_LN * rows.noise
     decided, words = verdict(modes, left, rows.passes, float(rows.span.max()), noise)
+    if allowed.omitted:
+        decided, words = False, allowed.told(words)
     order = {tuple(one.pole.tolist()): one.misfit for one in turns.states}
     misfits = np.array([order[tuple(one.tolist())] for one in poles])
     connected = rows.passes == 1 or (modes[0].possible == 1 and not modes[0].apart)
@@ -203,6 +217,26 @@ def _enough(rows: Rows, recording: Recording) -> Rows:
     return rows
 
 
+class _Allowed:
+    """Whether a stage may begin within a budget of CPU seconds, and which ones that were due did not."""
+
+    def __init__(self, seconds: float | None) -> None:
+        self.budget = Budget(seconds)
+        self.omitted: list[str] = []
+
+    def __call__(self, stage: str) -> bool:
+        if self.budget.left():
+            return True
+        if stage not in self.omitted:
+            self.omitted.append(stage)
+        return False
+
+    def told(self, words: str) -> str:
+        """The verdict of what was looked at, after what was not."""
+        seen = words.removeprefix("cannot tell: ")
+        return f"cannot tell: the budget of {self.budget.seconds:g} CPU s left out {', '.join(self.omitted)}; of what was looked at: {seen}"
+
+
 @dataclass(frozen=True)
 class _Turns:
     """Turns about an axis fixed in the body: what the grid of poles gave, the solutions, best first, whether the axis may be tilted
@@ -225,6 +259,7 @@ def _turns(
     bounds: tuple[float, float],
     refiner: Refiner,
     kept: Steps,
+    allowed: _Allowed,
     say: Progress,
 ) -> _Turns:
     """From a grid of poles and frequencies to solutions by least squares; where these leave structure, of tilted bodies and of bodies
@@ -258,7 +293,7 @@ def _turns(
     dof = max(1, len(rows.flux) - 2 * rows.passes - 4)
     given = "tilt" in scene.attitude.model_fields_set
     tilted = given
-    if tilted or best[0].chi2 / dof > STRUCTURE:
+    if tilted or (best[0].chi2 / dof > STRUCTURE and allowed("tilted bodies")):
         say("tilted bodies", 0.0)
         slanted = kept.of(
             "tilted", Local, lambda: tilted_bodies(rows, body, poles, grid, states, count, axis)
@@ -266,7 +301,7 @@ def _turns(
         if slanted and slanted[0].chi2 < best[0].chi2 - CHANGED:
             best, tilted, symmetry = slanted, True, 1
     steady = best[0].chi2
-    if steady / dof > STRUCTURE and body.symmetry(axis) > 1:
+    if steady / dof > STRUCTURE and body.symmetry(axis) > 1 and allowed("sides of unlike paint"):
         say("unlike sides", 0.0)
         unlike = kept.of("unlike", Local, lambda: unlike_sides(rows, body, states, bounds, count))
         if unlike and unlike[0].chi2 < steady - CHANGED * sum(body.unlike_halves().lobed):
@@ -291,6 +326,11 @@ def _explains(one: Candidate, rows: Rows) -> bool:
     if rows.noise is None:
         return one.chi2 <= 2 * len(rows.flux)
     return one.rms <= NOISY * MAG_PER_LN * rows.noise
+
+
+def _any_finite(found: Sequence[Candidate]) -> bool:
+    """Whether a fit has a chi-square; one whose light is nowhere has none."""
+    return any(math.isfinite(one.chi2) for one in found)
 
 
 def _unjoined(found: Sequence[Candidate], rows: Rows) -> bool:
@@ -407,6 +447,7 @@ def _fitted(
     symmetry: int,
     tilted: bool,
     bounds: tuple[float, float],
+    allowed: _Allowed,
     say: Progress,
     *,
     changing: bool = False,
@@ -446,6 +487,8 @@ def _fitted(
     for number, trial in enumerate(tasks):
         if trial.changing and not always and found and not _wanting(found, rows):
             continue
+        if _any_finite(found) and not allowed(FITS):
+            break
         found.append(fitted(trial, recording))
         say("model", (number + 1) / len(tasks))
     if found and not found[0].trial.complete:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -213,6 +214,11 @@ def test_what_a_diagnosis_completed_is_fitted_from_its_file(case, tmp_path):
     assert_same_model(found.final.model, LightCurve(again, seen))
     chi2 = float(Likelihood(LightCurve(again, seen)).chi2(found.final.theta))
     assert chi2 == pytest.approx(found.final.chi2, rel=1e-12)
+    # that another law alone describes more than the scene's own changes nothing of the answer
+    search = found.search
+    hypothesis = Hypothesis(noise=search.robust, law=next(iter(search.bench.laws)))
+    other = search.refit(hypothesis, search.posterior(hypothesis).model.parameter_set.start()[None])
+    assert replace(found, baseline=other).completed == found.completed
 
 
 def test_check_candidates_and_diagnose_take_the_same_names(case):

@@ -85,7 +85,7 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
 
     text = " ".join(words(result))
     assert "49 rows" in text and "chi-square is" in text
-    assert "Not determined by these data: added to every magnitude (zero_point)" in text
+    assert "Not determined by these data: offset added to every magnitude (zero_point)" in text
     ((material, values),) = substances(result)
     assert (
         material == "panel"

@@ -19,7 +19,7 @@ from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.stages.effect import Effect
 
-ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
+ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "offset added to every magnitude", off=0.0)
 POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 
 

@@ -403,6 +403,31 @@ class TestLimitsAndMarkers:
         flux = read("JD,flux,flux_err\n2459140.1,1.0,0.1\n2459140.2,<0.3,\n")
         assert flux.upper_limit.tolist() == [False, True]
 
+    @pytest.mark.parametrize(
+        ("said", "mark"),
+        [
+            ("excel", ","),
+            ("EXCEL", ";"),
+            ("EXCEL", "\t"),
+            ("44", ","),
+            ("124", "|"),
+            ("59", ";"),
+            ("EXCEL,,", ","),
+        ],
+    )
+    def test_delimiters_of_the_aavso(self, read, said, mark):
+        """The format allows a sign's code, 32 to 126; a spreadsheet leaves the word excel."""
+        head, rows = EXPORTS["AAVSO"].split("CHART,NOTES\n")
+        found = read(head.replace("#DELIM=,", f"#DELIM={said}") + "CHART,NOTES\n" + rows.replace(",", mark))
+        np.testing.assert_array_equal(found.observed, MAG)
+        np.testing.assert_array_equal(found.error, ERROR)
+
+    @pytest.mark.parametrize("between", [" ± ", "±", " +/- ", "+-"])
+    def test_a_value_and_its_error_in_one_cell_get_a_hint(self, read, between):
+        text = "time,mag\n2020-10-17T15:00:00,12.5" + between + "0.1\n"
+        with pytest.raises(InputError, match="column of its own, such as mag_err"):
+            read(text)
+
     def test_fainter_than_in_the_format_of_the_aavso(self, read):
         recording = read(
             EXPORTS["AAVSO"] + "SAT 1,2459140.3,<15.0,na,V,NO,STD,ENSEMBLE,na,na,na,na,na,na,na\n"

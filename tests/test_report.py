@@ -16,6 +16,7 @@ from tests.chromium import PROGRAM, Page
 from tests.small_case import NAME, write_case
 from torchlc.figures.raster import Mesh, looking_along, render
 from torchlc.figures.style import PALETTE
+from torchlc.lightcurve.model import LightCurve
 from torchlc.report.figures.contract import INKS, draw_all
 from torchlc.results.fit_result import FitResult
 
@@ -84,7 +85,7 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
 
     text = " ".join(words(result))
     assert "49 rows" in text and "chi-square is" in text
-    assert "Not determined by these data: zero_point" in text
+    assert "Not determined by these data: offset added to every magnitude (zero_point)" in text
     ((material, values),) = substances(result)
     assert (
         material == "panel"
@@ -94,6 +95,68 @@ def test_the_first_paragraph_says_what_matters(result: FitResult, page: Path):
     shown = page.read_text()
     assert shown.index("49 rows to") < shown.index("What it is made of")
     assert result.provenance["inputs"]["recording"]["sha256"] in shown
+
+
+def test_every_free_number_is_said_in_words_beside_its_name(tmp_path: Path):
+    """Sizes, spin, effects and calibration as much as materials; the words are those of the field, not the name again."""
+    from torchlc.report.page import titled_with_owner
+
+    scene, recording = write_case(tmp_path, rows=9)
+    text = re.sub(
+        r"size = \[([\d.]+), ", r"size = [{ value = \1, sigma = 0.1, low = 0.1 }, ", scene.read_text()
+    )
+    text = text.replace(
+        'mode = "nadir"',
+        'mode = "nadir"\nspin_axis = [0, 0, 1]\nspin_rate = { value = 1.0, low = 0.5, high = 1.5 }',
+    )
+    scene.write_text(text.replace("effects = [", 'effects = ["attitude_offset", '))
+    model = LightCurve(*torchlc.load(scene, recording))
+    said = {free.name: titled_with_owner(free) for free in model.parameter_set.free}
+    assert said["body.size_x"] == "length along its x axis, body (body.size_x)"
+    assert said["attitude.spin_rate"] == "rate of the spin (attitude.spin_rate)"
+    assert said["panel.r_diff"] == "diffuse reflectance, panel (panel.r_diff)"
+    for name, words in said.items():
+        assert words.endswith(f" ({name})"), words
+        before = words.removesuffix(f" ({name})")
+        assert before and "_" not in before and name not in before, words
+    units = {free.name: free.unit for free in model.parameter_set.free}
+    assert units["attitude.spin_rate"] == "rev/h" and units["body.size_x"] == "m"
+
+
+def test_the_numbers_of_every_shape_and_every_attitude_have_words():
+    from torchlc.scene.parts import SHAPES, Attitude
+
+    given = {
+        "pole",
+        "period",
+        "phase",
+        "epoch",
+        "nutation",
+        "inertia",
+        "tilt",
+        "period_rate",
+        "polhode_phase",
+    }
+    body = Attitude.model_validate(
+        {
+            "mode": "rigid-body",
+            "pole": [10.0, 20.0],
+            "period": 0.1,
+            "phase": 3.0,
+            "epoch": "2020-01-01T00:00:00",
+            "nutation": 20.0,
+            "inertia": [0.9, 0.8],
+            "tilt": [1.0, 2.0, 3.0],
+            "period_rate": 1.0,
+            "polhode_phase": 4.0,
+        }
+    )
+    assert given <= body.model_fields_set
+    turned = Attitude(mode="inertial", x_angle=3.0)
+    assert {*body.numbers(), *turned.numbers()} == set(Attitude.MEANINGS)
+    for shape in SHAPES.values():
+        for key in ("size_x", "size_u", "radius_top"):
+            assert "_" not in shape.keys.meaning(key)
 
 
 def test_a_chain_too_short_to_judge_shows_no_nan(tmp_path: Path):

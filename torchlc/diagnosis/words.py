@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -148,7 +149,9 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
             f"{name}: {_lowered(first_sentence(registry()[name]))}" for name in named if name in registry()
         ]
         values = (
-            f" Found: {', '.join(f'{name} = {value}' for name, value in added.items())}." if added else ""
+            f" Found: {'; '.join(f'{_with_meaning(name)} {value}' for name, value in added.items())}."
+            if added
+            else ""
         )
         paragraphs.append(f"{proof}.{values} {' '.join(meant)}")
     if content["where"] is not None:
@@ -210,6 +213,15 @@ def values_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, st
                 f"root mean square {spread:.3g}{unit}, from {low:.3g} to {high:.3g}{unit}"
             )
     return found
+
+
+def _with_meaning(name: str) -> str:
+    """A number of an effect with what it is: "half width (glint.width)" of "glint.width"."""
+    effect, _, short = name.partition(".")
+    quantity = re.split(r"\[| of ", short)[0]
+    known = registry()[effect].quantities if effect in registry() else ()
+    meant = next((one.meaning for one in known if one.name == quantity), "")
+    return f"{meant} ({name})" if meant else name
 
 
 def statistic(name: str) -> str:

@@ -7,6 +7,10 @@ import re
 from torchlc.errors import InputError
 
 FAULTS = (
+    (
+        r"[+-]?[\d.,]+\s*(\N{PLUS-MINUS SIGN}|\+/-|\+-)\s*[\d.,]+",
+        "Write the error in a column of its own, such as mag_err.",
+    ),
     (r"[+-]?\d+,\d+", "Write decimals with a point."),
     (r"[+-]?[\d.]+[dD][+-]?\d+", "Write the exponent with e, as in 1.5e3."),
     (r"[+-]?[\d_.]*\d_\d[\d_.]*([eE][+-]?[\d_]+)?", "Leave out the underscores."),

@@ -19,7 +19,7 @@ from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.stages.effect import Effect
 
-ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "added to every magnitude", off=0.0)
+ZERO_POINT = Quantity("zero_point", "mag", -math.inf, math.inf, "offset added to every magnitude", off=0.0)
 POLE_LATITUDE = Quantity("pole_lat", "deg", -90.0, 90.0, "latitude of the pole", prior="isotropic")
 
 
@@ -73,16 +73,18 @@ class Numbers:
 
     def add_scene(self) -> None:
         numbers = self.scene.numbers()
+        components = {component.name: component for component in self.scene.components}
         for name, origin in self.scene.origins().items():
             short = origin.quantity
             if origin.role == "materials":
                 quantity = self.models[origin.owner].quantity(short)
             elif origin.role == "components":
-                quantity = Quantity(short, "m", 0.0, math.inf, short)
+                quantity = Quantity(short, "m", 0.0, math.inf, components[origin.owner].meaning(short))
             elif origin.role == "attitude" and short == POLE_LATITUDE.name:
                 quantity = POLE_LATITUDE
             else:
-                quantity = Quantity(short, "", -math.inf, math.inf, short)
+                meaning, unit = self.scene.attitude.MEANINGS[short]
+                quantity = Quantity(short, unit, -math.inf, math.inf, meaning)
             self.add(name, origin, numbers[name], quantity)
 
     def add_zero_point(self) -> None:

@@ -19,7 +19,7 @@ from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Free
 from torchlc.readers import counted
 from torchlc.report.figures import Drawn, by_section, draw_all, png
-from torchlc.report.page import environment, origin, titled
+from torchlc.report.page import environment, meaning, origin, titled, titled_with_owner
 from torchlc.results.fit_result import FitResult
 from torchlc.stages.effect import first_sentence
 from torchlc.stages.entry import Entry
@@ -96,12 +96,16 @@ def render_fit(
 
 def words(result: FitResult) -> list[str]:
     """What a reader should take home: how well it fits, and what is not determined."""
-    silent = [name for name in result.names if not result.insight.informed[name]]
+    silent = [
+        titled_with_owner(free)
+        for free in result.model.parameter_set.free
+        if not result.insight.informed[free.name]
+    ]
     if not silent:
         return [_quality(result)]
     return [
         _quality(result),
-        f"Not determined by these data: {', '.join(silent)}. What is quoted for "
+        f"Not determined by these data: {'; '.join(silent)}. What is quoted for "
         f"{'it' if len(silent) == 1 else 'them'} is what was assumed beforehand; the reasons are below.",
     ]
 
@@ -110,7 +114,7 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
     """Each material, with what the data say of it and what it is most like; then the other informed numbers."""
     informed, parameters = result.insight.informed, result.parameters()
     by_owner: dict[str, list[str]] = {}
-    by_name: dict[str, str] = {}
+    others: list[tuple[str, str]] = []
     for free in result.model.parameter_set.free:
         if not informed[free.name]:
             continue
@@ -118,14 +122,14 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
         if free.origin.role == "materials":
             by_owner.setdefault(free.origin.owner, []).append(f"{titled(free)} {value}")
         else:
-            by_name[free.name] = f"{value}, {free.meaning}" if free.meaning else value
+            others.append((titled_with_owner(free), value))
     found = []
     matches = result.materials()
     for owner, values in by_owner.items():
         likely = [one for one in matches.get(owner, []) if one["probability"] >= GOOD_MATCH]
         like = f"; most like {_match_words(likely)}" if likely and likely[0]["name"] != OTHER else ""
         found.append((owner, ", ".join(values) + like))
-    return [*found, *by_name.items()]
+    return [*found, *others]
 
 
 def _quality(result: FitResult) -> str:
@@ -210,6 +214,7 @@ def _row(result: FitResult, name: str, row: dict[str, Any]) -> dict[str, Any]:
     entry = next((one for one in result.model.parameter_set.free if one.name == name), None)
     return {
         "name": name,
+        "title": None if entry is None else meaning(entry),
         "stated": stated(row),
         "interval": f"{plain_number(row['q05'], row['sd'])} to {plain_number(row['q95'], row['sd'])}",
         "best": plain_number(row["map"], row["sd"]),

@@ -21,12 +21,25 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def titled(free: Free) -> str:
-    """What a free parameter of a material is, its name beside it: "diffuse reflectance (r_diff)"."""
+    """What a free parameter is, beside its owner's name: "diffuse reflectance (r_diff)"."""
+    words = meaning(free)
+    return f"{words} ({free.origin.quantity})" if words else free.origin.quantity
+
+
+def titled_with_owner(free: Free) -> str:
+    """What a free parameter is and whose, its full name beside it: "length along its x axis, body (body.size_x)"."""
+    words, of = meaning(free), free.origin
+    named = [of.owner] if of.role in ("materials", "components") else [of.target] if of.target else []
+    of_which = "".join(f", {one}" for one in (*named, of.member) if one)
+    return f"{words}{of_which} ({free.name})" if words else free.name
+
+
+def meaning(free: Free) -> str:
+    """What a free parameter is, in words; of a material whatever its axes."""
     name = free.origin.quantity
     # one number that stands for those along two axes is along neither
     both = any(name in model.shared for model in MODELS.values())
-    meaning = re.sub(r" along the facet's [uv] axis$", "", free.meaning) if both else free.meaning
-    return f"{meaning} ({name})" if meaning else name
+    return re.sub(r" along the facet's [uv] axis$", "", free.meaning) if both else free.meaning
 
 
 @cache

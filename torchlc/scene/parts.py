@@ -126,6 +126,25 @@ class Attitude(Table):
     ALWAYS: ClassVar = ("spin_rate", "spin_phase", "x_angle", "period", "phase", "nutation", "polhode_phase")
     """Numbers that a mode has, whether the scene gives them or not, if the mode knows them."""
 
+    MEANINGS: ClassVar[dict[str, tuple[str, str]]] = {
+        "spin_rate": ("rate of the spin", "rev/h"),
+        "spin_phase": ("angle of the spin at its epoch", "deg"),
+        "x_angle": ("turn of the body about its z axis", "deg"),
+        "pole_lon": ("longitude of the pole", "deg"),
+        "pole_lat": ("latitude of the pole", "deg"),
+        "period": ("period of the rotation", "h"),
+        "phase": ("angle of the rotation at its epoch", "deg"),
+        "period_rate": ("change of the period in a day", "ms/d"),
+        "nutation": ("angle between the axis and the angular momentum", "deg"),
+        "polhode_phase": ("angle of the nutation at its epoch", "deg"),
+        "inertia_x": ("moment of inertia about x over that about z", ""),
+        "inertia_y": ("moment of inertia about y over that about z", ""),
+        "tilt_x": ("turn of the axes of rotation about body x", "deg"),
+        "tilt_y": ("turn of the axes of rotation about body y", "deg"),
+        "tilt_z": ("turn of the axes of rotation about body z", "deg"),
+    }
+    """What each number is, and its unit."""
+
     mode: Literal["nadir", "yaw-steering", "sun", "inertial", "quaternions", "spin-pole", "rigid-body"]
     spin_axis: Direction | None = None
     spin_rate: Number = 0.0

@@ -33,6 +33,12 @@ class Component(Table):
         numbers = {name: getattr(self, name) for name, field in fields if _may_be_free(field.annotation)}
         return {name: number for name, number in numbers.items() if number is not None}
 
+    @classmethod
+    def meaning(cls, number: str) -> str:
+        """What one of the sizes is, in words: "length along its x axis" of "size_x"."""
+        along = number.removeprefix("size_")
+        return number.replace("_", " ") if along == number else f"length along its {along} axis"
+
     def materials(self) -> list[tuple[str, str]]:
         """(key, material name) of everything this component is made of."""
         return [("material", self.material)]

@@ -39,12 +39,7 @@ class Aavso(Format):
         path = head.path
         pairs = (line.partition("=") for line in head.comments)
         said: dict[str, str] = {key.strip().lower(): value.strip().lower() for key, _, value in pairs}
-        mark = said.get("delim", ",")
-        if len(set(mark)) == 1:  # a spreadsheet fills every line up with delimiters
-            mark = mark[0]
-        delimiter = DELIMITERS.get(mark, mark)
-        if len(delimiter) != 1:
-            raise InputError(path, "#DELIM", repr(mark[:40]), f"one sign, or {', '.join(DELIMITERS)}")
+        delimiter = _delimiter(head, said.get("delim", ","))
         said = {key: value.rstrip(f"{delimiter} ") for key, value in said.items()}
         by_eye = said["type"] == "visual"
         wanted_cells = COLUMNS[:3] if by_eye else COLUMNS
@@ -103,6 +98,23 @@ class Aavso(Format):
                 "object": "NAME",
             },
         )
+
+
+def _delimiter(head: Head, mark: str) -> str:
+    """What stands between values: a sign, its name, its code (32 to 126), or "excel" for what a spreadsheet put there."""
+    if mark.isdecimal() and mark.isascii() and len(mark) <= 3 and 32 <= int(mark) <= 126:
+        return chr(int(mark))
+    if mark.rstrip(",;\t ") == "excel":
+        # the comma, or the semicolon or tab where the comma is that of decimals
+        first = next((line for line in lines_of(head.path) if line.strip() and not line.startswith("#")), "")
+        return max(",;\t", key=first.count)
+    if len(set(mark)) == 1:  # a spreadsheet fills every line up with delimiters
+        mark = mark[0]
+    delimiter = DELIMITERS.get(mark, mark)
+    if len(delimiter) != 1:
+        expected = f"one sign, its code of 32 to 126, excel, or {', '.join(DELIMITERS)}"
+        raise InputError(head.path, "#DELIM", repr(mark[:40]), expected)
+    return delimiter
 
 
 class AavsoDownload(NamedTable):

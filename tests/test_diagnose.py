@@ -62,9 +62,9 @@ def practice(name: str):
 )
 def test_practice_case_is_named(name: str) -> None:
     """Verdict, name and chi-square of the answer; the interval against the true one where there is one. What is missing
-    shows within 12 s where a search goes on much longer; that nothing is, or that a name stands alone, after all of it."""
+    shows within 40 s where a search goes on longer; that nothing is, or that a name stands alone, after all of it."""
     scene, recording, answer = practice(name)
-    budget = 12.0 if name in ("earth_shadow", "appendage", "panel_offset") else None
+    budget = 40.0 if name in ("earth_shadow", "appendage", "panel_offset") else None
     content = json.loads(json.dumps(diagnose(scene, recording, budget=budget).to_json(), allow_nan=False))
     assert content["verdict"] == answer["verdict"]
     assert content["named"] == answer["effects"]

@@ -34,6 +34,8 @@ NEAR_ZERO = 1e-3
 """Deviate below which a deviance residual is taken as linear, for its square root has no slope at 0."""
 AT_ONCE = 256
 """Draws that are worked out together."""
+MOST_TIMED_S = 60.0
+"""CPU seconds of a first geometry, with the tables that all share, beyond which no second is timed for what each takes alone."""
 DEAR_S = 4e-3
 """CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
 BAD_ROW = 0.5
@@ -63,7 +65,7 @@ class Posterior:
             began = time.process_time()
             self.residuals(g[:1] - 1e-6)  # what all geometries share is made here
             first = time.process_time() - began
-            if first > 500 * DEAR_S:
+            if first > MOST_TIMED_S:
                 return first
             g = g[:1] if first > 5 * DEAR_S else g
             began = time.process_time()

@@ -265,7 +265,7 @@ class Search(Fits):
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of effects, as long as they gain: grown from the leaders, then without each of their members, and with each
         exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader whose rows
-        err independently that leaves nothing, by the p-value that ``left`` gives, and has nothing ahead of it, is only asked for what
+        err independently that leaves nothing, by the p-value that ``left`` gives, and has no red noise ahead of it, is only asked for what
         may hide beside it; where it has another law than the scene, the best under the scene's own grows beside it;
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
         behind if FEW_EFFECTS more gained as much each as the best one alone."""
@@ -274,7 +274,9 @@ class Search(Fits):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             alike = self.foremost
             ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
-            clean = ahead <= NEAR and left(self.visited[alike]) > CLEAN_P
+            # another way to err independently is no sign that anything is left
+            hidden = self.correlated(self.leader) and ahead > NEAR
+            clean = not hidden and left(self.visited[alike]) > CLEAN_P
             behind = ahead > REACH + FEW_EFFECTS * self.gain_alone
             if not sized or (clean and len(alike.added) < size) or behind:
                 break

@@ -234,7 +234,7 @@ def evidence_of_the_benchmark() -> dict[str, str]:
         "concealed_share": ""
         if numbers["cases"] >= 300
         else (
-            f"Of the 300 cases of a whole run {numbers['cases']} are done: so few say little of false alarms, of calibration and of abstention."
+            f"Of the 300 cases of a whole run {numbers['cases']} are done. So few say little of false alarms, of calibration and of abstention."
         ),
         "concealed_table": table(heads, whole),
         "concealed_better": better_peers(numbers, order, missing),

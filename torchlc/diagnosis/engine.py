@@ -39,9 +39,9 @@ from torchlc.inference.posterior import UNLIKE, fit, material_starts
 from torchlc.stages.entry import Entry
 
 NEAR = 6.0
-"""The same within which its evidence is integrated, and told under every noise: one in 400."""
+"""Log odds below the leader within which evidence is integrated, and a set told under every noise: one in 400."""
 LAW_STARTS = 48
-"""The same under another law, of whose lobes the scene says nothing."""
+"""Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
 CLEAN_P = 0.05
 """p-value of what a set leaves above which its rivals are not grown."""
 LEAST_SCORE = 6.0
@@ -50,7 +50,9 @@ the best may reach half as much again, the 9 below which an effect counts as not
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 GROWN = 8
+"""Effects that the best set of a size grows by, half as many for the others."""
 JOINT = 4
+"""Sets of two, and of FEW_EFFECTS, that are fitted for what their probes promise together: half a second each."""
 MOST_LOOKED = 6
 DRAWS = 500
 RIVALS_SHARE = 2
@@ -274,17 +276,18 @@ class Search(Fits):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             alike = self.foremost
             ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
+            if not sized or ahead > REACH + FEW_EFFECTS * self.gain_alone:
+                break
             # another way to err independently is no sign that anything is left
             hidden = self.correlated(self.leader) and ahead > NEAR
             clean = not hidden and left(self.visited[alike]) > CLEAN_P
-            behind = ahead > REACH + FEW_EFFECTS * self.gain_alone
-            if not sized or (clean and len(alike.added) < size) or behind:
+            if clean and len(alike.added) < size:
                 break
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
             if stems[0].law:  # beside the wrong law others lead
                 stems += [one for one in sized if not one.law][:1]
-            for number, stem in enumerate(dict.fromkeys(stems)):
+            for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:

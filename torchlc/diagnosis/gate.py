@@ -146,7 +146,7 @@ def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gat
     than not count nothing: clouds make them in runs, and a run that is more than that is an event of its own
     (:mod:`torchlc.diagnosis.discrepancy`).
     """
-    basis = torch.linalg.qr(at.tangent)[0]
+    basis = at.basis
     rows = len(at.delta)
     free = at.model.parameter_set.free
     peaked = [rows + index for index, one in enumerate(free) if one.prior.peaked]

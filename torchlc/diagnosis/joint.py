@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.probes import Probe
+from torchlc.diagnosis.probes import Probe, beyond
 from torchlc.inference.density import Fitted
 
 VALUES = 3
@@ -25,8 +25,6 @@ def joint_sets(
 ) -> list[dict[str, Tensor]]:
     """The ``most`` best sets of ``size`` effects by the linear forms of their probes beside a fit, each with the values psi (k,) that
     promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together."""
-    basis = torch.linalg.qr(at.tangent)[0]
-    u = torch.cat([at.delta / at.sigma, at.g])
     entries, places, rows = [], [], []
     for entry, one in probes.items():
         for place in torch.argsort(one.scores, descending=True)[:VALUES].tolist():
@@ -35,12 +33,10 @@ def joint_sets(
             rows.append(one.moved[place])
     if len(set(entries)) < size:
         return []
-    moved = torch.stack(rows)
-    padded = torch.cat([moved, moved.new_zeros(len(moved), len(u) - moved.shape[1])], 1)
-    off = padded - (padded @ basis) @ basis.T
+    off = beyond(torch.stack(rows), at)
     unit = off / torch.linalg.vector_norm(off, dim=1, keepdim=True)
     gram = unit @ unit.T + ALIKE * torch.eye(len(unit), dtype=unit.dtype)
-    pull = unit @ u
+    pull = unit @ at.residual_rows
     names = list(dict.fromkeys(entries))
     member = torch.tensor([names.index(entry) for entry in entries])
     sets = torch.combinations(torch.arange(len(entries)), size)

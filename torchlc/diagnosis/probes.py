@@ -86,10 +86,12 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             moved = (at.delta - likelihood.residuals(many).delta) / at.sigma
         return torch.nan_to_num(moved)
 
-    basis = torch.linalg.qr(at.tangent)[0]
-    u = torch.cat([at.delta / at.sigma, at.g])
     psi = _tried(bench, posterior, entry, seed) if per is None else _each_moved(entry, theta[:, columns])
-    sought = psi[:0] if per is not None else _sought(bench, likelihood, entry, Target(u, basis, change))
+    sought = (
+        psi[:0]
+        if per is not None
+        else _sought(bench, likelihood, entry, Target(at.residual_rows, at.basis, change))
+    )
     column = scanned_column(entry)
     if column is None or per is not None:
         moved = change(psi)
@@ -100,7 +102,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     if per is not None:
         part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None, None], moved, 0.0).flatten(0, 1)
-    signatures, scores, usable, visible = _scored(moved, basis, u)
+    signatures, scores, usable, visible = _scored(moved, at)
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
         members = torch.arange(len(torch.unique(part)))
@@ -116,16 +118,21 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     return Probe(entry, psi[usable], signatures, scores, aimed[usable], moved[usable], visible)
 
 
-def _scored(moved: Tensor, basis: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor, bool]:
-    """Of changes (G, T) in errors of a row, off an orthonormal ``basis`` of rows and priors: unit signatures and scores against
-    residuals u of those that are usable, which are, (G,), and whether any may be seen."""
-    padded = torch.cat([moved, moved.new_zeros(len(moved), len(u) - moved.shape[1])], 1)
-    projected = padded - (padded @ basis) @ basis.T
+def beyond(moved: Tensor, at: Fitted) -> Tensor:
+    """What of whitened changes of the light (G, T) a fit's own numbers cannot take up, (G, T + P)."""
+    padded = torch.cat([moved, moved.new_zeros(len(moved), len(at.residual_rows) - moved.shape[1])], 1)
+    return padded - (padded @ at.basis) @ at.basis.T
+
+
+def _scored(moved: Tensor, at: Fitted) -> tuple[Tensor, Tensor, Tensor, bool]:
+    """Of changes (G, T) in errors of a row, beside a fit: unit signatures and scores of those that are usable, which are, (G,), and
+    whether any may be seen."""
+    projected = beyond(moved, at)
     norm = torch.linalg.vector_norm(projected, dim=1)
     raw = torch.linalg.vector_norm(moved, dim=1)
     usable = (norm > 1e-3) & (norm > 1e-7 * raw)
     unit = projected[usable] / norm[usable, None]
-    return unit[:, : moved.shape[1]], (unit @ u) ** 2, usable, bool((norm > SEEN).any())
+    return unit[:, : moved.shape[1]], (unit @ at.residual_rows) ** 2, usable, bool((norm > SEEN).any())
 
 
 def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
@@ -134,9 +141,7 @@ def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
     if not len(known.moved):
         return known
     moved = known.moved * before.sigma / at.sigma
-    basis = torch.linalg.qr(at.tangent)[0]
-    u = torch.cat([at.delta / at.sigma, at.g])
-    signatures, scores, usable, visible = _scored(moved, basis, u)
+    signatures, scores, usable, visible = _scored(moved, at)
     if known.part is not None:
         best = scores.new_ones(int(known.part.max()) + 1)
         best.scatter_reduce_(0, known.part[usable], scores, "amax")

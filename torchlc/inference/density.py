@@ -201,6 +201,16 @@ class Fitted:
             return self.likelihood.fitted_levels(self.delta)[self.likelihood.curve]
         return self.likelihood.error.expand(self.delta.shape)
 
+    @cached_property
+    def basis(self) -> Tensor:
+        """Orthonormal columns (T + P, P) of what its own numbers can take up of whitened rows and priors."""
+        return torch.linalg.qr(self.tangent)[0]
+
+    @cached_property
+    def residual_rows(self) -> Tensor:
+        """Residuals over their errors, then the prior's coordinates, (T + P,)."""
+        return torch.cat([self.delta / self.sigma, self.g])
+
     @property
     def prediction(self) -> Tensor:
         return self.found.prediction

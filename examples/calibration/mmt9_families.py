@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from real_recordings import begun
 
 import torchlc
 from torchlc.diagnosis.alternatives import with_free_sizes
@@ -29,7 +30,6 @@ from torchlc.files.toml import parse_toml
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import fit_map
 from torchlc.readers import Recording
-from torchlc.terminal import quiet_libraries
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "mmt9"
 THIN = 40
@@ -216,18 +216,9 @@ def remains(number: str, values: Mapping[str, float], budget: float) -> dict[str
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("out", type=Path)
     parser.add_argument("--only", default="", help="families whose name contains this")
     parser.add_argument("--budget", type=float, default=8.0, help="CPU seconds of the search of each track")
-    options = parser.parse_args()
-    if not DATA.is_dir():
-        print(f"{DATA} is not here: nothing to do")
-        return
-    torch.set_num_threads(1)
-    quiet_libraries()
-    options.out.mkdir(parents=True, exist_ok=True)
-    file = options.out / "mmt9_families.json"
-    known = json.loads(file.read_text()) if file.exists() else {}
+    options, file, known = begun(parser, "mmt9_families.json", DATA)
     for name, numbers in families().items():
         if options.only not in name:
             continue

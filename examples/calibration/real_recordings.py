@@ -96,21 +96,29 @@ def told(scene_file: Path, recording_file: Path, budget: float | None) -> dict[s
     }
 
 
+def begun(
+    parser: argparse.ArgumentParser, name: str, data: Path
+) -> tuple[argparse.Namespace, Path, dict[str, Any]]:
+    """What was asked of a script that keeps each result as it is made: its options, the file of that ``name``, and what is there.
+    Without the folder ``data`` it ends."""
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args()
+    if not data.is_dir():
+        parser.exit(0, f"{data} is not here: nothing to do\n")
+    torch.set_num_threads(1)
+    quiet_libraries()
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / name
+    return options, file, json.loads(file.read_text()) if file.exists() else {}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("out", type=Path)
     parser.add_argument("--only", default="", help="recordings whose name contains this")
     parser.add_argument(
         "--budget", type=float, help="CPU seconds of the search of each, after which the best so far is told"
     )
-    options = parser.parse_args()
-    if not DATA.is_dir():
-        print(f"{DATA} is not here: nothing to do")
-        return
-    torch.set_num_threads(1)
-    quiet_libraries()
-    file = options.out / "verdicts.json"
-    known = json.loads(file.read_text()) if file.exists() else {}
+    options, file, known = begun(parser, "verdicts.json", DATA)
     for name, scene, recording in recordings():
         if options.only not in name or name in known:
             continue

@@ -421,6 +421,13 @@ RECORDING_CASES = [
     _case("ISO among JD", "row 2, column time", recording=f"time,mag\n2459140.125,12\n{SECOND},12\n"),
     _case("JD among ISO", "row 2, column time", recording=f"time,mag\n{SECOND},12\n2459140.125,12\n"),
     _case("no number", "no usable row (2 non-finite)", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
+    _case("no number, hint", "blank, NaN or infinite", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
+    _case(
+        "never above the horizon",
+        "column alt: below 0 in all 3 rows",
+        scene=ALTAZ_SCENE,
+        recording=ALTAZ_RECORDING.replace(",3", ",-3"),
+    ),
     _case(
         "unknown station",
         "'canarias'",

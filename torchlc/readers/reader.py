@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -17,7 +17,7 @@ from torchlc.readers.copies import copies
 from torchlc.readers.dates import WHICH_ORDER, Calendar
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
-from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
+from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
 from torchlc.readers.table import (
@@ -272,11 +272,15 @@ class _Reader:
         self._keep(~groups.repeats(self.columns), "duplicate")
         self._add_non_detections()
         if "alt" in self.columns:
-            self._keep(self.columns["alt"] >= 0, "below the horizon")
+            above = self.columns["alt"] >= 0
+            if not above.any():
+                found = f"below 0 in all {len(above)} rows that are left"
+                hint = "alt is the elevation of the object, degrees, not its zenith distance nor a latitude"
+                raise InputError(self.source, "column alt", found, "0 to 90 deg", hint)
+            self._keep(above, "below the horizon")
         rows = len(self.rows)
         if rows < min_rows:
-            found = f"{rows} usable row{'s' * (rows > 1)}{_because(self.dropped)}"
-            raise InputError(self.source, None, found, f"at least {min_rows}")
+            raise too_few_rows(self.source, rows, self.dropped, min_rows)
         return self._assembled(first_time)
 
     def _assembled(self, first_time: Time) -> Measurements:
@@ -627,7 +631,3 @@ class _Reader:
 def _seconds(days: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Seconds (T,) of two-part Julian dates (T, 2) after one of them (2,)."""
     return 86400.0 * ((days[:, 0] - origin[0]) + (days[:, 1] - origin[1]))
-
-
-def _because(dropped: Mapping[str, int]) -> str:
-    return f" ({counted(dropped)})" if dropped else ""

@@ -128,7 +128,10 @@ class Measurements:
 
 KEPT_IF = {
     "non-finite": ("with finite numbers", "A row is left out if a cell is blank, NaN or infinite in any column that is read"),
-    "marked as missing": ("with a measurement", "Numbers such as 99.999 and -99 stand for none"),
+    **dict.fromkeys(
+        ("beyond 90 mag", "marked as missing"),
+        ("with a measurement", "Numbers such as 99.999 and -99 stand for none"),
+    ),
     "upper limit, which a diagnosis does not use": ("with a measured value", None),
     "below the horizon": (
         "with the object above the horizon of its station",

@@ -70,6 +70,9 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 OFFSET = re.compile(r":\d\d(\.\d+)?\s*[+-]\d\d", re.ASCII)
 """An offset from UTC behind a time of day."""
+SECONDS_WITH_COMMA = re.compile(r"(:\d\d),(?=\d)", re.ASCII)
+"""ISO 8601 writes the share of a second behind a comma or a point."""
+WEEK_S = 604800.0
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
 SPREADSHEET_TO = 51000.0
@@ -177,6 +180,7 @@ class _Reader:
         """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
         if header.decimal != ".":
             cells = [with_point(cell, header.decimal) for cell in cells]
+        cells = [SECONDS_WITH_COMMA.sub(r"\1.", cell) if "," in cell else cell for cell in cells]
         if not self.time_format:
             self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
         try:
@@ -189,6 +193,9 @@ class _Reader:
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
+                if self.time_format == "gps" and (short := np.flatnonzero(numbers < WEEK_S)).size:
+                    expected = "seconds since 1980-01-06, to which those of a week come if its number times 604800 is added"
+                    raise UnreadableTime(int(short[0]), cells[short[0]].strip(), expected)
                 zero, per_day = declared.count_of(self.time_format, self.timing.scale)
                 days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero, per_day=per_day)
         except UnreadableTime as error:
@@ -419,6 +426,7 @@ class _Reader:
         """Rows whose brightness, error or exposure is a number that stands for a missing one; an error of a limit is
         left open instead.
         """
+        self._drop_errors_that_are_markers()
         value, error = self.columns[self.kind], self.columns.get(f"{self.kind}_err")
         limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
         marked = np.zeros(len(self.rows), dtype=bool)
@@ -440,6 +448,22 @@ class _Reader:
             beyond |= np.isfinite(error) & (np.abs(error) > BEYOND_MAG)
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
+
+    def _drop_errors_that_are_markers(self) -> None:
+        """A column of errors in which every row has a marker for a missing one says as little as one that is blank."""
+        name = f"{self.kind}_err"
+        error = self.columns.get(name)
+        if error is None:
+            return
+        missing = np.isin(error, MARKERS)
+        if self.kind == "mag":
+            missing |= np.abs(error) > BEYOND_MAG
+        told = np.isfinite(error)
+        if told.any() and missing[told].all():
+            self.warnings.append(
+                f"{name} is {error[told][0]:g} in all rows, a marker for a missing value: taken as absent"
+            )
+            del self.columns[name]
 
     def _suspect_markers(self) -> None:
         """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
@@ -488,6 +512,8 @@ class _Reader:
                     expected = f"> 0: {low:g} to {high:g}{' mag' if name == 'mag_err' else ''}"
                 place = row_place(int(self.rows[bad[0]]), name)
                 hint = "Leave a missing value blank." if name == self.kind else None
+                if name == f"{self.kind}_err":
+                    hint = "Leave an error blank that is not known: its row is left out, and without any errors they are fitted"
                 raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)
 
     def _check_errors(self) -> None:

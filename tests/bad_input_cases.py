@@ -201,6 +201,10 @@ SCENE_CASES = [
     ),
     _scene("infinite size", "[2.0, 1.7, 2.2]", "[2.0, inf, 2.2]", "components[0].size[1]: inf"),
     _scene("huge integer", "height = 110.0", "height = 1" + "0" * 400, "stations[0].height"),
+    _scene(
+        "integer of 5000 digits", "height = 110.0", "height = 0x" + "f" * 5000, "an integer of 20000 bits"
+    ),
+    _case("too many components", "2003 values; expected at most", scene=SCENE.replace(BODY, BODY * 2002)),
     _scene("zero normal", "u = [1, 0, 0]", "u = [0, 0, 0]", "components[1].u: [0.0, 0.0, 0.0]"),
     _scene("skew plate", "u = [1, 0, 0]", "u = [1, 1, 0]", "components[1].v: 45.000 deg"),
     _scene("tracks the Moon", '"sun"', '"moon"', "components[1].tracks.target: 'moon'"),

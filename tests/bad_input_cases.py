@@ -201,6 +201,10 @@ SCENE_CASES = [
     ),
     _scene("infinite size", "[2.0, 1.7, 2.2]", "[2.0, inf, 2.2]", "components[0].size[1]: inf"),
     _scene("huge integer", "height = 110.0", "height = 1" + "0" * 400, "stations[0].height"),
+    _scene(
+        "integer of 5000 digits", "height = 110.0", "height = 0x" + "f" * 5000, "an integer of 20000 bits"
+    ),
+    _case("too many components", "2003 values; expected at most", scene=SCENE.replace(BODY, BODY * 2002)),
     _scene("zero normal", "u = [1, 0, 0]", "u = [0, 0, 0]", "components[1].u: [0.0, 0.0, 0.0]"),
     _scene("skew plate", "u = [1, 0, 0]", "u = [1, 1, 0]", "components[1].v: 45.000 deg"),
     _scene("tracks the Moon", '"sun"', '"moon"', "components[1].tracks.target: 'moon'"),
@@ -421,6 +425,13 @@ RECORDING_CASES = [
     _case("ISO among JD", "row 2, column time", recording=f"time,mag\n2459140.125,12\n{SECOND},12\n"),
     _case("JD among ISO", "row 2, column time", recording=f"time,mag\n{SECOND},12\n2459140.125,12\n"),
     _case("no number", "no usable row (2 non-finite)", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
+    _case("no number, hint", "blank, NaN or infinite", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
+    _case(
+        "never above the horizon",
+        "column alt: below 0 in all 3 rows",
+        scene=ALTAZ_SCENE,
+        recording=ALTAZ_RECORDING.replace(",3", ",-3"),
+    ),
     _case(
         "unknown station",
         "'canarias'",

@@ -162,6 +162,58 @@ def test_a_signal_while_the_program_is_loaded(name: str, code: int):
     assert process.returncode == code and error == ""
 
 
+EVERYWHERE = """
+import mmap, os, signal, sys
+from torchlc import cli
+from torchlc.cli import program
+
+OURS = ("/cli/__init__.py", "/cli/program.py", "/cli/signals.py", "/torchlc/terminal.py")
+sys.argv[1:] = ["--version"]
+built = program.typer.main.get_command(program.app)  # once, as all that is loaded on first use
+program.typer.main.get_command = lambda app: built
+cli.run(sys.argv[1:])
+lines = 0
+
+
+def trace(frame, event, argument):
+    global lines
+    if not frame.f_code.co_filename.endswith(OURS):
+        return None
+    if event == "line" and signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        lines += 1
+        if lines == at:
+            sent[0] = 1
+            os.kill(os.getpid(), signal.SIGINT)
+    return trace
+
+
+at, ends, sent = 0, set(), mmap.mmap(-1, 1)
+sent[0] = 1
+while sent[0]:
+    at, sent[0] = at + 1, 0
+    child = os.fork()
+    if not child:
+        sys.settrace(trace)
+        try:
+            cli.main()
+        except SystemExit as end:
+            os._exit(end.code)
+    code = os.waitstatus_to_exitcode(os.wait()[1])
+    ends.add(code)
+    assert code in (0, 130), (at, code)
+print(at, sorted(ends))
+"""
+
+
+def test_a_signal_at_every_line_between_start_and_end():
+    """From the first handler to the end, in whichever line of the frame about a command a signal comes: 130 without a traceback,
+    or the end it would have come to when all is done."""
+    command = [sys.executable, "-c", EVERYWHERE]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert done.stdout.splitlines()[-1].endswith("[0, 130]")
+
+
 def test_what_is_to_be_ignored_stays_ignored():
     """As under nohup: a SIGHUP that the parent ignores changes nothing."""
     call = (

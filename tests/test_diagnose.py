@@ -15,6 +15,7 @@ import torch
 from scipy import special
 
 import torchlc
+from tests.bad_input_cases import SCENE
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
@@ -33,7 +34,7 @@ from torchlc.inference.posterior import fit, fitted_at, integrated
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
-from torchlc.scene import load_scene
+from torchlc.scene import Scene, load_scene
 from torchlc.stages.entry import Entry
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "practice"
@@ -241,6 +242,24 @@ def test_no_row_to_spare_cannot_tell(offsets: tuple[float, ...]) -> None:
         f"These data cannot tell whether anything is missing: {free} free numbers leave none of the "
         f"{len(few)} measured rows to spare."
     )
+
+
+@pytest.mark.parametrize("kind", ["one instant", "no light"])
+def test_nothing_that_varies_gets_a_verdict(kind: str, tmp_path: Path) -> None:
+    """Rows of one moment have no shape in time, and fluxes of 0 leave no residual that an attitude could explain."""
+    rows = [f"2020-10-17T15:{10 * k:02}:00,12.{k},0.02" for k in range(5)]
+    if kind == "one instant":
+        rows = [f"2020-10-17T15:00:00,12.{k},0.02" for k in range(5)]
+    elif kind == "no light":
+        rows = [f"2020-10-17T15:{10 * k:02}:00,0,1" for k in range(5)]
+    names = "time,flux,flux_err" if kind == "no light" else "time,mag,mag_err"
+    (tmp_path / "r.csv").write_text("\n".join([names, *rows, ""]))
+    effects = ["wobble"] if kind == "no light" else ["background"]
+    found = torchlc.diagnose(Scene.from_toml(SCENE), tmp_path / "r.csv", quick=True, effects=effects)
+    content = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert content["verdict"] in ("adequate", "noise_model", "unexplained") and set(content["named"]) <= {
+        "jitter"
+    }
 
 
 def test_a_scene_without_anything_free_gets_a_verdict() -> None:

@@ -755,3 +755,79 @@ def test_scenes_and_manifests_of_windows(tmp_path: Path, encoding: str):
     (tmp_path / "all.csv").write_bytes("scene,recording,task\r\nscene.toml,rows.csv,fit\r\n".encode(encoding))
     jobs = list(read_manifest(tmp_path / "all.csv"))
     assert [job.recording.name for job in jobs] == ["rows.csv"]
+
+
+ODD = {
+    "files joined, header and all": (lambda whole: whole + whole.split("\n", 1)[0] + "\n"),
+    "a preamble that comes again": (
+        lambda whole: "Telescope 0.3 m\n\n" + whole + "Telescope 0.3 m\n\n" + whole.split("\n", 1)[0] + "\n"
+    ),
+    "cells of marks alone": (lambda whole: whole + "2459140.2,****,0.1\n2459140.3,...,0.1\n"),
+    "an error named by its sign": (lambda whole: whole.replace("Err", "+/-")),
+    "an error that shares the kind of its magnitude": (
+        lambda whole: whole.replace("Mag,Err", "cal_mag,cal_err,inst_err").replace("\n", ",1.0\n").replace("err,1.0", "err", 1)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_the_same_numbers_from_files_that_were_pasted_together(kind: str, read):
+    holds(read(ODD[kind](table("JD,Mag,Err"))))
+
+
+def test_a_comma_before_the_share_of_a_second(read):
+    """As ISO 8601 has it."""
+    rows = [
+        f"{Time(jd, format='jd').isot.replace('.', ',')}Z;{mag};{error}"
+        for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    ]
+    holds(read("time;mag;mag_err\n" + "\n".join(rows) + "\n"))
+
+
+def test_errors_that_are_all_markers_are_absent(read):
+    recording = read("JD,Mag,Err\n" + "".join(f"{jd},{mag},99.0\n" for jd, mag in zip(JD, MAG, strict=True)))
+    holds(recording, error=False)
+    assert recording.error is None and not recording.dropped
+    assert any("mag_err is 99 in all rows" in warning for warning in recording.warnings)
+
+
+def test_the_date_of_the_fits_standard_is_the_start_of_the_exposure_in_both_spellings(read):
+    """MJD-OBS is DATE-OBS in another format (FITS standard 4.0, 9.5)."""
+    rows = [f"{jd - 2400000.5:.8f},20.0,{mag},{error}" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)]
+    recording = read("MJD-OBS,EXPTIME,MAG,MAGERR\n" + "\n".join(rows) + "\n")
+    np.testing.assert_allclose(
+        (recording.time - Time(JD, format="jd", scale="utc")).to_value(u.s), 10.0, atol=1e-3
+    )
+
+
+def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
+    moment = Time(JD[0], format="jd").gps
+    week, rest = divmod(moment, 604800)
+    with pytest.raises(InputError, match="those of a week come if its number times 604800 is added"):
+        read(f"gps_week,gps_seconds,mag\n{week:.0f},{rest:.3f},{MAG[0]}\n")
+    recording = read(f"gps_seconds,mag\n{rest + week * 604800:.3f},{MAG[0]}\n")
+    assert abs((recording.time[0] - Time(JD[0], format="jd", scale="utc")).to_value(u.s)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("<?xml version='1.0'?><VOTABLE/>", "looks like XML or HTML"),
+        ("<html><table></table></html>", "looks like XML or HTML"),
+        ('[{"time": "2020-10-17T15:00:00", "mag": 14.9}]', "looks like JSON"),
+        ('{"mag": [14.9]}', "looks like JSON"),
+        (b"PK\x03\x04" + bytes(200), "Export the table as CSV"),
+        (b"\x1f\x8b\x08" + bytes(200), "a compressed file"),
+        ("SIMPLE  =                    T" + " " * 2850, "a FITS file"),
+        ("JD,Mag\n2459140.1,14.9 V\n", "Write the number alone"),
+        ("JD,Mag\n'2459140.1,14.9\n", "Leave out the apostrophe"),
+        ("JD;Mag\n2 459 140.1;14.9\n", "Leave out what parts the thousands"),
+        ("JD,Mag\n2459140.1,[14.9\n", "as in >18.5"),
+        ("JD,Mag\n2459140.1,14.9\nEnd of report\n", "may go or begin with #"),
+        ("JD,Mag,Err\n2459140.1,14.9,0\n2459140.2,14.9,0.1\n", "Leave an error blank that is not known"),
+    ],
+    ids=lambda value: str(value)[:30],
+)  # fmt: skip
+def test_what_to_do_about_a_file_that_is_none(content: str | bytes, message: str, read):
+    with pytest.raises(InputError, match=re.escape(message)):
+        read(content)

@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 
+from tests.bad_input_cases import TETRAHEDRON
 from torchlc.cli import run
 from torchlc.cli.scaffold import PRESETS, new_scene
 from torchlc.effects import names
-from torchlc.scene import Free, Scene
+from torchlc.scene import Free, Scene, load_scene
 from torchlc.scene.tle import Elements
 
 LINES = (
@@ -151,3 +152,23 @@ def test_both_spellings_of_the_option_and_of_a_name(tmp_path: Path, capsys: pyte
     )
     error = capsys.readouterr().err
     assert "Did you mean 'cubesat'" in error and "iridium-next" in error
+
+
+def test_a_mesh_is_named_from_the_scene_or_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The path that a shell completes, the whole path and the one from the scene's folder are the same file."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "sub"
+    folder.mkdir()
+    (folder / "body.obj").write_text(TETRAHEDRON)
+    (tmp_path / "out.obj").write_text(TETRAHEDRON)
+    (tmp_path / "tle.txt").write_text("\n".join(LINES) + "\n")
+
+    def init(mesh: str) -> int:
+        arguments = ["--tle", "tle.txt", "--shape", "mesh", "--mesh", mesh, "--quiet", "--force"]
+        return run(["init", "sub/s.toml", *arguments])
+
+    for mesh in ("body.obj", "sub/body.obj", str(folder / "body.obj")):
+        assert init(mesh) == 0
+        assert load_scene(folder / "s.toml").components[0].file == "body.obj"
+    for mesh in ("none.obj", str(tmp_path / "out.obj"), "x" * 300, ""):
+        assert init(mesh) == 2

@@ -113,7 +113,9 @@ class TestTimes:
         separator=st.sampled_from("T "),
         colon=st.booleans(),
     )
-    @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @settings(
+        deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    )
     def test_offsets_are_converted(self, read, moment, minutes: int, separator: str, colon: bool):
         """Against the standard library."""
         zone = datetime.timezone(datetime.timedelta(minutes=minutes))

@@ -177,3 +177,19 @@ def test_a_regression_of_the_last_move_is_the_same_again():
         known = redraw.regressions(old, third)
         for one, fresh in zip(known, redraw.regression(torch.cat([old, third])), strict=True):
             torch.testing.assert_close(one, fresh, rtol=1e-9, atol=1e-12)
+
+
+def test_a_row_that_outweighs_all_others_leaves_a_distribution_to_draw_from():
+    """One magnitude of 89.9 among ordinary ones: its weight in flux is 1e62 times theirs, beyond the digits of a number."""
+    likelihood = problem("mag", 0.1)
+    assert likelihood.observed_flux is not None
+    flux = likelihood.observed_flux.clone()
+    flux[0] *= 1e-31
+    likelihood.observed_flux = flux
+    parameters = likelihood.model.parameter_set
+    redraw = Redraw(likelihood, parameters.start())
+    x = parameters.to_straight(parameters.sample_prior(20, torch.Generator().manual_seed(7)))
+    with torch.no_grad():
+        mean, spread = redraw.regression(x)
+    assert torch.isfinite(mean).all() and torch.isfinite(spread).all()
+    assert (spread.diagonal(dim1=-2, dim2=-1) > 0).all()

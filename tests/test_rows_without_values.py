@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import torchlc
+from tests.bad_input_cases import SCENE
 from tests.small_case import write_case
+from torchlc.api import usable
 from torchlc.errors import InputError
 from torchlc.inference.period import find_period
 from torchlc.readers import Recording
@@ -84,3 +86,19 @@ def test_upper_limits_alone_are_said(case: tuple[Scene, Recording]) -> None:
         VERBS["diagnose"](scene, limits)
     with pytest.raises(InputError, match="0 measured rows; expected at least 8"):
         find_period(limits)
+
+
+def test_a_station_on_the_other_side_of_the_earth_is_said_and_the_advice_works(
+    case: tuple[Scene, Recording],
+) -> None:
+    """The longitude with its sign lost, as of degrees west: every row is below the horizon."""
+    scene, recording = case
+    west = Scene.from_toml(SCENE.replace("longitude = 122.05", "longitude = -57.95"))
+    with pytest.raises(
+        InputError, match=r"no usable row \(9 below the horizon\); expected .* with the object above"
+    ) as caught:
+        usable(west, recording)
+    assert "Check that the station has its latitude and longitude in degrees, east positive" in str(
+        caught.value
+    )
+    assert len(usable(scene, recording)) == ROWS

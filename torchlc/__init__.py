@@ -7,8 +7,6 @@ The verbs are :func:`load`, :func:`simulate`, :func:`predict`, :func:`visibility
 
 from __future__ import annotations
 
-import importlib
-
 from torchlc.version import __version__
 
 TYPE_CHECKING = False
@@ -75,7 +73,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    from importlib import import_module  # here: loading it takes longer than all else that this file does
+
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 

@@ -43,7 +43,7 @@ from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
-from torchlc.readers import Recording, counted, recording_of
+from torchlc.readers import Recording, recording_of, too_few_rows
 from torchlc.readers.reader import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
@@ -498,8 +498,7 @@ def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Co
         track = make_track(scene, recording)
     kept = recording.keep(above_horizon(track), "below the horizon")
     if len(kept) < MIN_ROWS:
-        found = f"{len(kept)} usable row" + (f" ({counted(kept.dropped)})" if kept.dropped else "")
-        raise InputError(kept.source, None, found, f"at least {MIN_ROWS}")
+        raise too_few_rows(kept.source, len(kept), kept.dropped, MIN_ROWS)
     return kept
 
 

@@ -65,7 +65,6 @@ def exit_code(action: Callable[[], object], after_interrupt: str = "") -> int:
     try:
         with quiet_libraries():
             found = action()
-            print(end="", flush=True)
         if found == INTERRUPTED:  # newer typer turns Ctrl-C into this exit code itself
             raise KeyboardInterrupt
     except TorchlcError as error:

@@ -23,7 +23,6 @@ def main() -> None:
     from torchlc.terminal import prepare_process
 
     prepare_process()
-    signals.unwind()
-    code = program.run(sys.argv[1:])
+    code = program.run(sys.argv[1:], signals.unwinding)
     signals.ignore()
     sys.exit(code)

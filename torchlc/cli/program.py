@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 
 import typer
 
@@ -26,10 +27,17 @@ def after_interrupt(arguments: list[str]) -> str:
     return ""
 
 
-def run(arguments: list[str]) -> int:
-    """The command with its arguments, in this process; returns the exit code."""
-    command = typer.main.get_command(app)
-    return exit_code(
-        lambda: command.main(arguments, prog_name="torchlc", standalone_mode=False, obj=arguments),
-        after_interrupt(arguments),
-    )
+def run(
+    arguments: list[str], around: Callable[[Callable[[], object]], object] = lambda action: action()
+) -> int:
+    """The command with its arguments, in this process; returns the exit code. ``around`` calls what it is given: the one
+    part of the run in which an exception may come from a signal.
+    """
+
+    def action() -> object:
+        command = typer.main.get_command(app)
+        found = command.main(arguments, prog_name="torchlc", standalone_mode=False, obj=arguments)
+        print(end="", flush=True)
+        return found
+
+    return exit_code(lambda: around(action), after_interrupt(arguments))

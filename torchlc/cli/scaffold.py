@@ -135,6 +135,20 @@ def _preset_key(preset: str) -> str:
     return key
 
 
+def beside(folder: Path, mesh: str) -> str:
+    """The path of a mesh as a scene in ``folder`` names it: from there. What is typed may also be the path from where the
+    command runs, as a shell completes it, or a whole one, if that file lies in ``folder``.
+    """
+    try:
+        if (folder / mesh).is_file() and not Path(mesh).is_absolute():
+            return mesh
+        if Path(mesh).is_file():
+            return Path(mesh).absolute().relative_to(folder.absolute()).as_posix()
+    except (OSError, ValueError):
+        pass  # said by the reader of the scene, in its words
+    return mesh
+
+
 def new_scene(
     elements: Elements,
     preset: str,

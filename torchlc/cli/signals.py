@@ -7,20 +7,36 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
-from types import FrameType
+
+TYPE_CHECKING = False
+"""As that of typing: nothing is loaded before the handlers are set that need not be."""
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+    Handler = Callable[[int, FrameType | None], object]
 
 INTERRUPTED, TERMINATED = 130, 143
 ENDING = ("SIGTERM", "SIGHUP")
 UNWIND_S = 5.0
 """Within this of a signal further ones change nothing: they would break off what takes locks and partial files away."""
-Handler = Callable[[int, FrameType | None], object]
 _last = -UNWIND_S
 
 
 def leave_at_once() -> None:
     """While the program is still being loaded nothing is there to unwind: a signal ends the process."""
     _handle(lambda number, frame: os._exit(INTERRUPTED), lambda number, frame: os._exit(TERMINATED))
+
+
+def unwinding(action: Callable[[], object]) -> object:
+    """What ``action`` returns. While it runs a signal is an exception, which the caller has to expect; after it a signal
+    changes nothing, for nobody would expect the exception.
+    """
+    unwind()
+    try:
+        return action()
+    finally:
+        ignore()
 
 
 def unwind() -> None:

@@ -112,14 +112,23 @@ def _best(target: Target, slopes: Tensor, waves: Tensor) -> tuple[Tensor, Tensor
         axis = torch.linalg.solve(
             torch.einsum("fi,faibj,fj->fab", wave, normal, wave), torch.einsum("fi,fai->fa", wave, right)
         )
+        axis, _ = _direction(axis)
         wave = torch.linalg.solve(
             torch.einsum("fa,faibj,fb->fij", axis, normal, axis), torch.einsum("fa,fai->fi", axis, right)
         )
-        length = torch.linalg.vector_norm(wave, dim=1, keepdim=True).clamp(min=1e-300)
-        axis, wave = axis * length, wave / length
+        wave, length = _direction(wave)
+        axis = axis * length
     if count == 1:
         axis, wave = axis * wave, wave.abs()
     return torch.einsum("fa,fi,fai->f", axis, wave, right), axis, wave
+
+
+def _direction(vector: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vectors (F, n) along vectors (F, n), and lengths (F, 1); along the first axis where nothing is to be explained and
+    a vector is 0."""
+    length = torch.linalg.vector_norm(vector, dim=1, keepdim=True)
+    first = torch.zeros_like(vector).index_fill(1, torch.tensor([0], device=vector.device), 1.0)
+    return torch.where(length > 0, vector / length.clamp(min=1e-300), first), length
 
 
 def _peaks(gain: Tensor, places: Tensor, apart: float, count: int) -> list[int]:

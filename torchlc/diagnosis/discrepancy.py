@@ -117,6 +117,10 @@ def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbenc
     instant; again and again; for a while."""
     if at.noise.processes or not at.posterior.size:
         return []
+    if not math.isfinite(
+        float((at.wide / at.scale).median())
+    ):  # without light in the model a curve beside it has no magnitude
+        return []
     seconds = at.model.assembly.context.seconds
     chosen = {
         name: value
@@ -130,6 +134,8 @@ def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbenc
         found += [(name, scan.best(one_side(value, seconds))) for name, value in chosen.items()]
         found += [(REPEATING, scan.repeating(seconds)), (EVENT, scan.best(windows(seconds)))]
         kinds = [(name, best) for name, best in found if best is not None]
+        if not kinds:  # all rows are of one moment
+            return []
         log_odds = math.log(ODDS / len(kinds))
         kinds.sort(key=lambda one: -one[1].gain)
         return [_refitted(at, scan.sigma, name, best, plain, log_odds) for name, best in kinds[:REFITTED]]

@@ -12,11 +12,17 @@ FAULTS = (
         "Write the error in a column of its own, such as mag_err.",
     ),
     (r"[+-]?\d+,\d+", "Write decimals with a point."),
+    (r"'[+-]?[\d.,]+", "Leave out the apostrophe, which a spreadsheet puts before what it takes for text."),
+    (r"[+-]?\d{1,3}([\s,.']\d{3})+([.,]\d*)?", "Leave out what parts the thousands."),
     (r"[+-]?[\d.]+[dD][+-]?\d+", "Write the exponent with e, as in 1.5e3."),
     (r"[+-]?[\d_.]*\d_\d[\d_.]*([eE][+-]?[\d_]+)?", "Leave out the underscores."),
     (r"\N{MINUS SIGN}[\d.]+([eE][+-]?\d+)?", "Write the minus sign as the hyphen of the keyboard."),
     (r"[+-]?0[xX][0-9a-fA-F.]+([pP][+-]?\d+)?", "Write it in decimal digits."),
     (r"[+-]?[\d.,]*[^\x00-\x7f][\d.,eE+-]*", "Write the digits 0 to 9 of the keyboard."),
+    (
+        r"[+-]?[\d.]+([eE][+-]?\d+)?\s*[A-Za-z%][\w%/^-]*",
+        "Write the number alone; its unit or filter goes into the name of the column or a column of its own.",
+    ),
 )
 """What people and other programs write for a number, and what to do about it."""
 

@@ -28,6 +28,9 @@ WIDER = 1.2
 """The regression's covariance is widened by this, so that the proposal has no thinner tails than the posterior."""
 FLAT_VARIANCE = 1 / 12
 """Of a reflectance about which nothing is known."""
+LEAST_PIVOT, RIDGE = 1e-13, 1e-10
+"""Shares of a diagonal element: a pivot below the first is rounding (2e-16 times some tens of additions), and the second is then
+added, which leaves pivots a thousand times above it."""
 FAR_LOG_P = -15.0
 """log of a normal probability, 5 standard deviations out, below which a quantile is polished."""
 REWEIGHTED = 1
@@ -174,7 +177,15 @@ class Redraw:
         middle = torch.tensor([0.25 if i in self.first else 0.5 for i in self.linear], dtype=dark.dtype)
         precision = design.mT @ design + torch.eye(len(middle), dtype=dark.dtype) / FLAT_VARIANCE
         target = design.mT @ ((observed - dark) / sigma)[..., None] + middle[:, None] / FLAT_VARIANCE
-        factor = torch.linalg.cholesky_ex(precision)[0]
+        factor, failed = torch.linalg.cholesky_ex(precision)
+        diagonal = precision.diagonal(dim1=-2, dim2=-1)
+        pivots = factor.diagonal(dim1=-2, dim2=-1).square()
+        lost = (failed > 0) | ~(pivots > LEAST_PIVOT * diagonal).all(-1)
+        if (
+            lost.any()
+        ):  # one row outweighs all others beyond the digits of a number; what is drawn from may be wider
+            ridged = precision + torch.diag_embed(RIDGE * diagonal)
+            factor = torch.where(lost[:, None, None], torch.linalg.cholesky_ex(ridged)[0], factor)
         return torch.cholesky_solve(target, factor)[..., 0], factor
 
     def truncated(

@@ -1,7 +1,7 @@
 """Recordings: light curves as measured, read and checked."""
 
 from torchlc.readers.format import Format, Head
-from torchlc.readers.measurements import counted, iso_times, left_out, seconds_since
+from torchlc.readers.measurements import counted, iso_times, left_out, seconds_since, too_few_rows
 from torchlc.readers.recording import Recording, load_recording, recording_of
 from torchlc.readers.table import Header
 
@@ -16,4 +16,5 @@ __all__ = [
     "load_recording",
     "recording_of",
     "seconds_since",
+    "too_few_rows",
 ]

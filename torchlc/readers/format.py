@@ -5,6 +5,7 @@ A new format is one file in :mod:`torchlc.readers.formats` with one class, or a 
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +23,16 @@ if TYPE_CHECKING:
 
 MOST_LINES = 200
 """Lines beside comments that a format may look at to recognise a file."""
+KINDS = (
+    (rb"PK\x03\x04", "a spreadsheet or another zip archive", "Export the table as CSV from the program that wrote it"),
+    (rb"\x1f\x8b|BZh|\xfd7zXZ", "a compressed file", "Unpack it"),
+    (rb"SIMPLE  =", "a FITS file", "Read its table with astropy and give it to torchlc.load, or write it as ECSV"),
+    (rb"\x89HDF", "an HDF5 file", "Write its table as CSV"),
+    (rb"%PDF", "a PDF", "Export the table as CSV from the program that wrote it"),
+    (rb"<[A-Za-z!?]", "XML or HTML", "Save the table as CSV. A VOTable is read by astropy: give its Table to torchlc.load"),
+    (rb'\{\s*"|\[\s*(\{\s*"|\[|\n)', "JSON", "Write a table with one row for each measurement"),
+)  # fmt: skip
+"""How files of other kinds begin, what they are called, and what to do."""
 FORMATS: Registry[type[Format]] = Registry("format")
 """Every format that is defined, by its name."""
 
@@ -67,9 +78,18 @@ class Format(ABC):
         """Names of the columns, units and metadata, and how the rows are read."""
 
 
+def _refuse_other_files(path: Path) -> None:
+    with path.open("rb") as stream:
+        start = stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
+    for pattern, what, hint in KINDS:
+        if re.match(pattern, start):
+            raise InputError(path, None, f"looks like {what}", FORMAT, hint)
+
+
 def read_head(path: Path, reading: Reading, scene: Scene | None) -> Head:
     """Check that ``path`` is a text of a bearable length, and read how it begins."""
-    count = count_lines(readable_file(path, FORMAT))
+    _refuse_other_files(readable_file(path, FORMAT))
+    count = count_lines(path)
     comments: list[str] = []
     lines: list[tuple[int, str]] = []
     first, others = None, 0

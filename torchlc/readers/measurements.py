@@ -126,6 +126,22 @@ class Measurements:
         )
 
 
+KEPT_IF = {
+    "non-finite": ("with finite numbers", "A row is left out if a cell is blank, NaN or infinite in any column that is read"),
+    **dict.fromkeys(
+        ("beyond 90 mag", "marked as missing"),
+        ("with a measurement", "Numbers such as 99.999 and -99 stand for none"),
+    ),
+    "upper limit, which a diagnosis does not use": ("with a measured value", None),
+    "below the horizon": (
+        "with the object above the horizon of its station",
+        "Check that the station has its latitude and longitude in degrees, east positive; that the times are UTC; and that the "
+        "orbit is that of this object, near the date of the recording",
+    ),
+}  # fmt: skip
+"""Reason for which rows are dropped: what a row needs to be kept, and what to do."""
+
+
 def seconds_since(time: Time, origin: Time) -> np.ndarray:
     """Elapsed SI seconds (T,) from ``origin``, leap seconds counted."""
     with warnings.catch_warnings():
@@ -152,6 +168,12 @@ def left_out(measurements: Measurements) -> list[str]:
 
 def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:
     """The error of a recording of which nothing is left; says why the rows went."""
-    return InputError(
-        source, None, f"no usable row ({counted(dropped)})", "at least one row with finite values"
-    )
+    return too_few_rows(source, 0, dropped, 1)
+
+
+def too_few_rows(source: Path | None, rows: int, dropped: Mapping[str, int], least: int) -> InputError:
+    """The error of a recording of which fewer than ``least`` rows are left; says why the others went and what keeps them."""
+    usual = max(dropped, key=lambda reason: dropped[reason], default="")
+    found = f"{rows or 'no'} usable row{'s' * (rows > 1)}{f' ({counted(dropped)})' if dropped else ''}"
+    needs, hint = KEPT_IF.get(usual, ("", None))
+    return InputError(source, None, found, f"at least {least}{needs and f' {needs}'}", hint)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -17,7 +17,7 @@ from torchlc.readers.copies import copies
 from torchlc.readers.dates import WHICH_ORDER, Calendar
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
-from torchlc.readers.measurements import Measurements, counted, no_usable_row, seconds_since
+from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
 from torchlc.readers.table import (
@@ -70,6 +70,9 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 OFFSET = re.compile(r":\d\d(\.\d+)?\s*[+-]\d\d", re.ASCII)
 """An offset from UTC behind a time of day."""
+SECONDS_WITH_COMMA = re.compile(r"(:\d\d),(?=\d)", re.ASCII)
+"""ISO 8601 writes the share of a second behind a comma or a point."""
+WEEK_S = 604800.0
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
 SPREADSHEET_TO = 51000.0
@@ -177,6 +180,7 @@ class _Reader:
         """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
         if header.decimal != ".":
             cells = [with_point(cell, header.decimal) for cell in cells]
+        cells = [SECONDS_WITH_COMMA.sub(r"\1.", cell) if "," in cell else cell for cell in cells]
         if not self.time_format:
             self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
         try:
@@ -189,6 +193,9 @@ class _Reader:
                     blank = next(index for index, cell in enumerate(cells) if not cell.strip())
                     raise UnreadableTime(blank, "", "a time")
                 numbers = read_numbers(header, name, cells, start)
+                if self.time_format == "gps" and (short := np.flatnonzero(numbers < WEEK_S)).size:
+                    expected = "seconds since 1980-01-06, to which those of a week come if its number times 604800 is added"
+                    raise UnreadableTime(int(short[0]), cells[short[0]].strip(), expected)
                 zero, per_day = declared.count_of(self.time_format, self.timing.scale)
                 days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero, per_day=per_day)
         except UnreadableTime as error:
@@ -272,11 +279,15 @@ class _Reader:
         self._keep(~groups.repeats(self.columns), "duplicate")
         self._add_non_detections()
         if "alt" in self.columns:
-            self._keep(self.columns["alt"] >= 0, "below the horizon")
+            above = self.columns["alt"] >= 0
+            if not above.any():
+                found = f"below 0 in all {len(above)} rows that are left"
+                hint = "alt is the elevation of the object, degrees, not its zenith distance nor a latitude"
+                raise InputError(self.source, "column alt", found, "0 to 90 deg", hint)
+            self._keep(above, "below the horizon")
         rows = len(self.rows)
         if rows < min_rows:
-            found = f"{rows} usable row{'s' * (rows > 1)}{_because(self.dropped)}"
-            raise InputError(self.source, None, found, f"at least {min_rows}")
+            raise too_few_rows(self.source, rows, self.dropped, min_rows)
         return self._assembled(first_time)
 
     def _assembled(self, first_time: Time) -> Measurements:
@@ -415,6 +426,7 @@ class _Reader:
         """Rows whose brightness, error or exposure is a number that stands for a missing one; an error of a limit is
         left open instead.
         """
+        self._drop_errors_that_are_markers()
         value, error = self.columns[self.kind], self.columns.get(f"{self.kind}_err")
         limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
         marked = np.zeros(len(self.rows), dtype=bool)
@@ -436,6 +448,22 @@ class _Reader:
             beyond |= np.isfinite(error) & (np.abs(error) > BEYOND_MAG)
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
+
+    def _drop_errors_that_are_markers(self) -> None:
+        """A column of errors in which every row has a marker for a missing one says as little as one that is blank."""
+        name = f"{self.kind}_err"
+        error = self.columns.get(name)
+        if error is None:
+            return
+        missing = np.isin(error, MARKERS)
+        if self.kind == "mag":
+            missing |= np.abs(error) > BEYOND_MAG
+        told = np.isfinite(error)
+        if told.any() and missing[told].all():
+            self.warnings.append(
+                f"{name} is {error[told][0]:g} in all rows, a marker for a missing value: taken as absent"
+            )
+            del self.columns[name]
 
     def _suspect_markers(self) -> None:
         """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
@@ -484,6 +512,8 @@ class _Reader:
                     expected = f"> 0: {low:g} to {high:g}{' mag' if name == 'mag_err' else ''}"
                 place = row_place(int(self.rows[bad[0]]), name)
                 hint = "Leave a missing value blank." if name == self.kind else None
+                if name == f"{self.kind}_err":
+                    hint = "Leave an error blank that is not known: its row is left out, and without any errors they are fitted"
                 raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)
 
     def _check_errors(self) -> None:
@@ -627,7 +657,3 @@ class _Reader:
 def _seconds(days: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Seconds (T,) of two-part Julian dates (T, 2) after one of them (2,)."""
     return 86400.0 * ((days[:, 0] - origin[0]) + (days[:, 1] - origin[1]))
-
-
-def _because(dropped: Mapping[str, int]) -> str:
-    return f" ({counted(dropped)})" if dropped else ""

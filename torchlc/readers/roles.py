@@ -52,7 +52,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("mjdutc",), Stamp("mjd", "utc")),
     "mjdtdb": Stamp("mjd", "tdb"),
     "mjdtt": Stamp("mjd", "tt"),
-    **dict.fromkeys(("mjd", "obsmjd", "mjdobs", "modifiedjuliandate"), _MJD),
+    **dict.fromkeys(("mjd", "obsmjd", "modifiedjuliandate"), _MJD),
     "rjd": Stamp("jd-2400000"),
     "btjd": Stamp("jd-2457000", "tdb", light_path="barycentric"),
     "bkjd": Stamp("jd-2454833", "tdb", light_path="barycentric"),
@@ -73,7 +73,7 @@ STAMPS: dict[str, Stamp] = {
     "date": Stamp(),
     **dict.fromkeys(("dateobs", "starttime", "timestart", "utcstart", "startutc", "datebeg"), Stamp(mark="start")),
     **dict.fromkeys(("jdstart", "startjd"), Stamp("jd", mark="start")),
-    **dict.fromkeys(("mjdstart", "startmjd"), Stamp("mjd", mark="start")),
+    **dict.fromkeys(("mjdstart", "startmjd", "mjdobs", "mjdbeg"), Stamp("mjd", mark="start")),
     **dict.fromkeys(("endtime", "timeend", "utcend", "dateend"), Stamp(mark="end")),
     **dict.fromkeys(("jdend", "endjd"), Stamp("jd", mark="end")),
     **dict.fromkeys(("mjdend", "endmjd"), Stamp("mjd", mark="end")),
@@ -105,6 +105,8 @@ ERRORS = (
 )  # fmt: skip
 ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
 """Names of errors of whatever brightness there is."""
+SIGNS = ("\N{PLUS-MINUS SIGN}", "+/-", "+-")
+"""Names of errors without a letter."""
 ERROR_WORD = re.compile(r"error|err|uncertainty|uncert|unc|sigma|sig|std|rms")
 """What stands anywhere in the name of an error, as in Source_AMag_Err_T2."""
 CLOCK = (
@@ -209,8 +211,12 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
             other = "flux" if kind == "mag" else "mag"
             loose = () if other in taken else ANY_ERROR
             named = [pattern.format(word) for word in dict.fromkeys((base, kind)) for pattern in ERRORS]
-            named += [name for name in header.names if ERROR_WORD.sub("", plain(name), count=1) == base]
+            stems = {base, base.replace(kind, "") or base}  # cal_mag_err, or cal_err, of cal_mag
+            named += [name for name in header.names if ERROR_WORD.sub("", plain(name), count=1) in stems]
             taken |= _found(header, role, [*columns.get(role, ()), *named, *loose], taken)
+            signs = [index for index, name in enumerate(header.names) if name.strip() in SIGNS]
+            if role not in taken and len(signs) == 1 and loose:
+                taken[role] = (signs[0],)
     taken |= _date_and_time(header, reading, taken)
     return _renamed(header, reading, taken)
 

@@ -25,6 +25,8 @@ BLOCK_BYTES = 1 << 20
 MAX_HEADER_LINES = 10_000
 CHUNK_ROWS = 50_000
 BLANK = frozenset({"", "--", "-", "na", "n/a", "null", "none", "nan", "masked", "indef"})
+MARKS_ALONE = re.compile(r"[*.?_/~\-]+")
+"""Cells without a letter or digit, such as ... and ****, hold nothing either."""
 TRUE, FALSE = frozenset({"true", "t", "yes", "1", "1.0"}), frozenset({"false", "f", "no", "0", "0.0"})
 BEYOND_MAG = 90.0
 """Magnitudes and their errors beyond it, such as 99.0 and -99.9, mark missing values: the Sun has -26.7."""
@@ -187,11 +189,13 @@ def _chunks(header: Header) -> Iterator[list[list[str]]]:
 
 
 def lines_as_cells(header: Header) -> Iterator[list[str]]:
-    """Cells of the lines below the header."""
+    """Cells of the lines below the header. A line of the header that comes again is left out: files were joined."""
+    numbered = enumerate(lines_of(header.source), 1)
+    above = {line.strip() for _, line in islice(numbered, header.skip)}
     lines = (
         line
-        for number, line in enumerate(lines_of(header.source), 1)
-        if number > header.skip and line[0] not in header.marks and not line.isspace()
+        for _, line in numbered
+        if line[0] not in header.marks and not line.isspace() and line.strip() not in above
     )
     if header.delimiter == " ":
         lines = (line.replace("\t", " ").strip() for line in lines)
@@ -226,7 +230,9 @@ def is_as_wide(cells: Sequence[str], names: Sequence[str]) -> bool:
 def check_width(path: Path, place: str, cells: Sequence[str], names: Sequence[str]) -> None:
     """InputError where a row is not as wide as the names."""
     if not is_as_wide(cells, names):
-        raise InputError(path, place, f"{len(cells)} values", f"{len(names)}, as in the header")
+        short = len(cells) < len(names)
+        hint = "A line that is no row, such as one below the table, may go or begin with #" if short else None
+        raise InputError(path, place, f"{len(cells)} values", f"{len(names)}, as in the header", hint)
 
 
 def without_blank_end(cells: Sequence[str], width: int = 0) -> Sequence[str]:
@@ -250,8 +256,9 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
         try:
             numbers[index] = decimal(cell)
         except ValueError:
-            if cell.strip().lower() not in BLANK:
-                hint = AS_A_LIMIT if re.match(r"\s*[<>]", cell) else advice(cell)
+            text = cell.strip()
+            if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
+                hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan

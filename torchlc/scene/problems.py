@@ -55,8 +55,15 @@ def of_validation(source: str | Path | None, error: ValidationError) -> InputErr
     return InputError(source, place, found, expected, hint)
 
 
+MOST_BITS = 4096
+MOST_OF_A_VECTOR = 4
+"""Lists whose length is bounded by so few hold vectors or quaternions, and have to have just as many values."""
+
+
 def shown(value: Any) -> str:
-    """A short repr; deep nesting is cut."""
+    """A short repr; deep nesting is cut. Python refuses to write integers of thousands of digits in decimals."""
+    if isinstance(value, int) and value.bit_length() > MOST_BITS:
+        return f"an integer of {value.bit_length()} bits"
     short = reprlib.Repr()
     short.maxstring = short.maxother = 60
     return short.repr(value)
@@ -95,8 +102,15 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
         case "literal_error":
             return _choice(place, value, str(context["expected"]))
         case "too_long" | "too_short":
-            count = context.get("max_length", context.get("min_length"))
-            return place, f"{context['actual_length']} values", str(count), None
+            most, least = context.get("max_length"), context.get("min_length")
+            exactly = most is not None and most <= MOST_OF_A_VECTOR
+            word = "" if exactly else "at most " if most is not None else "at least "
+            return (
+                place,
+                f"{context['actual_length']} values",
+                f"{word}{least if most is None else most}",
+                None,
+            )
         case kind:
             return (
                 place,

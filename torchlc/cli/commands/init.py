@@ -58,7 +58,7 @@ def init(
         typer.Option(help="Take the elements nearest to this; default: the latest.", show_default=False),
     ] = None,
     mesh: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Mesh beside the scene.", show_default=False)
+        str | None, typer.Option(metavar="FILE", help="Mesh in the folder of the scene.", show_default=False)
     ] = None,
     exact: Annotated[
         bool,
@@ -75,6 +75,7 @@ def init(
     from torchlc.errors import InputError
     from torchlc.files.writing import check_replaceable, write_whole
 
+    mesh = None if mesh is None else scaffold.beside(scene.parent, mesh)
     check_replaceable(scene, [tle, *([] if mesh is None else [scene.parent / mesh])])
     if scene.exists() and not force:
         raise InputError(scene, None, "exists", "a new file", "--force replaces it.")

@@ -72,11 +72,13 @@ def locate(
     coordinates: Mapping[str, Tensor],
     others: Sequence[Fitted] = (),
 ) -> Where:
-    """Where ``after`` and the model of ``before``, each fitted, differ by more than SEEN_SIGMA of a row, or by half of the largest difference where
-    that is less than twice as much; ``bare`` is the first without its effects, ``others`` the model of ``before`` under other laws of the rows."""
+    """Where ``after`` and the model of ``before``, each fitted, differ by more than SEEN_SIGMA of a row, or where none does, by half of the
+    largest difference; ``bare`` is the first without its effects, ``others`` the model of ``before`` under other laws of the rows."""
     difference = (refitted(before, after, others) - after.delta) / after.wide
     size = difference.abs()
-    rows = size > size.max().clamp(max=2 * SEEN_SIGMA) / 2
+    rows = size > SEEN_SIGMA
+    if not bool(rows.any()):
+        rows = size > size.max() / 2
     return Where(
         rows,
         intervals(rows, difference, after),

@@ -207,11 +207,16 @@ class Fits:
                 self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
 
     def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
-        """A hypothesis under another noise, from its minima."""
+        """A hypothesis under another noise, from its minima; and from natural values (S, P) that get the geometry of the first of these,
+        which then is worked out once for all of them."""
         hypothesis = at.hypothesis.under(*noise)
         parameters = self.bench.likelihood(hypothesis).model.parameter_set
         begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
         if starts is not None:
+            geometry = at.model.assembly.geometry_columns
+            starts = starts.index_copy(
+                1, torch.tensor(geometry, dtype=torch.long), at.theta[geometry].expand(len(starts), -1)
+            )
             begin.append(carried(parameters, starts, at.names))
         return self.refit(hypothesis, torch.cat(begin), at, turns=1)
 

@@ -50,27 +50,35 @@ class Weighed(Posterior):
 
 
 @torch.no_grad()
-def refitted(before: Fitted, after: Fitted) -> Tensor:
+def refitted(before: Fitted, after: Fitted, others: Sequence[Fitted] = ()) -> Tensor:
     """Residuals (T,) of the model of ``before``, fitted by least squares to the rows as they err in ``after``: a law with bad rows of
-    its own would call bad what ``after`` explains."""
-    if after.noise.processes or after.likelihood.fitted_errors:
-        return before.delta
+    its own would call bad, and what rows share would take up, what ``after`` explains. From the minima that the same model has under any law of the rows, ``others``, where that
+    is not dear."""
     posterior = Weighed(before.likelihood, after.sigma)
     starts = [one.g[: posterior.own] for one in before.minima]
-    common = carried(before.model.parameter_set, after.theta[None], after.names)[0]
-    starts.append(posterior.coordinates(common))
+    known = [after] if before.posterior.dear else [after, *(one for other in others for one in other.minima)]
+    parameters = before.model.parameter_set
+    starts += [posterior.coordinates(carried(parameters, one.theta[None], one.names)[0]) for one in known]
     for start in starts:
         start[posterior.noise_columns] = starts[0][posterior.noise_columns]
     g = descend(posterior, torch.stack(starts), STEPS, Noise())[0][0]
     return posterior.residuals(g).delta
 
 
-def locate(before: Fitted, after: Fitted, bare: Fitted, coordinates: Mapping[str, Tensor]) -> Where:
-    """Where ``after`` and the model of ``before``, each fitted, differ by more than SEEN_SIGMA of a row, or by half of the largest difference where
-    that is less than twice as much; ``bare`` is the first without its effects."""
-    difference = (refitted(before, after) - after.delta) / after.wide
+def locate(
+    before: Fitted,
+    after: Fitted,
+    bare: Fitted,
+    coordinates: Mapping[str, Tensor],
+    others: Sequence[Fitted] = (),
+) -> Where:
+    """Where ``after`` and the model of ``before``, each fitted, differ by more than SEEN_SIGMA of a row, or where none does, by half of the
+    largest difference; ``bare`` is the first without its effects, ``others`` the model of ``before`` under other laws of the rows."""
+    difference = (refitted(before, after, others) - after.delta) / after.wide
     size = difference.abs()
-    rows = size > size.max().clamp(max=2 * SEEN_SIGMA) / 2
+    rows = size > SEEN_SIGMA
+    if not bool(rows.any()):
+        rows = size > size.max() / 2
     return Where(
         rows,
         intervals(rows, difference, after),

@@ -1,5 +1,6 @@
 # make demo    install into .venv and run the whole job on the recording that ships with the package
-# make test    install into .venv and run the whole test suite
+# make test    install into .venv and run the tests, but for those that take longest
+# make long    run those: pages, whole recordings, runs that are killed
 # Both need Python 3.11 or newer and make, and nothing else. The rest: make lint examples verdicts docs bench wheel minimum clean
 
 PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.11; do \
@@ -9,13 +10,16 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf model fit output cli))
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint format examples verdicts docs bench wheel minimum clean
+.PHONY: demo test long lint format examples verdicts docs bench wheel minimum clean
 
 demo: .venv/demo
 	$(BIN)/torchlc demo
 
 test: .venv/develop
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+	$(BIN)/python -m pytest -m "not long" --numprocesses 2 --dist worksteal
+
+long: .venv/develop
+	$(BIN)/python -m pytest -m long --numprocesses 2 --dist worksteal
 
 lint: .venv/develop
 	$(BIN)/ruff check .
@@ -49,7 +53,7 @@ wheel: .venv/develop
 minimum: .ci/constraints-minimum.txt
 	rm -rf .venv-minimum && $(PYTHON) -m venv .venv-minimum
 	.venv-minimum/bin/pip install --quiet --constraint .ci/constraints-minimum.txt --editable '.[mesh,dask,report,test]'
-	.venv-minimum/bin/python -m pytest --numprocesses 2 -W default $(CORE)
+	.venv-minimum/bin/python -m pytest -m "not long" --numprocesses 2 -W default $(CORE)
 
 clean:
 	rm -rf build dist docs/_build .venv .venv-wheel .venv-minimum .pytest_cache .ruff_cache .hypothesis

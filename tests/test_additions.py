@@ -291,6 +291,7 @@ def test_they_shine_as_elementary_geometry_says():
     torch.testing.assert_close(model.brightness().flux, expected, rtol=1e-12, atol=0)
 
 
+@pytest.mark.long
 def test_fit_and_report(night_log, tmp_path):
     """Reader, effect, law, noise and the figure in one fit: the truth within five standard deviations."""
     scene = scene_with('["thin_cloud", "uneven_errors"]', '"thin_cloud.hour" = 3.1')
@@ -321,6 +322,7 @@ def test_a_free_size_has_a_slope():
     torch.testing.assert_close(slope, central, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.long
 def test_diagnose_names_the_cloud(recording):
     found = torchlc.diagnose(
         scene_with(), recording, effects=["thin_cloud", "zero_point_drift", "zero_point_step"], quick=True

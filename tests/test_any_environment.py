@@ -58,6 +58,7 @@ def start(
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["terminal", "notebook"])
 def test_a_fit_is_whole_wherever_it_runs(kind: str, case: tuple[str, str], tmp_path: Path):
     """A home that is a file, letters of ASCII only and no standard error; through Python a notebook's backend, a matplotlibrc
@@ -89,6 +90,7 @@ def test_a_fit_is_whole_wherever_it_runs(kind: str, case: tuple[str, str], tmp_p
         assert json.loads(output)["chi2"] == json.loads((out / "fit.json").read_text())["chi2"]
 
 
+@pytest.mark.long
 def test_without_standard_streams(case: tuple[str, str], tmp_path: Path):
     """A result is never written into the place of a stream that was closed."""
     process = start(["-m", "torchlc", "simulate", *case, "-o", str(tmp_path)], "<&- >&- 2>&-")
@@ -125,6 +127,7 @@ def until(condition: Callable[[], bool], seconds: float = 120) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "times", "code", "word"),
     [("SIGINT", 3, 130, "interrupted"), ("SIGHUP", 2, 143, "ended by SIGHUP")],
@@ -291,6 +294,7 @@ def test_a_key_of_many_parts_is_refused_before_it_is_parsed(end: str):
     assert time.process_time() - began < 1.0
 
 
+@pytest.mark.long
 def test_a_period_of_nothing_is_bounded(tmp_path: Path):
     """Asked for turns of 1e-9 s, the search stops at its most frequencies and says so; 2 GB and a minute before."""
     seconds = 30.0 * np.arange(12)
@@ -371,6 +375,7 @@ print(code)
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not may_mount(), reason="needs unshare and the right to mount a tmpfs of its own")
 def test_a_campaign_on_a_disk_that_fills_ends_with_3_and_keeps_what_is_done(
     case: tuple[str, str], tmp_path: Path
@@ -388,6 +393,7 @@ def test_a_campaign_on_a_disk_that_fills_ends_with_3_and_keeps_what_is_done(
     assert "no room on disk" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 def test_hostile_files_are_read_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """One of each kind of damage for each kind of file; ``python -m tests.hostile_files FOLDER 14`` tries 588."""
     monkeypatch.chdir(tmp_path)

@@ -106,6 +106,7 @@ def test_noise_effects_of_the_scene_widen_what_is_not_quoted(tmp_path: Path):
     assert np.std(noisy.mag - clean.mag) == pytest.approx(math.hypot(0.3, 0.01), rel=0.1)
 
 
+@pytest.mark.long
 def test_fit_finds_what_was_put_in(result: FitResult):
     for name, truth in TRUTH.items():
         row = result.parameters()[name]

@@ -47,6 +47,7 @@ def test_a_few_rows_are_not_judged():
     assert found["every"]["p"] is None and found["every"]["bins"][0] == 9
 
 
+@pytest.mark.long
 def test_truths_from_the_prior_are_ranked_evenly():
     """Two reflectances drawn from their triangle, 14 recordings of twelve rows, draws from their posteriors."""
     panel = {"n": 30.0, "r_spec": setting.FREE["r_spec"], "r_diff": setting.FREE["r_diff"]}
@@ -68,6 +69,7 @@ def test_truths_from_the_prior_are_ranked_evenly():
         assert stats.kstest(column, stats.uniform.cdf).pvalue > 1e-3
 
 
+@pytest.mark.long
 def test_the_example_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     """Two cases in two runs, the second after a line cut short; then the figure and the numbers."""
     monkeypatch.setattr(recovery, "STEPS", (60, 60))

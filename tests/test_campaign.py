@@ -155,6 +155,7 @@ def without_times(content: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in content.items() if key not in ("seconds", "provenance")}
 
 
+@pytest.mark.long
 def test_results_are_those_of_one_after_another_bit_for_bit(manifest: Path, disturbed: Path):
     """Against the verbs, called here: every number of the JSON, and every draw of every walker."""
     for job in read_manifest(manifest):
@@ -212,6 +213,7 @@ def test_the_summary_says_what_the_objects_say(manifest: Path, disturbed: Path):
     )
 
 
+@pytest.mark.long
 def test_a_repetition_does_only_what_is_not_finished(
     manifest: Path, disturbed: Path, cluster: tuple[str, Any], capsys: pytest.CaptureFixture[str]
 ):
@@ -399,6 +401,7 @@ def tumbling(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_manifest(folder / "manifest.csv", [{"id": "fitted", **files}])
 
 
+@pytest.mark.long
 def test_a_budget_bounds_each_object_and_keeps_the_best_so_far(
     tumbling: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ):
@@ -451,6 +454,7 @@ def listening(process: psutil.Process) -> list[Any]:
     return [one for one in inet if one.status == psutil.CONN_LISTEN or one.type == socket.SOCK_DGRAM] + named
 
 
+@pytest.mark.long
 def test_nobody_else_can_reach_the_workers_and_a_killed_campaign_takes_them_along(
     manifest: Path, tmp_path: Path
 ):
@@ -530,6 +534,7 @@ with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_addres
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 def test_the_memory_of_the_client_does_not_grow_with_the_number_of_objects():
     """4,000 tasks, with scheduler and workers in the same process; 4.7 MiB were measured after the first 1,000, which Dask's
@@ -566,6 +571,7 @@ def test_names_of_directories_are_distinct_and_safe():
     assert all(len(name) < 150 and "/" not in name and not name.startswith(".") for name in found)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_with_130_and_leaves_no_worker(manifest: Path, tmp_path: Path):
     command = ["campaign", str(manifest), "-o", str(tmp_path / "out"), "--workers", "1", "--quiet"]
     campaign = subprocess.Popen(
@@ -640,6 +646,7 @@ def test_no_cell_of_a_manifest_is_a_formula(tmp_path: Path):
     assert Path(job.recording).samefile(folder / "=HYPERLINK(1) 00001.csv") and Path(job.scene).is_file()
 
 
+@pytest.mark.long
 def test_what_somebody_put_into_an_objects_folder_stays(tmp_path: Path):
     """A file of the user's under the name of a result fails that object, in words; one of ours that was changed is
     kept under another name, and the object is done again."""

@@ -199,6 +199,7 @@ def test_warnings_of_libraries_stay_away(
     assert "from a library" not in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_an_interrupted_fit_resumes_to_the_same_answer_and_a_second_one_is_refused(
     case: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -242,6 +243,7 @@ def test_an_interrupted_diagnosis_leaves_nothing_and_says_how_to_begin_again(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_an_interrupted_rotation_goes_on_from_what_it_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Ctrl-C after the grid of poles: 130 and one line, which without -o says that nothing was kept. The same command again does
     not work out the grid a second time."""
@@ -277,6 +279,7 @@ def test_a_reader_that_has_gone_away_is_no_error(command: str, buffered: bool):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_completes_commands_options_and_names():
     typed = {
@@ -625,6 +628,7 @@ def test_init_says_that_a_folder_is_not_there(tmp_path: Path, capsys: pytest.Cap
     refused_with(arguments, tmp_path, "no directory", capsys)
 
 
+@pytest.mark.long
 def test_provenance_is_of_the_bytes_that_were_read(tmp_path: Path):
     """Against sha256sum before the run: while the chain grows every file is changed."""
     names = ["scene.toml", "recording.ecsv", "elements.txt", "attitude.csv", "cube.stl"]

@@ -185,6 +185,7 @@ def test_sets_of_effects_with_numbers_of_the_scene_come_back_from_the_file(case,
     assert_same_model(added, LightCurve(again, recording))
 
 
+@pytest.mark.long
 def test_what_a_diagnosis_completed_is_fitted_from_its_file(case, tmp_path):
     """Half of the panel's area is a second, sharper material: found, written, read, simulated and searched."""
     scene, _recording, _ = case

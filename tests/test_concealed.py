@@ -145,6 +145,7 @@ def test_the_pit_is_a_closed_body() -> None:
     assert np.linalg.norm(crosses, axis=1).sum() / 2 == pytest.approx(24 + 4 * side * deep, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_command_makes_asks_and_scores(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -186,6 +186,7 @@ def errors(found, expected):
     return 2.5 * np.log10(found[bright] / expected[bright])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", list(LAWS))
 @pytest.mark.parametrize("shape", list(SIZES))
 def test_light_of_every_sharpness_is_that_of_the_true_surface(tmp_path, shape, law):

@@ -57,6 +57,7 @@ def practice(name: str):
     return scene, recording, json.loads((PRACTICE / name / "answer.json").read_text())
 
 
+@pytest.mark.long
 @needs_practice
 @pytest.mark.parametrize(
     "name", ["control", "jitter", "exposure_smearing", "earth_shadow", "appendage", "panel_offset"]
@@ -95,6 +96,7 @@ def overlap(found: list[dict], truth: list[list[str]], recording) -> float:
     return float((masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum())
 
 
+@pytest.mark.long
 def test_wings_that_point_apart_are_named(tmp_path) -> None:
     """Wings 6 deg apart, by the independent program of the examples: a wobble describes them about as well, and what else
     turns panels or the whole. Every second row is enough."""
@@ -113,6 +115,7 @@ def test_wings_that_point_apart_are_named(tmp_path) -> None:
     assert {one["name"] for one in content["where"]["components"][:2]} == {"panel +Y", "panel -Y"}
 
 
+@pytest.mark.long
 @needs_practice
 def test_only_the_listed_effects_are_candidates() -> None:
     scene, recording, _ = practice("exposure_smearing")
@@ -129,6 +132,7 @@ def test_only_the_listed_effects_are_candidates() -> None:
     assert content["verdict"] != "missing_physics"
 
 
+@pytest.mark.long
 @needs_practice
 def test_a_faint_effect_beside_a_strong_one_is_named() -> None:
     """A step of the zero point, worth some 30 of chi-square beside 3000, added to what another program saw."""
@@ -168,6 +172,7 @@ def demo_refit(demo_search):
     return demo_search.visited[Hypothesis()]
 
 
+@pytest.mark.long
 def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> None:
     scene = load_scene(DEMO / "scene.toml")
     recording = load_recording(DEMO / "recording.ecsv", scene)
@@ -225,6 +230,7 @@ def test_information_of_a_night_is_that_of_two_normal_hypotheses() -> None:
     assert told(2.0, absorbed)[0] < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offsets", [(-10.0, 10.0, -10.0), (0.0, 0.0)])
 def test_no_row_to_spare_cannot_tell(offsets: tuple[float, ...]) -> None:
     """Three rows that no material explains, and two that many do, for four free numbers and more."""
@@ -262,6 +268,7 @@ def test_nothing_that_varies_gets_a_verdict(kind: str, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.long
 def test_a_scene_without_anything_free_gets_a_verdict() -> None:
     """The demo's recording with every number of its materials and its zero point given as known."""
     scene = load_scene(DEMO / "scene.toml")
@@ -354,6 +361,7 @@ def test_a_budget_ends_among_the_effects_that_promise_least(demo, tmp_path: Path
     assert promised == sorted(promised, reverse=True)
 
 
+@pytest.mark.long
 def test_a_search_goes_on_from_what_it_had_finished(demo, tmp_path: Path) -> None:
     """Of all steps none is done again, and of half of them, as a kill leaves them, the other half is; the answer is that of
     the run left alone, to the rounding of a refit that is read instead of made. Steps of another search are not known."""

@@ -61,6 +61,7 @@ LARGEST_SD = 0.25
 """Relative to the number: a wide one would be right of anything."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_named(name: str, tmp_path: Path) -> None:
     turned, numbers = CASES[name]

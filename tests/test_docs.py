@@ -36,6 +36,7 @@ EVERY = {
 third where only the effect that is missing has to be named."""
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, warm: tuple[str, Path]) -> None:
@@ -85,6 +86,7 @@ def test_pages_read_in_the_repository_as_on_the_site() -> None:
     assert library.read_text(encoding="utf-8") == conf.library(), "python docs/fill_numbers.py"
 
 
+@pytest.mark.long
 def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("furo")
     pages = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_build"))

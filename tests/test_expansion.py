@@ -135,6 +135,7 @@ def fit() -> Fit:
     )
 
 
+@pytest.mark.long
 def test_draws_on_the_expansion_have_the_exact_posterior(fit):
     """Means and standard deviations of both chains agree within five standard errors of their effective draws."""
     quick, slow = sample(fit, steps=700, seed=1), sample(fit, steps=700, seed=2, exactly=True)

@@ -18,12 +18,14 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reas
 patient = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 
+@pytest.mark.long
 @settings(patient, max_examples=150)
 @given(cases(QUICK))
 def test_in_process(case: Case):
     assert in_process(case) is None
 
 
+@pytest.mark.long
 @settings(patient, max_examples=3)
 @given(cases(WHOLE))
 def test_as_a_process(case: Case):
@@ -65,6 +67,7 @@ print(code, seen)
 """
 
 
+@pytest.mark.long
 def test_a_strangers_scene_opens_nothing_outside_its_folder(tmp_path: Path):
     """As Python's audit hooks see it: no file elsewhere, no pickle, no connection, no process, whatever a mesh
     asks for."""

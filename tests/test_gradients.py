@@ -413,6 +413,7 @@ def test_shadows_that_move_in_jumps_are_told_once_and_only_where_they_move(tmp_p
 # ------------------------------------------------------------------ and they train
 
 
+@pytest.mark.long
 def test_the_training_script_of_the_tutorial_finds_the_depth_of_a_dish():
     """Adam as in docs/tutorials/training_script.md, from half the true depth, on light without errors."""
     truth = shaped("dish", material=MATERIALS.replace("foil", "white"))

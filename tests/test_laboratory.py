@@ -175,6 +175,7 @@ def test_what_an_effect_promises_is_the_least_squares_of_its_change_and_all_that
     np.testing.assert_allclose(found.promised(at).numpy(), size * moved, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.long
 def test_pixels_that_record_a_power_are_named(tmp_path):
     """Among what a detector does, and a camera that stands near."""
     among = [
@@ -193,6 +194,7 @@ def test_pixels_that_record_a_power_are_named(tmp_path):
     )  # shadows' edges are 0.5 % of the light
 
 
+@pytest.mark.long
 def test_four_causes_are_named_and_none_that_is_not_there(tmp_path):
     """Shadows, a near camera, a power of the radiance and one curve that begins elsewhere, none of which the scene has; a threshold, a
     pedestal, a hull and light from all around are not in the recording."""

@@ -523,6 +523,7 @@ def test_albedo_at_low_signal_to_noise(tmp_path, ratio, spread):
     assert 1e-4 < found.p_value < 1 - 1e-4
 
 
+@pytest.mark.long
 def test_short_curves_with_errors_that_also_scatter(tmp_path):
     """200 curves of 20 rows at a signal-to-noise ratio of 3, errors scattered by 0.3 from row to row: the most probable albedo
     is on average within 0.01 mag of the mean of the fluxes by their known errors, the best there is (0.006 +- 0.002).

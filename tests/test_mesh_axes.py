@@ -213,6 +213,7 @@ except torchlc.InputError as error:
 """
 
 
+@pytest.mark.long
 def test_an_effect_with_two_exponents_needs_a_direction_too(tmp_path):
     """An effect of someone else's that gives the material of a mesh a lobe along u and v, in a process of its own."""
     trimesh.creation.box(extents=[1.0, 2.0, 3.0]).export(tmp_path / "mesh.stl")

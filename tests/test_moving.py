@@ -238,6 +238,7 @@ def outcome() -> str:
     return json.dumps(numbers)
 
 
+@pytest.mark.long
 def test_defaults_of_torch_change_no_number() -> None:
     """A tensor made on the default device "meta" would have no number; one made in the other default precision another."""
     expected = outcome()

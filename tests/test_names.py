@@ -157,6 +157,7 @@ def plain(tmp_path_factory):
     return numbers_of(tmp_path_factory.mktemp("plain"), PLAIN)
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 @given(names=st.tuples(*[st.lists(name, min_size=2, max_size=2, unique=True).map(tuple)] * 4))
 @example(names=(("appendage", "attitude"), ("appendage", "attitude"), ("x", "y"), ("y", "x")))
@@ -301,6 +302,7 @@ def test_commas_in_a_target_do_not_divide_a_list():
     assert Entry.split("a[x, y] , b,,c[z]") == ["a[x, y]", "b", "c[z]"]
 
 
+@pytest.mark.long
 def test_files_of_a_fit_hold_every_parameter_under_its_own_name(tmp_path):
     """fit.json, posterior.nc and chain.h5, with names that meet wherever signs are exchanged."""
     import arviz

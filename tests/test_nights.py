@@ -97,6 +97,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "scene.toml", folder / "rows.ecsv"
 
 
+@pytest.mark.long
 def test_each_night_gets_its_own_turn_and_all_one_pole(files: tuple[Path, Path]) -> None:
     """Rates and phases within 4 standard deviations (seven numbers: 1 case in 2000), which are below 0.02 s and 4 deg, where
     periods differ by 0.9 s; chi-square is that of the noise. A single period for all leaves ten times as much."""
@@ -246,6 +247,7 @@ def test_two_epochs_in_a_night_are_refused(files: tuple[Path, Path]) -> None:
         LightCurve(scene, usable(scene, files[1]))
 
 
+@pytest.mark.long
 def test_a_search_gives_each_night_its_own_turn_where_no_one_rate_holds(tmp_path: Path) -> None:
     """Three nights months apart, of one pole and unlike turns: the pole within 1 deg, each period within 4 standard deviations,
     which are below 0.1 s (9 minutes hold 11 turns), so that 0.9 s between nights are told. The scene that is written has them."""

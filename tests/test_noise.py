@@ -143,6 +143,7 @@ VALUES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["long_tails"])
 def test_a_kind_from_outside_goes_through_every_verb(outside, tmp_path: Path, name: str) -> None:
     """Simulated with it, fitted and sampled with it, and found by a diagnosis that the scene does not tell of it."""
@@ -336,6 +337,7 @@ def test_a_law_blurred_by_an_uncertain_prediction(name: str, known: float) -> No
         assert float(by_rule[2][row]) * known == pytest.approx(1 - variance / known, abs=4e-3)
 
 
+@pytest.mark.long
 def test_the_held_out_density_of_another_law_is_a_density() -> None:
     """Integrated by Simpson's rule over both data of two rows, to 20 and more standard deviations; the rule of the blurred
     law costs 1e-3."""
@@ -430,6 +432,7 @@ def test_the_optimiser_weighs_rows_by_the_law(outside, tmp_path: Path) -> None:
     assert best == pytest.approx(off[order][half], abs=0.25 * sd)
 
 
+@pytest.mark.long
 def test_a_diagnosis_finds_the_numbers_of_a_kind_from_outside(outside, tmp_path: Path) -> None:
     """Width 3 of Laplace's law and airmass jitter, from 97 rows drawn of each: better evidence than white noise's, and no
     lower density than at the numbers that were drawn with."""

@@ -30,6 +30,7 @@ def write_manifest(folder: Path) -> Path:
     return folder / "manifest.csv"
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("verb", ["fit", "diagnose", "campaign"])
 def test_killed_again_and_again(verb: str, tmp_path: Path, warm: tuple[str, Path]):
@@ -47,6 +48,7 @@ def test_killed_again_and_again(verb: str, tmp_path: Path, warm: tuple[str, Path
     assert told["killed"] == KILLS and told["left"] > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("verb", ["diagnose", "campaign"])
 def test_no_room_on_disk_is_3_and_leaves_no_half_file(verb: str, tmp_path: Path, warm: tuple[str, Path]):
     scene, recording = map(str, write_case(tmp_path, rows=9))

@@ -363,6 +363,7 @@ with OutputDirectory(sys.argv[1], ["a", "b"]) as directory:
 """
 
 
+@pytest.mark.long
 def test_killed_at_every_call_on_files_it_can_begin_again(tmp_path: Path):
     """SIGKILL before the 1st, the 2nd, ... opening, renaming or removing of a file: the next run is let in, what is
     there is whole, and nothing half-written stays."""

@@ -104,6 +104,7 @@ def test_one_night_hides_a_panel_that_points_aside_and_two_stations_do_not():
     assert abs(error) < 0.05
 
 
+@pytest.mark.long
 def test_two_stations_and_three_nights_halve_the_interval_of_the_panel():
     one, joint = (nights.interval(*nights.CASES[name], steps=400) for name in nights.SAMPLED)
     assert joint < 0.5 * one

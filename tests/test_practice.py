@@ -55,6 +55,7 @@ def deviations(fit: Fit, truth: dict[str, float]) -> dict[str, tuple[float, floa
     return {name: (float(apart[i] / sd[i]), float(sd[i])) for name, i in zip(truth, index, strict=True)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_the_truth_fits_and_is_found(case: str) -> None:
     fit, answer = refit(case)

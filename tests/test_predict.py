@@ -243,6 +243,7 @@ effects = []
     assert abs(row - moment) < found.span.cadence_s
 
 
+@pytest.mark.long
 def test_a_spinning_mirror_glints_every_turn():
     """A plate that spins about the axis of the sky: its normal crosses the bisector's meridian twice a turn, once with
     each side; where the bisector is far from the plane of the normal's circle it never comes near. By brute force on
@@ -295,6 +296,7 @@ effects = []
     np.testing.assert_allclose(inner, expected, atol=0.5)  # the fine grid's 0.25 s, and half a row
 
 
+@pytest.mark.long
 def test_a_fit_predicts_from_its_posterior(tmp_path):
     """The true object, of which the fitted recording was made, lies within three standard deviations on another night, from
     folder and result alike; intervals are narrower than those of the priors."""

@@ -31,6 +31,7 @@ def eros_table():
     return eros.evaluate()[1]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
 def test_eros_without_and_with_shadows_against_another_program(eros_table):
     """Rms of each of the 73 curves within 10 % of the reference, and the medians of the 32 hard ones."""
@@ -49,6 +50,7 @@ def eros_recording():
     return torchlc.load(eros.EROS / "scene.toml", eros.EROS / "recording.ecsv")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
 @pytest.mark.timeout(900)
 def test_shadows_and_clocks_of_eros_are_found(eros_recording, eros_table):
@@ -71,6 +73,7 @@ def test_shadows_and_clocks_of_eros_are_found(eros_recording, eros_table):
     assert theirs < 0.8 * np.median([eros_table[some.curve_ids[k]]["plain"] for k in curves])
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
 def test_no_shadows_are_claimed_where_they_do_not_help(eros_recording, eros_table):
     """The low curves of Eros, seen over a pole: the reference is no better with shadows on most of them."""

@@ -81,6 +81,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
     return folder / "scene.toml", paths
 
 
+@pytest.mark.long
 def test_a_spin_is_found_from_two_passes(files: tuple[Path, list[Path]], tmp_path: Path) -> None:
     """The pole within 3 deg among the modes within 10 in chi-square, the period to 1e-3; a written scene is read again. The
     run goes on from one that was stopped after the grid of poles, which it does not work out again."""
@@ -138,6 +139,7 @@ def test_errors_are_words(files: tuple[Path, list[Path]], capsys: pytest.Capture
     assert "a range of periods" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_modes_of_rows_without_errors_compare_by_their_scatter(
     files: tuple[Path, list[Path]], tmp_path: Path
 ) -> None:

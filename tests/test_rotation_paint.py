@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 import torchlc
@@ -22,6 +23,7 @@ from torchlc.lightcurve.model import LightCurve
 PERIOD_S, POLE = 61.7, unit_of(143.0, 36.0)
 
 
+@pytest.mark.long
 def test_opposite_sides_of_unlike_paint_are_not_taken_for_a_free_rotation(tmp_path: Path) -> None:
     """Two opposite faces reflect 0.3 of what the others do, which flat facets by numpy sum. A body of one paint repeats after
     half a turn and leaves much; the light itself repeats after the whole turn, and the period is that to 2 %,

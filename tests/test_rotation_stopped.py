@@ -37,6 +37,7 @@ def test_what_was_kept_of_rows_seen_from_elsewhere_is_not_gone_on_from(tmp_path:
     assert [worked_out(), worked_out()] == [True, False]
 
 
+@pytest.mark.long
 def test_a_spent_budget_decides_nothing_and_says_what_was_left_out(tmp_path: Path) -> None:
     """A budget that is spent at once leaves the first of several fits of the model."""
     scene, recording = write_turning(tmp_path)

@@ -59,6 +59,7 @@ SCENES = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("noise", [None, 0.02])
 @pytest.mark.parametrize("suffix", ["ecsv", "csv"])

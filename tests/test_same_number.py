@@ -97,6 +97,7 @@ def padded(curve: LightCurve, theta: torch.Tensor, count: int) -> torch.Tensor:
     return torch.cat([theta[None], points(curve, count)[1:]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_in_any_order_of_calls(name):
     """Each call on a model to which calls of other kinds and other theta were made before in a random order, against

@@ -118,6 +118,7 @@ def test_a_short_chain_from_a_bound_has_the_posterior_of_a_grid():
     assert float(drawn.mean()) == pytest.approx(float(marginal @ diff / marginal.sum()), rel=0.2)
 
 
+@pytest.mark.long
 def test_data_that_say_nothing_give_the_prior_back():
     """Errors of 1000 mag: n is log-uniform, and the reflectances are uniform on their triangle."""
     scene = setting.object_1({"body": BODY, "panel": setting.FREE})
@@ -150,6 +151,7 @@ def test_every_move_leaves_a_normal_distribution_as_it_is():
             assert stats.kstest(column, stats.norm.cdf).pvalue > 1e-3, type(move)
 
 
+@pytest.mark.long
 def test_modes_are_all_visited_and_weighed():
     """A cube turned by a quarter looks as before: the prior alone weighs the quarters."""
     text = (
@@ -191,6 +193,7 @@ def chain_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return backend.get_chain(), backend.get_log_prob()
 
 
+@pytest.mark.long
 def test_a_killed_chain_resumes_to_the_same_end(tmp_path):
     """SIGKILL once the first block is on disk; resumed, the chain is the undisturbed one to the bit."""
     whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
@@ -252,6 +255,7 @@ def test_walkers_that_disagree_do_not_pass_for_a_converged_chain():
     assert not posterior(draws[:, :3]).converged and "for an R-hat" in posterior(draws[:, :3]).reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps", [3, 60, 2000])
 def test_what_is_told_of_a_chain_is_what_arviz_says_of_the_exported_one(steps: int, tmp_path: Path):
     """fit.json, the table of the report and the sentence against arviz.summary of posterior.nc."""

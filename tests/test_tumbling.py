@@ -95,6 +95,7 @@ def test_both_frequencies_are_in_the_light(seen: tuple[Rows, FacetLight], rates:
     )
 
 
+@pytest.mark.long
 def test_the_state_is_found_from_its_frequencies(
     seen: tuple[Rows, FacetLight], rates: tuple[float, float]
 ) -> None:
@@ -119,6 +120,7 @@ def long_axis(seconds: np.ndarray) -> np.ndarray:
     return tumbling(seconds + START, POLE, LONG_MOMENTS, RATE, LONG_NUTATION, 0.21)
 
 
+@pytest.mark.long
 def test_the_long_axis_mode_is_found_from_its_light(tmp_path: Path) -> None:
     """Euler's equations with the angular momentum 60 deg from the short axis: beyond the border, which Landau and Lifshitz's section 37
     puts at asin sqrt((1/I2 - 1/I3) / (1/I1 - 1/I3)) = 27 deg. Frequencies counted in the integration are among the eight likeliest

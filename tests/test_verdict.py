@@ -282,6 +282,7 @@ def test_a_set_whose_members_were_never_fitted_alone_is_tried_with_free_sizes(ba
     assert Hypothesis(("zero_point_drift",), search.robust, NOMINAL) in search.visited
 
 
+@pytest.mark.long
 def test_beside_another_law_of_reflection_the_effect_is_still_named(tmp_path) -> None:
     """A box of Cook and Torrance's metal, which the scene takes for Ashikhmin and Shirley's, and a drift: under the wrong law the light of
     the lobe's flanks is blamed on something else."""

@@ -194,6 +194,7 @@ def test_three_thousand_exposures_of_a_spinner(n):
     assert limits(model, model.theta()) == []
 
 
+@pytest.mark.long
 def test_instants_that_memory_does_not_allow_are_told_with_their_size():
     """A spinning stage of 672 facets: what the warning says is what even instants say, to a factor of two."""
     stage = """

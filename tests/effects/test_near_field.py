@@ -79,6 +79,7 @@ def test_a_small_plate_with_a_lobe_is_one_elsewhere_seen_from_there(tmp_path):
     )  # the plate is 1e-4 rad wide
 
 
+@pytest.mark.long
 def test_at_the_typical_distance_a_glint_is_spread_over_the_face(tmp_path):
     """A plate with a lobe of 2 deg: pieces are fine enough, for twice as fine ones change nothing."""
     wide = still(

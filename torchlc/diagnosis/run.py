@@ -188,7 +188,9 @@ def _where(
     if odds.verdict == "missing_physics":
         # rows that err as in the answer: a law with bad rows would call what is missing bad, and leave the materials alone
         alike = search.visited.get(replace(final.hypothesis, added=()), null)
-        bares = [at for one, at in search.visited.items() if not one.added and one.law == final.hypothesis.law]
+        bares = [
+            at for one, at in search.visited.items() if not one.added and one.law == final.hypothesis.law
+        ]
         return locate(alike, final, fitted_bare(search, final), found, bares)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     odd = search.strongest()

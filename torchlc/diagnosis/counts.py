@@ -1,0 +1,134 @@
+"""How often a body turned between the parts of a recording: where an effect that drives its phase has to begin.
+
+With a phase for each night, or curve, a model fits whatever turns lie between them. That these phases are whole turns then leaves a
+lattice of rates, and of what changes them: from each of its points a descent comes to another minimum, and from none to its
+neighbour. Letters: N parts, T rows, P coordinates, C counts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns
+from torchlc.diagnosis.probes import MOST_S, each_best
+from torchlc.effects import effect_class, registry
+from torchlc.inference.density import AT_ONCE, Fitted, Posterior
+from torchlc.inference.posterior import WIDE_MAG, descend, fit
+from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.noise import Noise
+from torchlc.stages.entry import Entry
+
+WIDTH = 4.0
+"""Standard deviations of a phase within which counts are tried."""
+MOST = 1500
+"""Counts that are kept from part to part."""
+LEADING, STEPS = 12, 6
+"""Counts that a few steps are made from, and how many."""
+OWN_DEG = 0.2
+"""Error of a phase that is not of the rows: the light bends within it."""
+LEAST_PRECISION = 1e-9
+
+
+def phase_entry(bench: Workbench) -> str | None:
+    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none can."""
+    divisions = [one for one in ("night", "curve") if one in bench.divisions()]
+    for name, cls in registry().items():
+        if divisions and cls.whole_turn and cls(None).missing(bench.base.context) is None:
+            return Entry(name, None, divisions[0]).plain
+    return None
+
+
+def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, phase: str) -> Tensor:
+    """Values (S, P) of theta from which the ``target`` may fit: those of the counts of turns that suit the rows best. ``loose`` is the
+    same model with ``phase`` beside it, ``at`` a fit that it is begun from."""
+    parameters = loose.model.parameter_set
+    theta = carried(parameters, at.theta[None], at.names)
+    columns = effect_columns(parameters, phase)
+    begin = each_best(bench, at, loose, phase, theta)[0]
+    assert begin is not None
+    theta[:, columns] = begin
+    free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
+    kinds = [one.origin.role for one in parameters.free]
+    turning = [one for one in loose.physical if one not in columns and kinds[one] in ("attitude", "effects")]
+    values, spread = _by_the_rows(free, columns, turning)
+    own = spread[: len(columns), : len(columns)]
+    whole = effect_class(phase).whole_turn / _alike(bench)
+    deg = values[: len(columns)]
+    counts = _counts(deg / whole, own / whole**2, _from_longest(bench, phase))
+    towards = torch.linalg.solve(own, (whole * counts - deg).T)
+    theta = free.theta.repeat(len(counts), 1)
+    theta[:, turning] = values[len(columns) :] + (spread[len(columns) :, : len(columns)] @ towards).T
+    bounds = theta.new_tensor([[one.prior.low, one.prior.high] for one in parameters.free])
+    theta = theta[((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]))[:, turning].all(1)]
+    return _leading(target, at, carried(target.model.parameter_set, theta, loose.model.names))
+
+
+def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[Tensor, Tensor]:
+    """What the rows, and all priors but those of the ``phases``, say of these and of the numbers ``turning``: natural values (N + K,) at the
+    minimum and their covariance. In natural values the light is linear over as many turns as there may be."""
+    columns = [*phases, *turning]
+    rest = [one for one in free.posterior.physical if one not in columns]
+    step = torch.zeros_like(free.g)
+    step[columns] = 1e-3
+    apart = free.posterior.theta(free.g + step) - free.posterior.theta(free.g - step)
+    slope = torch.cat([apart[columns].clamp(min=1e-12) / 2e-3, step.new_ones(len(rest))])
+    slopes = free.whitened(free.slopes[:, [*columns, *rest]]) / slope
+    believed = torch.where(torch.arange(len(slope)) < len(phases), LEAST_PRECISION, 1 / slope**2)
+    left = slopes.T @ free.whitened(free.delta[:, None])[:, 0]
+    left[len(phases) :] += free.g[[*turning, *rest]] / slope[len(phases) :]
+    covariance = torch.linalg.inv(slopes.T @ slopes + torch.diag(believed))
+    found = free.theta[columns] - (covariance @ left)[: len(columns)]
+    covariance = covariance[: len(columns), : len(columns)]
+    own = torch.arange(len(phases))
+    covariance[own, own] += OWN_DEG**2
+    return found, covariance
+
+
+def _alike(bench: Workbench) -> int:
+    """Turns within one after each of which the body looks the same."""
+    return FacetLight.of(bench.base).symmetry(bench.base.attitude.about_spin_axis[-1])
+
+
+def _from_longest(bench: Workbench, phase: str) -> list[int]:
+    """The parts, the one of most time first, others as they are farther from it."""
+    part, names = bench.base.row_index[str(Entry.parse(phase).per)]
+    seconds = bench.base.context.seconds
+    each = [seconds[part == one] for one in range(len(names))]
+    middle = torch.stack([0.5 * (one.max() + one.min()) for one in each])
+    longest = int(torch.stack([one.max() - one.min() for one in each]).argmax())
+    return torch.argsort((middle - middle[longest]).abs(), stable=True).tolist()
+
+
+def _counts(off: Tensor, spread: Tensor, order: list[int]) -> Tensor:
+    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``."""
+    found, distance = off.new_zeros(1, 0), off.new_zeros(1)
+    for k, one in enumerate(order):
+        known = order[:k]
+        pull = torch.linalg.solve(spread[known][:, known], spread[known, one])
+        sd = float((spread[one, one] - pull @ spread[known, one]).clamp(min=0).sqrt())
+        expected = off[one] + (found - off[known]) @ pull
+        reach = min(math.ceil(WIDTH * sd), MOST // 2)
+        steps = torch.arange(-reach, reach + 1, dtype=off.dtype)
+        tried = expected.round()[:, None] + steps
+        total = distance[:, None] + ((tried - expected[:, None]) / max(sd, 1e-9)).square()
+        nearest = torch.argsort(total.flatten())[:MOST]
+        of = nearest // len(steps)
+        found = torch.cat([found[of], tried.flatten()[nearest, None]], 1)
+        distance = total.flatten()[nearest]
+    return found[:, torch.argsort(torch.tensor(order))]
+
+
+def _leading(target: Posterior, at: Fitted, theta: Tensor) -> Tensor:
+    """The best of values (C, P) by the rows, as far as there is time to look at them, after a few steps from each: with errors so
+    wide that a phase that is a little off counts little."""
+    g = target.coordinates(theta[: max(LEADING, int(MOST_S / max(target.seconds_each, 1e-9)))])
+    wide = Noise().wider(g.new_tensor([WIDE_MAG]))
+    with torch.no_grad():
+        density = torch.cat(
+            [target.likelihood.density(target.residuals(some), wide) for some in g.split(AT_ONCE)]
+        )
+    best = torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:LEADING]
+    return target.theta(descend(target, g[best], STEPS, wide)[0])

@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns
+from torchlc.diagnosis.hypotheses import MOST_OBJECTS, Workbench, carried, effect_columns
 from torchlc.diagnosis.probes import MOST_S, each_best
 from torchlc.effects import effect_class, registry
 from torchlc.inference.density import AT_ONCE, Fitted, Posterior
@@ -28,15 +28,25 @@ MOST = 1500
 LEADING, STEPS = 12, 6
 """Counts that a few steps are made from, and how many."""
 OWN_DEG = 0.2
-"""Error of a phase that is not of the rows: the light bends within it."""
+"""Error of a phase beyond that of the rows, for what is linear here and is not in the light: the drift within a night."""
 LEAST_PRECISION = 1e-9
+"""Of a phase whose prior is left out, 1/deg2: that a night tells nothing of it leaves nothing that cannot be inverted."""
+
+
+FLAT = 10.0
+"""Standard deviations, in widths of the bounds, of what is believed alike between these: what lies beyond is left out afterwards."""
+COMMON = 0.01
+"""Relative difference up to which a number is a phase of all parts in common."""
 
 
 def phase_entry(bench: Workbench) -> str | None:
-    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none can."""
+    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none can, or where there are too many."""
     divisions = [one for one in ("night", "curve") if one in bench.divisions()]
+    if not divisions or len(bench.base.row_index[divisions[0]][1]) > MOST_OBJECTS:
+        return None
+    present = {effect.name for effect in bench.base.effects}
     for name, cls in registry().items():
-        if divisions and cls.whole_turn and cls(None).missing(bench.base.context) is None:
+        if cls.whole_turn and name not in present and cls(None).missing(bench.base.context) is None:
             return Entry(name, None, divisions[0]).plain
     return None
 
@@ -47,23 +57,36 @@ def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Poste
     parameters = loose.model.parameter_set
     theta = carried(parameters, at.theta[None], at.names)
     columns = effect_columns(parameters, phase)
-    begin = each_best(bench, at, loose, phase, theta)[0]
-    assert begin is not None
-    theta[:, columns] = begin
-    free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
     kinds = [one.origin.role for one in parameters.free]
     turning = [one for one in loose.physical if one not in columns and kinds[one] in ("attitude", "effects")]
+    begin = each_best(bench, at, loose, phase, theta)[0]
+    none = at.theta.new_zeros(0, len(target.model.names))
+    if not turning or begin is None:
+        return none
+    theta[:, columns] = begin
+    free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
     values, spread = _by_the_rows(free, columns, turning)
-    own = spread[: len(columns), : len(columns)]
+    if not bool(torch.isfinite(spread).all()):
+        return none
+    deg, own = values[: len(columns)], spread[: len(columns), : len(columns)]
+    pull = torch.linalg.solve(own, spread[: len(columns), len(columns) :])
     whole = effect_class(phase).whole_turn / _alike(bench)
-    deg = values[: len(columns)]
-    counts = _counts(deg / whole, own / whole**2, _from_longest(bench, phase))
-    towards = torch.linalg.solve(own, (whole * counts - deg).T)
-    theta = free.theta.repeat(len(counts), 1)
-    theta[:, turning] = values[len(columns) :] + (spread[len(columns) :, : len(columns)] @ towards).T
-    bounds = theta.new_tensor([[one.prior.low, one.prior.high] for one in parameters.free])
-    theta = theta[((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]))[:, turning].all(1)]
-    return _leading(target, at, carried(target.model.parameter_set, theta, loose.model.names))
+    bounds = theta.new_tensor(
+        [[parameters.free[k].prior.low, parameters.free[k].prior.high] for k in turning]
+    )
+    low, high = bounds.unbind(1)
+    shift = whole * pull.sum(0)
+    most = int((shift.abs() / (high - low)).argmax())
+    common = bool((shift[most].abs() / whole - 1).abs() < COMMON)
+    counts = _counts(deg / whole, own / whole**2, _from_longest(bench, phase), common)
+    found = values[len(columns) :] + (whole * counts - deg) @ pull
+    if common:
+        found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
+    found = found[((found >= low) & (found <= high)).all(1)]
+    theta = free.theta.repeat(len(found), 1)
+    theta[:, turning] = found
+    begun = carried(target.model.parameter_set, theta, loose.model.names)
+    return _leading(target, begun) if len(begun) else none
 
 
 def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[Tensor, Tensor]:
@@ -79,7 +102,7 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
     believed = torch.where(torch.arange(len(slope)) < len(phases), LEAST_PRECISION, 1 / slope**2)
     left = slopes.T @ free.whitened(free.delta[:, None])[:, 0]
     left[len(phases) :] += free.g[[*turning, *rest]] / slope[len(phases) :]
-    covariance = torch.linalg.inv(slopes.T @ slopes + torch.diag(believed))
+    covariance = torch.linalg.inv_ex(slopes.T @ slopes + torch.diag(believed)).inverse
     found = free.theta[columns] - (covariance @ left)[: len(columns)]
     covariance = covariance[: len(columns), : len(columns)]
     own = torch.arange(len(phases))
@@ -102,10 +125,11 @@ def _from_longest(bench: Workbench, phase: str) -> list[int]:
     return torch.argsort((middle - middle[longest]).abs(), stable=True).tolist()
 
 
-def _counts(off: Tensor, spread: Tensor, order: list[int]) -> Tensor:
-    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``."""
-    found, distance = off.new_zeros(1, 0), off.new_zeros(1)
-    for k, one in enumerate(order):
+def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> Tensor:
+    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``. ``common``: those that differ
+    by the same in all parts are one."""
+    found, distance = off.new_zeros(1, int(common)), off.new_zeros(1)
+    for k, one in list(enumerate(order))[int(common) :]:
         known = order[:k]
         pull = torch.linalg.solve(spread[known][:, known], spread[known, one])
         sd = float((spread[one, one] - pull @ spread[known, one]).clamp(min=0).sqrt())
@@ -121,7 +145,7 @@ def _counts(off: Tensor, spread: Tensor, order: list[int]) -> Tensor:
     return found[:, torch.argsort(torch.tensor(order))]
 
 
-def _leading(target: Posterior, at: Fitted, theta: Tensor) -> Tensor:
+def _leading(target: Posterior, theta: Tensor) -> Tensor:
     """The best of values (C, P) by the rows, as far as there is time to look at them, after a few steps from each: with errors so
     wide that a phase that is a little off counts little."""
     g = target.coordinates(theta[: max(LEADING, int(MOST_S / max(target.seconds_each, 1e-9)))])

@@ -40,7 +40,8 @@ COMMON = 0.01
 
 
 def phase_entry(bench: Workbench) -> str | None:
-    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none can, or where there are too many."""
+    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none
+    can, or where there are too many."""
     divisions = [one for one in ("night", "curve") if one in bench.divisions()]
     if not divisions or len(bench.base.row_index[divisions[0]][1]) > MOST_OBJECTS:
         return None
@@ -99,9 +100,13 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
     apart = free.posterior.theta(free.g + step) - free.posterior.theta(free.g - step)
     slope = torch.cat([apart[columns].clamp(min=1e-12) / 2e-3, step.new_ones(len(rest))])
     slopes = free.whitened(free.slopes[:, [*columns, *rest]]) / slope
-    believed = torch.where(torch.arange(len(slope)) < len(phases), LEAST_PRECISION, 1 / slope**2)
-    left = slopes.T @ free.whitened(free.delta[:, None])[:, 0]
-    left[len(phases) :] += free.g[[*turning, *rest]] / slope[len(phases) :]
+    believed, pulled = 1 / slope**2, free.g[[*columns, *rest]] / slope
+    believed[: len(phases)], pulled[: len(phases)] = LEAST_PRECISION, 0.0
+    for place, one in enumerate(turning, len(phases)):
+        prior = free.model.parameter_set.free[one].prior
+        if not prior.peaked:
+            believed[place], pulled[place] = 1 / (FLAT * (prior.high - prior.low)) ** 2, 0.0
+    left = slopes.T @ free.whitened(free.delta[:, None])[:, 0] + pulled
     covariance = torch.linalg.inv_ex(slopes.T @ slopes + torch.diag(believed)).inverse
     found = free.theta[columns] - (covariance @ left)[: len(columns)]
     covariance = covariance[: len(columns), : len(columns)]

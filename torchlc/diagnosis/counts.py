@@ -35,6 +35,8 @@ LEAST_PRECISION = 1e-9
 
 FLAT = 10.0
 """Standard deviations, in widths of the bounds, of what is believed alike between these: what lies beyond is left out afterwards."""
+STEP = 1e-5
+"""Of coordinates, for the slopes of natural values: a Cauchy distribution's bend by 1e-5 of themselves over 1e-3."""
 COMMON = 0.01
 """Relative difference up to which a number is a phase of all parts in common."""
 
@@ -96,9 +98,9 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
     columns = [*phases, *turning]
     rest = [one for one in free.posterior.physical if one not in columns]
     step = torch.zeros_like(free.g)
-    step[columns] = 1e-3
+    step[columns] = STEP
     apart = free.posterior.theta(free.g + step) - free.posterior.theta(free.g - step)
-    slope = torch.cat([apart[columns].clamp(min=1e-12) / 2e-3, step.new_ones(len(rest))])
+    slope = torch.cat([apart[columns].clamp(min=1e-12) / (2 * STEP), step.new_ones(len(rest))])
     slopes = free.whitened(free.slopes[:, [*columns, *rest]]) / slope
     believed, pulled = 1 / slope**2, free.g[[*columns, *rest]] / slope
     believed[: len(phases)], pulled[: len(phases)] = LEAST_PRECISION, 0.0
@@ -133,7 +135,8 @@ def _from_longest(bench: Workbench, phase: str) -> list[int]:
 def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> Tensor:
     """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``. ``common``: those that differ
     by the same in all parts are one."""
-    found, distance = off.new_zeros(1, int(common)), off.new_zeros(1)
+    # from a number far from its own the others would be sought along what the rows hardly tell
+    found, distance = off[order[: int(common)]].round()[None], off.new_zeros(1)
     for k, one in list(enumerate(order))[int(common) :]:
         known = order[:k]
         pull = torch.linalg.solve(spread[known][:, known], spread[known, one])

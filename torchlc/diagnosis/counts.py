@@ -109,7 +109,9 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
         if not prior.peaked:
             believed[place], pulled[place] = 1 / (FLAT * (prior.high - prior.low)) ** 2, 0.0
     left = slopes.T @ free.whitened(free.delta[:, None])[:, 0] + pulled
-    covariance = torch.linalg.inv_ex(slopes.T @ slopes + torch.diag(believed)).inverse
+    precision = slopes.T @ slopes + torch.diag(believed)
+    scale = torch.diagonal(precision).sqrt()  # hours and degrees: unscaled, digits are lost
+    covariance = torch.linalg.inv_ex(precision / scale[:, None] / scale).inverse / scale[:, None] / scale
     found = free.theta[columns] - (covariance @ left)[: len(columns)]
     covariance = covariance[: len(columns), : len(columns)]
     own = torch.arange(len(phases))

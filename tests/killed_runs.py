@@ -41,7 +41,6 @@ GONE_S = 60.0
 def main(folder: Path, kills: int, command: list[str]) -> None:
     processes.START_METHOD = "fork"  # spawned workers would import for seconds
     random.seed(8)
-    assert wait(start([*command, "-o", str(folder / "warm")])) == 0
     began = time.monotonic()
     assert wait(start([*command, "-o", str(folder / "alone")])) == 0
     longest = latest = time.monotonic() - began

@@ -85,3 +85,35 @@ def test_named(name: str, tmp_path: Path) -> None:
         spread = values[short]["sd"]
         assert spread < LARGEST_SD * truth
         assert abs(values[short]["median"] - truth) < SIGMAS * spread
+
+
+NIGHTS = (0.0, 1.07, 1.93, 4.11, 7.02)
+"""Days, not whole ones: nights a day apart would leave one turn more in each open."""
+MS_A_DAY = 2.0
+
+
+def test_a_drift_is_named_whatever_turned_between_nights(tmp_path: Path) -> None:
+    """Over a week the turn comes a whole turn later: the count from the scene's own numbers is wrong in every night but the first, and the
+    phase starts elsewhere."""
+    after = 6.1 * np.arange(50)
+    passes = [
+        (86400 * day, after, Circle.past(30.0 + 20 * k, 20.0 - 9 * k, 40.0, after[-1], 19000.0))
+        for k, day in enumerate(NIGHTS)
+    ]
+    rate = MS_A_DAY / 86400e3
+    text = recording(
+        BODY, lambda seconds: steady(seconds, unit_of(*POLE), PERIOD_S, 0.2, rate), passes,
+        materials=(20.0, 0.2, 0.35), noise=NOISE, rng=np.random.default_rng(19),
+    )  # fmt: skip
+    (tmp_path / "recording.ecsv").write_text(text)
+    known = scene(BODY, (PERIOD_S, PERIOD_S / 1.005, PERIOD_S * 1.005)).splitlines()
+    known = [f"pole = [{POLE[0]}, {POLE[1]}]" if line.startswith("pole") else line for line in known]
+    (tmp_path / "scene.toml").write_text("\n".join(known))
+    nominal = load_scene(tmp_path / "scene.toml")
+    observed = load_recording(tmp_path / "recording.ecsv", nominal)
+    effects = ["period_drift", "spin_rate_offset", "start_phase"]
+    content = diagnose(nominal, observed, effects=effects, budget=25.0).to_json()
+    assert (content["verdict"], content["named"]) == ("missing_physics", ["period_drift"])
+    found = content["candidates"][0]["parameters"]["ms_per_day"]
+    assert found["sd"] < 0.01 * MS_A_DAY
+    assert abs(found["median"] - MS_A_DAY) < SIGMAS * found["sd"]

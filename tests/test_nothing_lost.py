@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 from tests.killed_runs import check_files
+from tests.rotating_bodies import write_turning
 from tests.small_case import write_case
 from tests.warm import said
 
-KILLS = 6
-"""Half of them just after a file was written, where most can go wrong; ``python -m tests.killed_runs`` does more."""
+KILLS = {"fit": 6, "diagnose": 6, "campaign": 6, "rotation": 2}
+"""Half of them just after a file was written, where most can go wrong; ``python -m tests.killed_runs`` does more. Each run of a
+search for a rotation takes as long as several of the others."""
 ROOT = Path(__file__).parent.parent
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 QUICK = ["--quick", "--effects", "zero_point_drift"]
@@ -32,20 +34,22 @@ def write_manifest(folder: Path) -> Path:
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("verb", ["fit", "diagnose", "campaign"])
+@pytest.mark.parametrize("verb", KILLS)
 def test_killed_again_and_again(verb: str, tmp_path: Path, warm: tuple[str, Path]):
-    scene, recording = map(str, write_case(tmp_path, rows=9))
+    scene, recording = map(
+        str, write_turning(tmp_path) if verb == "rotation" else write_case(tmp_path, rows=9)
+    )
     command = {  # one worker: two that are forked hold open what tells the other that its campaign is gone
         "fit": ["fit", scene, recording, "--steps", "160", "--walkers", "10", "--seed", "3"],
         "diagnose": ["diagnose", scene, recording, *QUICK],
         "campaign": ["campaign", str(write_manifest(tmp_path)), "--workers", "1"],
+        "rotation": ["rotation", scene, recording, "--shortest", "29.9", "--longest", "30.1"],
     }
-    code, output, error = said(
-        warm[0], ["killed", str(tmp_path / "runs"), str(KILLS), *command[verb], "--quiet"], env=ENVIRONMENT
-    )
+    arguments = ["killed", str(tmp_path / "runs"), str(KILLS[verb]), *command[verb], "--quiet"]
+    code, output, error = said(warm[0], arguments, env=ENVIRONMENT)
     assert code == 0, error[-2000:]
     told = json.loads(output.splitlines()[-1])
-    assert told["killed"] == KILLS and told["left"] > 0
+    assert told["killed"] == KILLS[verb] and told["left"] > 0
 
 
 @pytest.mark.long

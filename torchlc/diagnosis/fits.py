@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.counts import counted_starts, phase_entry
 from torchlc.diagnosis.hypotheses import (
     SCALE,
     Hypothesis,
@@ -25,6 +26,7 @@ from torchlc.diagnosis.probes import (
     scanned_column,
     scanned_hours,
 )
+from torchlc.effects import effect_class
 from torchlc.files.steps import Steps
 from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.evidence import Evidence
@@ -36,6 +38,7 @@ from torchlc.inference.posterior import (
     material_starts,
     merged,
 )
+from torchlc.stages.entry import Entry
 
 REACH = 12.0
 """Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
@@ -202,6 +205,7 @@ class Fits:
             modes = find_modes(posterior.likelihood, starts=2 * STARTS, adam_steps=60, seed=self.seed)[0]
             starts = [torch.stack([mode.theta for mode in modes[:BEAM]])]
         found = self.refit(hypothesis, torch.cat(starts))
+        found = self.from_counts(found, found)
         for noise in self.noises():
             if noise != self.robust:
                 self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
@@ -240,8 +244,22 @@ class Fits:
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
         new = self.refit(hypothesis, starts, at, turns=1, most=2)
+        if effect_class(entry).stage == "spin" and Entry.parse(entry).per is None:
+            new = self.from_counts(new, at)
         posterior.model.forget()
         return self.rescanned(entry, new)
+
+    def from_counts(self, new: Fitted, at: Fitted) -> Fitted:
+        """A fit of what turns tried again from each count of turns between nights or curves that suits the rows best, as told beside
+        another fit: descents come to none but the nearest."""
+        phase = phase_entry(self.bench)
+        if phase is None or new.posterior.dear or not self.bench.compatible(new.hypothesis, phase):
+            return new
+        loose = self.posterior(new.hypothesis.with_effect(phase))
+        if loose.dear:
+            return new
+        starts = counted_starts(self.bench, at, new.posterior, loose, phase)[:PLACES]
+        return self.refit(new.hypothesis, starts, at, turns=1) if len(starts) else new
 
     def rescanned(self, entry: str, at: Fitted) -> Fitted:
         """A fit of an effect that no descent finds the row of, tried again at every row from where it came to."""

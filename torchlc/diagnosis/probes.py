@@ -16,6 +16,9 @@ from torchlc.stages.entry import Entry
 
 GRID = 24
 """Values that are tried of an effect of one or two parameters, and for each parameter of one that has more."""
+MOST_GRID = 120
+"""Values of an offset whose parts may lie anywhere within its bounds, where they cost little: 3 deg of a phase, which a glint of a lobe of
+exponent 200 is wide."""
 MOST_S = 0.5
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
@@ -107,7 +110,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
         together = max(float((scores - 1.0).sum()), 0.0)
         members = torch.arange(len(torch.unique(part)))
         of = members.repeat_interleave(len(psi))
-        begin, gained, farther = _each_best(bench, at, posterior, entry, theta)
+        begin, gained, farther = each_best(bench, at, posterior, entry, theta)
         if begin is not None:
             moved, of = torch.cat([moved, farther]), torch.cat([of, members])
         promised = max(together, gained)
@@ -205,17 +208,19 @@ def turns(posterior: Posterior, entry: str) -> bool:
     return bool(posterior.turning(effect_columns(posterior.model.parameter_set, entry)))
 
 
-def _each_best(
+def each_best(
     bench: Workbench, at: Fitted, posterior: Posterior, entry: str, theta: Tensor
 ) -> tuple[Tensor | None, float, Tensor]:
     """Of a divided offset whose parts may lie anywhere within its bounds: the values (k,) at which each part has the least sum of
-    squares, of GRID that all parts are given alike, what these take off the sum less what they cost in the prior, and the
+    squares, of GRID to MOST_GRID that all parts are given alike, what these take off the sum less what they cost in the prior, and the
     whitened change of the light (k, T) by each. No descent finds an offset that is farther than the light follows in proportion."""
     if not _anywhere(entry):
         return None, 0.0, at.delta.new_zeros(0, len(at.delta))
     parameters, (quantity,) = posterior.likelihood.model.parameter_set, effect_class(entry).quantities
     columns = effect_columns(parameters, entry)
-    edges = torch.linspace(quantity.low, quantity.high, GRID + 1, dtype=theta.dtype)
+    affordable = int(MOST_S / max(seconds_a_geometry(posterior, entry), 1e-9))
+    count = max(GRID, min(MOST_GRID, affordable))
+    edges = torch.linspace(quantity.low, quantity.high, count + 1, dtype=theta.dtype)
     tried = torch.cat([theta.new_tensor([quantity.off or 0.0]), 0.5 * (edges[1:] + edges[:-1])])
     many = theta.repeat(len(tried), 1)
     many[:, columns] = tried[:, None]

@@ -22,6 +22,7 @@ class StartPhase(Effect):
     shown = Shown(LABORATORY, TIME, {"deg": 10.0})
     stage = "spin"
     divisible = True
+    whole_turn = 360.0
     prior_odds = 0.1
     """What is recorded under the sky has its times, and a clock is more often wrong than the turn by as much."""
     quantities = (

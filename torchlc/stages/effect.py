@@ -197,6 +197,7 @@ class Effect(nn.Module):
     scatter that is worked out for mid-exposure alone; ``reshapes_lobe`` a material that gives lobes another form, so that no
     table of theirs serves it; ``joins_parts`` a surface that every other part has a hand in, and so costs much for a new
     geometry; ``shifts_clock`` a clock whose first quantity is an offset, s, the same for all instants of a row;
+    ``whole_turn`` of a divisible phase of the spin what a turn is in its unit, 0 of all else;
     ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
     the quantity that is the height, km, of the air that takes sunlight away; ``timed_by_rows`` marks numbers that mean
     something for one recording alone, for they count time from its rows; ``prior_odds`` is how probable the effect is,
@@ -233,6 +234,7 @@ class Effect(nn.Module):
     reshapes_lobe: ClassVar[bool] = False
     joins_parts: ClassVar[bool] = False
     shifts_clock: ClassVar[bool] = False
+    whole_turn: ClassVar[float] = 0.0
     timed_by_rows: ClassVar[bool] = False
     prior_odds: ClassVar[float] = 1.0
     unable: ClassVar[str] = "the scene has nothing of this name"

@@ -1,0 +1,168 @@
+"""How often a body turned between the parts of a recording: where an effect that drives its phase has to begin.
+
+With a phase for each night, or curve, a model fits whatever turns lie between them. That these phases are whole turns then leaves a
+lattice of rates, and of what changes them: from each of its points a descent comes to another minimum, and from none to its
+neighbour. Letters: N parts, T rows, P coordinates, C counts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchlc.diagnosis.hypotheses import MOST_OBJECTS, Workbench, carried, effect_columns
+from torchlc.diagnosis.probes import MOST_S, each_best
+from torchlc.effects import effect_class, registry
+from torchlc.inference.density import AT_ONCE, Fitted, Posterior
+from torchlc.inference.posterior import WIDE_MAG, descend, fit
+from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.noise import Noise
+from torchlc.stages.entry import Entry
+
+WIDTH = 4.0
+"""Standard deviations of a phase within which counts are tried."""
+MOST = 1500
+"""Counts that are kept from part to part."""
+LEADING, STEPS = 12, 6
+"""Counts that a few steps are made from, and how many."""
+OWN_DEG = 0.2
+"""Error of a phase beyond that of the rows, for what is linear here and is not in the light: the drift within a night."""
+LEAST_PRECISION = 1e-9
+"""Of a phase whose prior is left out, 1/deg2: that a night tells nothing of it leaves nothing that cannot be inverted."""
+
+
+FLAT = 10.0
+"""Standard deviations, in widths of the bounds, of what is believed alike between these: what lies beyond is left out afterwards."""
+STEP = 1e-5
+"""Of coordinates, for the slopes of natural values: a Cauchy distribution's bend by 1e-5 of themselves over 1e-3."""
+COMMON = 0.01
+"""Relative difference up to which a number is a phase of all parts in common."""
+
+
+def phase_entry(bench: Workbench) -> str | None:
+    """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none
+    can, or where there are too many."""
+    divisions = [one for one in ("night", "curve") if one in bench.divisions()]
+    if not divisions or len(bench.base.row_index[divisions[0]][1]) > MOST_OBJECTS:
+        return None
+    present = {effect.name for effect in bench.base.effects}
+    for name, cls in registry().items():
+        if cls.whole_turn and name not in present and cls(None).missing(bench.base.context) is None:
+            return Entry(name, None, divisions[0]).plain
+    return None
+
+
+def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, phase: str) -> Tensor:
+    """Values (S, P) of theta from which the ``target`` may fit: those of the counts of turns that suit the rows best. ``loose`` is the
+    same model with ``phase`` beside it, ``at`` a fit that it is begun from."""
+    parameters = loose.model.parameter_set
+    theta = carried(parameters, at.theta[None], at.names)
+    columns = effect_columns(parameters, phase)
+    kinds = [one.origin.role for one in parameters.free]
+    turning = [one for one in loose.physical if one not in columns and kinds[one] in ("attitude", "effects")]
+    begin = each_best(bench, at, loose, phase, theta)[0]
+    none = at.theta.new_zeros(0, len(target.model.names))
+    if not turning or begin is None:
+        return none
+    theta[:, columns] = begin
+    free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
+    values, spread = _by_the_rows(free, columns, turning)
+    if not bool(torch.isfinite(spread).all()):
+        return none
+    deg, own = values[: len(columns)], spread[: len(columns), : len(columns)]
+    pull = torch.linalg.solve(own, spread[: len(columns), len(columns) :])
+    whole = effect_class(phase).whole_turn / _alike(bench)
+    bounds = theta.new_tensor(
+        [[parameters.free[k].prior.low, parameters.free[k].prior.high] for k in turning]
+    )
+    low, high = bounds.unbind(1)
+    shift = whole * pull.sum(0)
+    most = int((shift.abs() / (high - low)).argmax())
+    common = bool((shift[most].abs() / whole - 1).abs() < COMMON)
+    counts = _counts(deg / whole, own / whole**2, _from_longest(bench, phase), common)
+    found = values[len(columns) :] + (whole * counts - deg) @ pull
+    if common:
+        found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
+    found = found[((found >= low) & (found <= high)).all(1)]
+    theta = free.theta.repeat(len(found), 1)
+    theta[:, turning] = found
+    begun = carried(target.model.parameter_set, theta, loose.model.names)
+    return _leading(target, begun) if len(begun) else none
+
+
+def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[Tensor, Tensor]:
+    """What the rows, and all priors but those of the ``phases``, say of these and of the numbers ``turning``: natural values (N + K,) at the
+    minimum and their covariance. In natural values the light is linear over as many turns as there may be."""
+    columns = [*phases, *turning]
+    rest = [one for one in free.posterior.physical if one not in columns]
+    step = torch.zeros_like(free.g)
+    step[columns] = STEP
+    apart = free.posterior.theta(free.g + step) - free.posterior.theta(free.g - step)
+    slope = torch.cat([apart[columns].clamp(min=1e-12) / (2 * STEP), step.new_ones(len(rest))])
+    slopes = free.whitened(free.slopes[:, [*columns, *rest]]) / slope
+    believed, pulled = 1 / slope**2, free.g[[*columns, *rest]] / slope
+    believed[: len(phases)], pulled[: len(phases)] = LEAST_PRECISION, 0.0
+    for place, one in enumerate(turning, len(phases)):
+        prior = free.model.parameter_set.free[one].prior
+        if not prior.peaked:
+            believed[place], pulled[place] = 1 / (FLAT * (prior.high - prior.low)) ** 2, 0.0
+    left = slopes.T @ free.whitened(free.delta[:, None])[:, 0] + pulled
+    precision = slopes.T @ slopes + torch.diag(believed)
+    scale = torch.diagonal(precision).sqrt()  # hours and degrees: unscaled, digits are lost
+    covariance = torch.linalg.inv_ex(precision / scale[:, None] / scale).inverse / scale[:, None] / scale
+    found = free.theta[columns] - (covariance @ left)[: len(columns)]
+    covariance = covariance[: len(columns), : len(columns)]
+    own = torch.arange(len(phases))
+    covariance[own, own] += OWN_DEG**2
+    return found, covariance
+
+
+def _alike(bench: Workbench) -> int:
+    """Turns within one after each of which the body looks the same."""
+    return FacetLight.of(bench.base).symmetry(bench.base.attitude.about_spin_axis[-1])
+
+
+def _from_longest(bench: Workbench, phase: str) -> list[int]:
+    """The parts, the one of most time first, others as they are farther from it."""
+    part, names = bench.base.row_index[str(Entry.parse(phase).per)]
+    seconds = bench.base.context.seconds
+    each = [seconds[part == one] for one in range(len(names))]
+    middle = torch.stack([0.5 * (one.max() + one.min()) for one in each])
+    longest = int(torch.stack([one.max() - one.min() for one in each]).argmax())
+    return torch.argsort((middle - middle[longest]).abs(), stable=True).tolist()
+
+
+def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> Tensor:
+    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``. ``common``: those that differ
+    by the same in all parts are one."""
+    # from a number far from its own the others would be sought along what the rows hardly tell
+    found, distance = off[order[: int(common)]].round()[None], off.new_zeros(1)
+    for k, one in list(enumerate(order))[int(common) :]:
+        known = order[:k]
+        pull = torch.linalg.solve(spread[known][:, known], spread[known, one])
+        sd = float((spread[one, one] - pull @ spread[known, one]).clamp(min=0).sqrt())
+        expected = off[one] + (found - off[known]) @ pull
+        reach = min(math.ceil(WIDTH * sd), MOST // 2)
+        steps = torch.arange(-reach, reach + 1, dtype=off.dtype)
+        tried = expected.round()[:, None] + steps
+        total = distance[:, None] + ((tried - expected[:, None]) / max(sd, 1e-9)).square()
+        nearest = torch.argsort(total.flatten())[:MOST]
+        of = nearest // len(steps)
+        found = torch.cat([found[of], tried.flatten()[nearest, None]], 1)
+        distance = total.flatten()[nearest]
+    return found[:, torch.argsort(torch.tensor(order))]
+
+
+def _leading(target: Posterior, theta: Tensor) -> Tensor:
+    """The best of values (C, P) by the rows, as far as there is time to look at them, after a few steps from each: with errors so
+    wide that a phase that is a little off counts little."""
+    g = target.coordinates(theta[: max(LEADING, int(MOST_S / max(target.seconds_each, 1e-9)))])
+    wide = Noise().wider(g.new_tensor([WIDE_MAG]))
+    with torch.no_grad():
+        density = torch.cat(
+            [target.likelihood.density(target.residuals(some), wide) for some in g.split(AT_ONCE)]
+        )
+    best = torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:LEADING]
+    return target.theta(descend(target, g[best], STEPS, wide)[0])

@@ -260,7 +260,7 @@ class TestFiles:
 
 def test_more_than_1000_components_are_refused():
     boxes = "".join(BODY.replace('"body"', f'"{index}"', 1) for index in range(1000))
-    with pytest.raises(InputError, match="components: 1001 values; expected 1000"):
+    with pytest.raises(InputError, match="components: 1001 values; expected at most 1000"):
         read(SCENE.replace(BODY, boxes).replace("[materials.body]", "[materials.body]"))
 
 

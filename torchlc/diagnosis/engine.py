@@ -212,7 +212,9 @@ class Search(Fits):
                 if not self.clock.left(0.7) or self.exactly(*chosen):
                     continue
                 hypothesis = Hypothesis(tuple(chosen), self.robust)
-                if refit_seconds(self.posterior(hypothesis)) >= DEAR_FIT_S:  # though each of them alone is not
+                if (
+                    refit_seconds(self.posterior(hypothesis)) >= DEAR_FIT_S
+                ):  # though each of them alone is not
                     continue
                 parameters = self.posterior(hypothesis).model.parameter_set
                 theta = carried(parameters, at.theta[None], at.names)

@@ -212,10 +212,8 @@ class Search(Fits):
                 if not self.clock.left(0.7) or self.exactly(*chosen):
                     continue
                 hypothesis = Hypothesis(tuple(chosen), self.robust)
-                if (
-                    refit_seconds(self.posterior(hypothesis)) >= DEAR_FIT_S
-                ):  # though each of them alone is not
-                    continue
+                if refit_seconds(self.posterior(hypothesis)) >= DEAR_FIT_S:
+                    continue  # dear together, though each of them alone is not
                 parameters = self.posterior(hypothesis).model.parameter_set
                 theta = carried(parameters, at.theta[None], at.names)
                 for entry, psi in chosen.items():

@@ -395,15 +395,20 @@ class Search(Fits):
         return found
 
     def integrate(self) -> None:
-        """Evidence by importance sampling of what is near the leader, until the order of the leaders stands."""
+        """Evidence by importance sampling of what is near the leader, until the order of the leaders stands. Where time ends before all
+        of them have it none gets it: Laplace's method may be off by as much as they are apart, and alike for all."""
         for _ in range(2):
             top = self.log_odds(self.leader)
+            made: dict[Hypothesis, Fitted] = {}
             for one in self.ranked()[: 2 * MOST_LOOKED]:
-                if self.log_odds(one) < top - NEAR or not self.clock.left(0.95):
+                if self.log_odds(one) < top - NEAR:
                     break
+                if not self.clock.left(0.95):
+                    return
                 if self.visited[one].evidence is None:
                     draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
-                    self.visited[one] = self.weighed(self.visited[one], draws)
+                    made[one] = self.weighed(self.visited[one], draws)
+            self.visited.update(made)
 
     def nominal_sizes(self) -> None:
         """Sizes that are only nominal in the place of the area that the leading set adds."""

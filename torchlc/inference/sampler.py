@@ -247,69 +247,19 @@ def sample(
     ``walkers`` defaults to 6 a parameter, at least 32. ``write`` puts the chain on disk. Raises InputError if
     ``resume`` finds a chain of another problem, or one that is damaged.
     """
-    import emcee
-
     budget = Budget() if budget is None else budget
     likelihood = fit.likelihood
-    names = likelihood.model.names
-    dimensions = len(names)
-    count = walkers if walkers is not None else max(32, 6 * dimensions)
-    count += count % 2
-    if count < 2 * dimensions + 2:
-        raise InputError(
-            None,
-            "--walkers",
-            f"{count} walkers",
-            f"at least {2 * dimensions + 2} for {dimensions} parameters",
-        )
-    origin = chain_origin(likelihood, count, seed)
+    count = _number_of_walkers(walkers, len(likelihood.model.names))
     moving = likelihood if exactly or not budget.left() else expanded(fit)
-    backend = emcee.backends.Backend()
-    density = log_density(moving)
-    sampler = emcee.EnsembleSampler(
-        count,
-        dimensions,
-        density,
-        moves=moves(replace(fit, likelihood=moving)),
-        vectorize=True,
-        backend=backend,
+    sampler = _ensemble(replace(fit, likelihood=moving), count)
+    file = (
+        None if chain_file is None else _ChainFile(chain_file, chain_origin(likelihood, count, seed), write)
     )
-    # in place of emcee's wrapper, which prints a traceback of its own at Ctrl-C
-    sampler.log_prob_fn = density  # pyright: ignore[reportAttributeAccessIssue]
-    state = None
-    if resume and chain_file is not None:
-        state = _resumed(chain_file, backend, origin, density)
+    state = file.resumed(sampler) if resume and file is not None else None
     if state is None:
-        start = initial_walkers(fit, count, seed)
-        state = emcee.State(start.numpy(), random_state=np.random.RandomState(seed).get_state())
-        backend.reset(count, dimensions)
-    limit = steps if steps is not None else longest
-    due = _next_check(backend.iteration)
-    finished = backend.iteration >= limit
-    if steps is None and backend.iteration == due:
-        finished = finished or _progress(likelihood, backend) >= 1
-    written, clock = backend.iteration, time.monotonic()
-    share, cut = 0.0, False
-    while not finished:
-        block = 1 if budget.bounded else min(BLOCK, limit - backend.iteration)
-        state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
-        finished = backend.iteration >= limit
-        if steps is not None:
-            share = backend.iteration / limit
-        elif backend.iteration >= due:
-            share = _progress(likelihood, backend)
-            finished = finished or share >= 1
-            due = _next_check(backend.iteration + 1)
-        cut = not finished and not budget.left()
-        finished = finished or cut
-        if progress is not None:
-            spent = budget.spent / (budget.spent + budget.remaining)
-            progress("emcee", min(max(share, backend.iteration / limit, spent), 0.99))
-        grown = backend.iteration >= written + max(200, written // 4)
-        if chain_file is not None and (grown or time.monotonic() > clock + WRITE_EVERY_S or finished):
-            write_chain(chain_file, backend, origin, write)
-            written, clock = backend.iteration, time.monotonic()
-    posterior = _posterior(likelihood, backend)
+        state = _started(sampler, initial_walkers(fit, count, seed), seed)
+    cut = _run(sampler, state, _Goal(likelihood, steps, longest), file, budget, progress)
+    posterior = _posterior(likelihood, sampler.backend)
     if cut:
         posterior = replace(
             posterior, note=f"; stopped when the {budget.seconds:.0f} CPU seconds allowed were spent"
@@ -334,6 +284,135 @@ def sample(
     return replace(
         again, note="; exact at every step, for of draws by an expansion of the geometry too few counted"
     )
+
+
+def _number_of_walkers(wanted: int | None, dimensions: int) -> int:
+    """An even number, of which each half spans the parameters; InputError where ``wanted`` is too few for that."""
+    count = wanted if wanted is not None else max(32, 6 * dimensions)
+    count += count % 2
+    if count < 2 * dimensions + 2:
+        raise InputError(
+            None,
+            "--walkers",
+            f"{count} walkers",
+            f"at least {2 * dimensions + 2} for {dimensions} parameters",
+        )
+    return count
+
+
+def _ensemble(fit: Fit, walkers: int) -> emcee.EnsembleSampler:
+    """emcee's sampler of a fit's density; its backend is the chain in memory."""
+    import emcee
+
+    density = log_density(fit.likelihood)
+    sampler = emcee.EnsembleSampler(
+        walkers,
+        len(fit.likelihood.model.names),
+        density,
+        moves=moves(fit),
+        vectorize=True,
+        backend=emcee.backends.Backend(),
+    )
+    # in place of emcee's wrapper, which prints a traceback of its own at Ctrl-C
+    sampler.log_prob_fn = density  # pyright: ignore[reportAttributeAccessIssue]
+    return sampler
+
+
+def _started(sampler: emcee.EnsembleSampler, walkers: Tensor, seed: int) -> emcee.State:
+    """The state before the first step of a new chain, from walkers (W, P)."""
+    import emcee
+
+    sampler.backend.reset(*walkers.shape)
+    return emcee.State(walkers.numpy(), random_state=np.random.RandomState(seed).get_state())
+
+
+class _Goal:
+    """How far a chain has to go: ``steps`` of them, or until it is long enough and its walkers agree, at most ``longest``.
+    ``share`` is how much of the latter the chain had when it was last judged."""
+
+    def __init__(self, likelihood: Likelihood, steps: int | None, longest: int) -> None:
+        self.likelihood = likelihood
+        self.fixed = steps is not None
+        self.limit = longest if steps is None else steps
+        self.share = 0.0
+        self._due: int | None = None
+
+    def reached(self, chain: emcee.backends.Backend) -> bool:
+        """Whether the chain need not go on. Its autocorrelation is looked at only at the lengths of :func:`_next_check`."""
+        length = chain.iteration
+        if not self.fixed:
+            due = _next_check(length) if self._due is None else self._due
+            if length >= due:
+                self.share = _progress(self.likelihood, chain)
+                due = _next_check(length + 1)
+            self._due = due
+        return length >= self.limit or self.share >= 1
+
+
+class _ChainFile:
+    """Where a chain is put on disk, whole, each time it has grown by a quarter or WRITE_EVERY_S have passed, and at its end."""
+
+    def __init__(self, path: Path, origin: Mapping[str, Any], write: Write) -> None:
+        self.path, self.origin, self.write = path, origin, write
+        self._length, self._clock = 0, time.monotonic()
+
+    def resumed(self, sampler: emcee.EnsembleSampler) -> emcee.State | None:
+        """The last state of the chain on disk, with which the sampler's backend is filled; None if there is none."""
+        stored = read_chain(self.path)
+        if stored is None:
+            return None
+        check_origin(self.path, stored, self.origin)
+        backend = sampler.backend
+        backend.reset(*stored.steps.shape[1:])
+        backend.grow(len(stored.steps), None)
+        backend.chain[:] = stored.steps
+        backend.log_prob[:] = stored.log_prob
+        backend.accepted[:] = stored.accepted
+        backend.iteration = len(stored.steps)
+        backend.random_state = stored.random_state
+        last: Any = backend.get_last_sample()
+        if not np.allclose(sampler.log_prob_fn(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
+            raise InputError(
+                self.path,
+                None,
+                "densities that this version of torchlc does not give for its last step",
+                "the chain of this version",
+                "Remove it to start anew",
+            )
+        self._length = backend.iteration
+        return last
+
+    def keep(self, chain: emcee.backends.Backend, *, finished: bool) -> None:
+        """Write the chain if it is due."""
+        grown = chain.iteration >= self._length + max(200, self._length // 4)
+        if grown or finished or time.monotonic() > self._clock + WRITE_EVERY_S:
+            write_chain(self.path, chain, self.origin, self.write)
+            self._length, self._clock = chain.iteration, time.monotonic()
+
+
+def _run(
+    sampler: emcee.EnsembleSampler,
+    state: emcee.State | None,
+    goal: _Goal,
+    file: _ChainFile | None,
+    budget: Budget,
+    progress: Progress | None,
+) -> bool:
+    """Move the ensemble until its chain reaches the goal; True where the budget was spent before."""
+    chain = sampler.backend
+    finished, cut = goal.reached(chain), False
+    while not finished:
+        block = 1 if budget.bounded else min(BLOCK, goal.limit - chain.iteration)
+        state = sampler.run_mcmc(state, block, skip_initial_state_check=True)
+        finished = goal.reached(chain)
+        cut = not finished and not budget.left()
+        finished = finished or cut
+        if progress is not None:
+            spent = budget.spent / (budget.spent + budget.remaining)
+            progress("emcee", min(max(goal.share, chain.iteration / goal.limit, spent), 0.99))
+        if file is not None:
+            file.keep(chain, finished=finished)
+    return cut
 
 
 def expanded(fit: Fit) -> Likelihood:
@@ -396,36 +475,6 @@ def _next_check(iteration: int) -> int:
     while due < iteration:
         due += BLOCK * max(1, due // (10 * BLOCK))
     return due
-
-
-def _resumed(
-    path: Path,
-    backend: emcee.backends.Backend,
-    origin: Mapping[str, Any],
-    density: Callable[[np.ndarray], np.ndarray],
-) -> emcee.State | None:
-    """Fill the in-memory backend from a chain on disk; None if there is none."""
-    stored = read_chain(path)
-    if stored is None:
-        return None
-    check_origin(path, stored, origin)
-    backend.reset(*stored.steps.shape[1:])
-    backend.grow(len(stored.steps), None)
-    backend.chain[:] = stored.steps
-    backend.log_prob[:] = stored.log_prob
-    backend.accepted[:] = stored.accepted
-    backend.iteration = len(stored.steps)
-    backend.random_state = stored.random_state
-    last: Any = backend.get_last_sample()
-    if not np.allclose(density(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
-        raise InputError(
-            path,
-            None,
-            "densities that this version of torchlc does not give for its last step",
-            "the chain of this version",
-            "Remove it to start anew",
-        )
-    return last
 
 
 def _tau(backend: emcee.backends.Backend) -> np.ndarray:

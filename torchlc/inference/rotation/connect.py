@@ -8,6 +8,7 @@ distance in the covariance of phases and frequencies. Letters: N passes.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,78 +47,107 @@ def connections(
     rows: Rows, local: Local, symmetry: int, *, changing: bool, bounds: tuple[float, float]
 ) -> Connections:
     """Counts of turns that join the passes of a solution; ``changing``: the period may change. ``bounds``: of f."""
-    passes = rows.passes
-    middles = rows.middle.numpy()
-    reference = float(middles.mean())
-    phases = local.phases.numpy()
-    turning = local.frequencies.numpy()
-    covariance = local.covariance.numpy().copy()
-    own = np.arange(passes)
-    covariance[passes + own, passes + own] += local.own_error**2
-    covariance[own, own] += (0.3 * local.own_error / np.maximum(rows.span.numpy(), 1e-3)) ** 2
-    prior = RATE_A_DAY / DAY_S * local.frequency
-    free = 3 if changing else 2
-    elapsed = middles - reference
-    design = np.zeros((2 * passes + 1, 3))
-    design[:passes] = np.stack([np.zeros(passes), np.ones(passes), elapsed], 1)
-    design[passes:-1] = np.stack([np.ones(passes), elapsed, elapsed**2 / 2], 1)
-    design[-1] = [0.0, 0.0, 1.0]
-    full = np.zeros((2 * passes + 1, 2 * passes + 1))
-    full[:-1, :-1], full[-1, -1] = covariance, prior**2
-    extent, start = max(float(np.ptp(middles)), 1.0), np.array([0.0, local.frequency, 0.0])
-    order = np.argsort(np.abs(middles - middles[np.argmax(rows.span.numpy())]), kind="stable")
-    beams: list[dict[int, int]] = [{int(order[0]): 0}]
+    line = _PhaseLine(rows, local, symmetry, changing)
+    # from the longest pass, whose phase and frequency are known best, to those ever farther from it
+    order = np.argsort(np.abs(line.middles - line.middles[np.argmax(rows.span.numpy())]), kind="stable")
+    kept: list[dict[int, int]] = [{int(order[0]): 0}]
     complete = True
+    for one in order[1:]:
+        kept, all_of_them = _extended(line, kept, int(one))
+        complete = complete and all_of_them
+    found = []
+    for known in kept:
+        result, _, distance = line.solved(known)
+        if bounds[0] <= result[1] <= bounds[1]:
+            counts = tuple(known[one] for one in range(rows.passes))
+            phase, frequency, change = (float(number) for number in result)
+            found.append(Connection(counts, line.reference, phase, frequency, change, distance))
+    return Connections(tuple(sorted(found, key=lambda one: one.distance)), complete)
 
-    def solved(known: dict[int, int]) -> tuple[np.ndarray, np.ndarray, float]:
-        at = [*range(passes), *(passes + one for one in known), 2 * passes]
-        values = np.array([*turning, *(phases[one] + k / symmetry for one, k in known.items()), 0.0])
-        weight = np.linalg.inv(full[np.ix_(at, at)])
-        part = design[at][:, :free]
-        scale = np.array([1.0, 1 / extent, 1 / extent**2])[:free]
-        scaled = part * scale
+
+class _PhaseLine:
+    """phi0, f and g of the module's phi(t) by least squares from the frequencies of all passes and the phases of those whose counts
+    are known. g is 0 unless ``changing``, and has a prior of RATE_A_DAY."""
+
+    def __init__(self, rows: Rows, local: Local, symmetry: int, changing: bool) -> None:
+        self.passes, self.symmetry = rows.passes, symmetry
+        self.middles = rows.middle.numpy()
+        self.reference = float(self.middles.mean())
+        self.phases, self.frequencies = local.phases.numpy(), local.frequencies.numpy()
+        self.free = 3 if changing else 2
+        self.start = np.array([0.0, local.frequency, 0.0])
+        self.covariance = _covariance(rows, local)
+        self.design = _design(self.middles - self.reference)
+        # solved in turns over the whole extent: in turns a second the normal matrix spans too many decades
+        extent = max(float(np.ptp(self.middles)), 1.0)
+        self.scale = np.array([1.0, 1 / extent, 1 / extent**2])[: self.free]
+
+    def solved(self, known: Mapping[int, int]) -> tuple[np.ndarray, np.ndarray, float]:
+        """(phi0, f, g), their covariance (3, 3), and the squared distance of the data from them, in standard deviations."""
+        rows = [*range(self.passes), *(self.passes + one for one in known), 2 * self.passes]
+        phases = [self.phases[one] + count / self.symmetry for one, count in known.items()]
+        values = np.array([*self.frequencies, *phases, 0.0])
+        weight = np.linalg.inv(self.covariance[np.ix_(rows, rows)])
+        part = self.design[rows][:, : self.free]
+        scaled = part * self.scale
         inverse = np.linalg.pinv(scaled.T @ weight @ scaled, hermitian=True, rcond=1e-18)
-        about = values - part @ start[:free]
+        about = values - part @ self.start[: self.free]
         step = inverse @ (scaled.T @ weight @ about)
         left = about - scaled @ step
-        result, spread = start.copy(), np.zeros((3, 3))
-        result[:free] += scale * step
-        spread[:free, :free] = inverse * scale[:, None] * scale
+        result, spread = self.start.copy(), np.zeros((3, 3))
+        result[: self.free] += self.scale * step
+        spread[: self.free, : self.free] = inverse * self.scale[:, None] * self.scale
         return result, spread, float(left @ weight @ left)
 
-    for one in order[1:]:
-        one = int(one)
-        row = design[passes + one]
-        grown: list[tuple[float, dict[int, int]]] = []
-        for known in beams:
-            result, spread, _ = solved(known)
-            sd = float(np.sqrt(row @ spread @ row + covariance[passes + one, passes + one]))
-            expected = (row @ result - phases[one]) * symmetry
-            reach = min(WIDTH * sd * symmetry, MOST)
-            if WIDTH * sd * symmetry > MOST:
-                complete = False
-            around = range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1)
-            grown += [(abs(k - expected), {**known, one: k}) for k in around]
-            if len(grown) > 4 * MOST:
-                complete = False
-                break
-        judged = sorted(
-            ((solved(known)[2], n, known) for n, (_, known) in enumerate(grown)), key=lambda entry: entry[:2]
-        )
-        if len(judged) > MOST:
+    def expected_count(self, known: Mapping[int, int], one: int) -> tuple[float, float]:
+        """The count of a further pass, not rounded, and its standard deviation."""
+        result, spread, _ = self.solved(known)
+        place = self.passes + one
+        row = self.design[place]
+        deviation = float(np.sqrt(row @ spread @ row + self.covariance[place, place]))
+        return (row @ result - self.phases[one]) * self.symmetry, deviation * self.symmetry
+
+
+def _covariance(rows: Rows, local: Local) -> np.ndarray:
+    """(2 N + 1, 2 N + 1) of the frequencies, the phases, and the prior of g; the first two with what the light of facets leaves out."""
+    passes = rows.passes
+    own = np.arange(passes)
+    measured = local.covariance.numpy().copy()
+    measured[passes + own, passes + own] += local.own_error**2
+    measured[own, own] += (0.3 * local.own_error / np.maximum(rows.span.numpy(), 1e-3)) ** 2
+    whole = np.zeros((2 * passes + 1, 2 * passes + 1))
+    whole[:-1, :-1], whole[-1, -1] = measured, (RATE_A_DAY / DAY_S * local.frequency) ** 2
+    return whole
+
+
+def _design(elapsed: np.ndarray) -> np.ndarray:
+    """d (frequencies, phases, g) / d (phi0, f, g), (2 N + 1, 3), at ``elapsed`` (N,) s."""
+    nothing, every = np.zeros_like(elapsed), np.ones_like(elapsed)
+    frequencies = np.stack([nothing, every, elapsed], 1)
+    phases = np.stack([every, elapsed, elapsed**2 / 2], 1)
+    return np.concatenate([frequencies, phases, [[0.0, 0.0, 1.0]]])
+
+
+def _extended(
+    line: _PhaseLine, kept: Sequence[dict[int, int]], one: int
+) -> tuple[list[dict[int, int]], bool]:
+    """The sets of counts with those of one more pass that may be right, best first, and whether these are all."""
+    complete = True
+    grown: list[tuple[float, dict[int, int]]] = []
+    for known in kept:
+        expected, deviation = line.expected_count(known, one)
+        reach = WIDTH * deviation
+        if reach > MOST:
+            reach, complete = MOST, False
+        around = range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1)
+        grown += [(abs(k - expected), {**known, one: k}) for k in around]
+        if len(grown) > 4 * MOST:
             complete = False
-        beams = [known for _, _, known in judged[:MOST]]
-        if not beams:
-            return Connections((), complete)
-    found = []
-    for known in beams:
-        result, _, distance = solved(known)
-        if bounds[0] <= result[1] <= bounds[1]:
-            counts = tuple(known[one] for one in range(passes))
-            found.append(
-                Connection(counts, reference, float(result[0]), float(result[1]), float(result[2]), distance)
-            )
-    return Connections(tuple(sorted(found, key=lambda one: one.distance)), complete)
+            break
+    judged = sorted(
+        ((line.solved(known)[2], n, known) for n, (_, known) in enumerate(grown)), key=lambda entry: entry[:2]
+    )
+    return [known for _, _, known in judged[:MOST]], complete and len(judged) <= MOST
 
 
 def differences(counts: tuple[int, ...], symmetry: int) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.model_fit import fitted, loose_trial, sharpened
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.refine import Local
-from torchlc.inference.rotation.search import _period_at
+from torchlc.inference.rotation.turn_fits import period_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import iso_times
 
@@ -79,7 +79,7 @@ def test_nights_as_the_model_has_them_say_which_counts_of_turns_are_possible(tmp
         if [n - one.counts[0] for n in one.counts] == (whole - whole[0]).tolist()
     ]
     assert len(true) == 1 and abs(rates[true[0]] / RATE_MS - 1) < 0.01
-    assert abs(_period_at(near[true[0]], -float(first)) / PERIOD_S - 1) < 1e-5
+    assert abs(period_at(near[true[0]], -float(first)) / PERIOD_S - 1) < 1e-5
     chances = np.exp(-0.5 * np.array([one.distance for one in near]))
     chances /= chances.sum()
     mean = chances @ rates

@@ -14,10 +14,10 @@ from tests.rotating_bodies import Circle, box, recording, scene, steady, unit_of
 from torchlc.api import usable
 from torchlc.inference.rotation import pole_grid
 from torchlc.inference.rotation.facet_light import FacetLight
+from torchlc.inference.rotation.fixed_axis import STRUCTURE
 from torchlc.inference.rotation.kinds import FLOOR, unlike_sides
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.refine import Refiner
-from torchlc.inference.rotation.search import STRUCTURE
 from torchlc.lightcurve.model import LightCurve
 
 PERIOD_S, POLE = 61.7, unit_of(143.0, 36.0)

@@ -5,25 +5,20 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import ORDERS, Calendar, is_moment
-from torchlc.readers.roles import ROLES, VECTORS, stamp_of
-from torchlc.readers.table import METADATA, Header, first_row
-from torchlc.scene.reading import LESS_A_DATE, SINCE, TIME_FORMATS, Reading, is_time_format
+from torchlc.readers.dates import is_moment
+from torchlc.readers.roles import ROLES, VECTORS
+from torchlc.readers.table import Header, first_row
+from torchlc.readers.timing import FORMAT_WORDS, Timing
+from torchlc.scene.reading import LESS_A_DATE, Reading
 from torchlc.scene.timestamps import (
-    ISO,
     JULIAN_DATE,
-    MJD_ZERO,
     REDUCED,
-    REDUCED_ZERO,
-    UnreadableTime,
-    instant,
 )
 from torchlc.suggest import did_you_mean
 
@@ -42,61 +37,6 @@ UNITS = {
 UNITS |= {f"{prefix}_{axis}": u.km for prefix in ("sun", "obs", "r") for axis in "xyz"}
 UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
 EQUATORIAL = re.compile(r"(icrs|icrf|gcrs|gcrf|eme ?2000|j2000|fk5|equatorial)\b")
-DAY_S = 86400.0
-COUNTS = {
-    "jd": ((0.0, 0.0), 1.0),
-    "mjd": ((MJD_ZERO, 0.0), 1.0),
-    "jd-2400000": ((REDUCED_ZERO, 0.0), 1.0),
-    "unix": ((2440587.5, 0.0), DAY_S),
-    "unix-ms": ((2440587.5, 0.0), 1000.0 * DAY_S),
-    "gps": ((2444244.5, 19.0 / DAY_S), DAY_S),
-}
-"""Two-part Julian date from which the numbers of a time format count, and how many there are in a day. The clock of GPS
-began on 6 January 1980 and stays 19 s behind TAI."""
-UNITS_A_DAY = {"seconds": DAY_S, "minutes": 1440.0, "hours": 24.0, "days": 1.0}
-OWN_SCALES = {"unix": "utc", "unix-ms": "utc", "gps": "tai"}
-"""Time scales of formats that have one of their own."""
-SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
-"""Time scales that can be used, as people name them."""
-ON_A_CLOCK = re.compile(
-    r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])"
-)
-NAMES_OF_SCALES = {
-    "tt": r"terrestrial([ _-]dynamical)?[ _-]time",
-    "tdb": r"barycentric[ _-]dynamical[ _-]time|ephemeris[ _-]time",
-    "tai": r"(international[ _-])?atomic[ _-]time",
-    "tcb": r"barycentric[ _-]coordinate[ _-]time",
-    "tcg": r"geocentric[ _-]coordinate[ _-]time",
-    "utc": r"(coordinated[ _-])?universal[ _-]time",
-}
-"""Time scales whose names are written out. The ephemeris time of planetary ephemerides is TDB (Standish 1998)."""
-AT_THE_SUN = re.compile(
-    r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*(?![ _-](dynamical|coordinate)))(?![A-Za-z])",
-    re.IGNORECASE,
-)
-_EXPOSED = r"(expos\w*|integration|frame|shutter|obs|observation)"
-_CLOCK = r"(t|times?|dates?|m?jd|utc?)"
-_OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
-MARKS = {
-    mark: re.compile(
-        rf"\b{word}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{word}\b"
-        rf"|^({_CLOCK}[ _-]*((of|at)[ _-]*)?)?{word}([ _-]{_CLOCK})?$",
-        re.I,
-    )
-    for mark, word in (("start", _OPENS), ("end", _CLOSES))
-}
-"""How people say that a time stamp is not the middle of its exposure."""
-MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
-ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
-"""Keys of metadata that may say what the time stamps are."""
-OF_ANOTHER_CLOCK = re.compile(
-    r"\b(?i:local(time)?|civil ?time)\b|^LT$|\+ LT$"
-    r"|\b(CES?T|WES?T|EES?T|[ECMP][SD]T|BST|MSK|JST|KST|AE[SD]T)\b"
-    r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
-)
-"""Local time, by a word, the name of a zone or an offset from UTC."""
-PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
-"""Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
 LIKE_TIME = re.compile(r"time|date|jd|utc?\b|stamp|epoch|zeit|^t([ _(\[]|$)|second", re.IGNORECASE)
 LIKE_MAG = re.compile(r"(?<![a-z])mag|mag(?![a-z])|^[A-Z0-9]{1,3}-[A-Z0-9]{1,3}$|bright|hell", re.IGNORECASE)
 LIKE_FLUX = re.compile(r"flu[xs]|counts?|adu|intensity|sum", re.IGNORECASE)
@@ -114,30 +54,6 @@ FALSE_FRIENDS = (
     "flux_err",
 )
 """Columns of ours, never offered for another one that is missing."""
-
-
-def count_of(time_format: str, scale: str) -> tuple[tuple[float, float], float]:
-    """Two-part Julian date from which the numbers of ``time_format`` count, and how many there are in a day."""
-    if since := SINCE.fullmatch(time_format):
-        start: Any = instant(since[2], scale)
-        return (float(start.jd1), float(start.jd2)), UNITS_A_DAY[since[1]]
-    return COUNTS.get(time_format) or ((float(time_format.removeprefix("jd-")), 0.0), 1.0)
-
-
-@dataclass(frozen=True)
-class Timing:
-    """What the time stamps of a file are: their ``scale`` (utc, tai, tt, tdb), their ``format`` (one of
-    TIME_FORMATS, or "" where the cells decide), the ``mark`` of the exposure (start, mid, end), the ``zone`` of a
-    civil time, and to where the way of light was reduced (``light_path``: heliocentric, barycentric or empty); and
-    what has to be said of them.
-    """
-
-    scale: str
-    format: str
-    mark: str
-    notes: tuple[str, ...]
-    zone: str | None = None
-    light_path: str = ""
 
 
 def missing(header: Header, name: str, expected: str) -> InputError:
@@ -203,12 +119,6 @@ def _quoted(name: str) -> str:
     return f'"{name}"' if "," in name else name
 
 
-def ways_to_say(header: Header, key: str, value: str) -> str:
-    """Where a user says what a file does not."""
-    place = "in the metadata" if header.ecsv else "in a line above the header that begins with #"
-    return f"{key}: {value} {place}, or --columns {key}={value}"
-
-
 def brightness(header: Header, use: str | None) -> str:
     """ "mag" or "flux": ``use``, else what is there, mag first."""
     if use not in (None, "mag", "flux"):
@@ -221,187 +131,6 @@ def brightness(header: Header, use: str | None) -> str:
     if "mag" not in header.names and "flux" not in header.names:
         raise missing(header, "mag", "a column mag or flux")
     return "mag" if "mag" in header.names else "flux"
-
-
-def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing:
-    """What the user, the name and the description of ``time`` and the metadata say of the time stamps; InputError
-    where they cannot be brought to the middle of the exposure in UTC or TDB, or contradict each other.
-
-    ``located``: the direction of the object is known, so that a reduction to the Sun can be taken back.
-    """
-    stamp = stamp_of(header)
-    form = reading.time_format or _time_format(header) or stamp.format
-    given = reading.time_scale or header.meta.get("time_scale")
-    if form in OWN_SCALES:
-        if given and SCALES.get(str(given).strip().lower()) != OWN_SCALES[form]:
-            expected = f"{OWN_SCALES[form]}, in which times of that format are"
-            raise InputError(
-                header.source, "time_scale", f"{str(given)[:40]!r} beside the time format {form}", expected
-            )
-        given = OWN_SCALES[form]
-    scale = str(given or stamp.scale or "utc").strip().lower()
-    if scale not in SCALES:
-        hint = (
-            "A local time needs its zone: time_zone in [recording] of the scene."
-            if "local" in scale
-            else None
-        )
-        raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai or tt", hint)
-    scale, mark, notes = SCALES[scale], reading.time_mark or stamp.mark or "mid", list(header.notes)
-    known_scale = scale if given or stamp.scale else None
-    light_path = stamp.light_path
-    for place, text in _statements(header, reading):
-        if AT_THE_SUN.search(text):
-            light_path = light_path or (
-                "barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric"
-            )
-        stated = (
-            scale
-            if reading.time_scale or form in OWN_SCALES
-            else _stated_scale(header, reading, place, text, known_scale)
-        )
-        if stated not in (None, scale):
-            scale = stated
-            notes.append(f"{place} says {text[:60]!r}: the times are taken as {stated.upper()}")
-        for name, pattern in MARKS.items():
-            if reading.time_mark is not None or not pattern.search(text):
-                continue
-            if MIDDLE.search(text):
-                notes.append(f"{place} says {text[:60]!r}: the times are taken as mid-exposure")
-            else:
-                mark = name
-                notes.append(f"{place} says {text[:60]!r}: half of exptime is {_moved(name)} every time")
-    light_path = _light_path(header, reading, light_path, located)
-    notes += [
-        f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}"
-        for text in _remarks(header)
-        if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK))
-        and not (reading.time_zone or reading.time_mark or reading.light_path)
-    ]
-    mark = "mid" if mark == "middle" else mark
-    if mark != "mid" and "exptime" not in header.names and reading.exptime is None:
-        raise InputError(
-            header.source,
-            "column time",
-            f"the {mark} of the exposures",
-            "mid-exposure",
-            "Add a column exptime (s), by half of which the times are moved, or say --columns exptime=SECONDS; or "
-            "--columns time_mark=middle if they are times of mid-exposure",
-        )
-    if mark != "mid" and not any("half of exptime" in note for note in notes):
-        notes.append(
-            f"times are those of the {mark} of exposures: half of exptime is {_moved(mark)} every time"
-        )
-    if reading.time_zone and scale != "utc":
-        raise InputError(
-            header.source, "time_zone", f"beside the time scale {scale}", "UTC with a zone, or a scale"
-        )
-    if reading.time_zone:
-        notes.append(f"the times are civil time of the zone {reading.time_zone}, and converted to UTC")
-    return Timing(scale, form, mark, tuple(notes), reading.time_zone, light_path)
-
-
-def _light_path(header: Header, reading: Reading, stated: str, located: bool) -> str:
-    """To where the way of light was reduced; InputError where that cannot be taken back."""
-    path = stated if reading.light_path is None else reading.light_path
-    path = "" if path == "observer" else path
-    if path and not located:
-        name = header.theirs.get("time", "time")
-        said = next((text for _, text in _statements(header, reading) if AT_THE_SUN.search(text)), name)
-        raise InputError(
-            header.source,
-            "column time",
-            f"{said[:60]!r}",
-            "times at the observer",
-            f"Give UTC at the telescope: these are {path} times, and the way of light, up to 8.3 minutes, was taken off. "
-            "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
-            '--columns direction="120.5 -3.2"',
-        )
-    return path
-
-
-def _moved(mark: str) -> str:
-    return "added to" if mark == "start" else "taken from"
-
-
-def _statements(header: Header, reading: Reading) -> list[tuple[str, str]]:
-    """Place and text of what the name and description of ``time`` and the metadata say of the time stamps."""
-    place = "the description of time" if header.theirs.get("time", "time") == "time" else "the column of time"
-    statements = [(place, header.descriptions.get("time", ""))]
-    for key, value in header.meta.items():
-        if key in METADATA or not isinstance(value, str):
-            continue
-        if key.lower() in ("tz", "timezone", "time_zone"):
-            plainly_utc = r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?"
-            if reading.time_zone is None and not re.fullmatch(plainly_utc, value.strip(), re.IGNORECASE):
-                hint = (
-                    f"Convert it first, or say --columns time_zone={value.strip()[:40]} if that is what it is"
-                )
-                raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", hint)
-        elif ABOUT_TIME.search(key):
-            statements.append((f"metadata {key}", value))
-    return [(place, text) for place, text in statements if text.strip()]
-
-
-def _remarks(header: Header) -> list[str]:
-    """Comment lines, of a CSV or kept by astropy, that speak of time."""
-    kept = header.meta.get("comments", [])
-    lines = [*header.comments, *(kept if isinstance(kept, list) else [kept])]
-    return [
-        str(line) for line in lines if re.search(r"time|date|jd|utc|expos|stamp", str(line), re.IGNORECASE)
-    ]
-
-
-def _has_offset(header: Header) -> bool:
-    """Does the first time say its own offset from UTC, as in 2020-10-17T17:00:00+02:00?"""
-    cells, places = first_row(header), header.places("time")
-    if max(places) >= len(cells):
-        return False
-    text = "T".join(cells[place].strip() for place in places)
-    try:
-        match = ISO.fullmatch(Calendar(ORDERS[0]).iso([text])[0])
-    except UnreadableTime:
-        return False
-    return match is not None and match["offset"] is not None
-
-
-def _stated_scale(header: Header, reading: Reading, place: str, text: str, given: str | None) -> str | None:
-    """The time scale that a statement names, None where it names none; ``given`` is that of time_scale."""
-    if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
-        if reading.time_zone is not None or _has_offset(header):
-            return None
-        hint = (
-            "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
-        )
-        raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
-    named = {name.lower() for name in ON_A_CLOCK.findall(text)}
-    named |= {scale for scale, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
-    if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
-        named -= {"gps"}  # what keeps the clock, beside a scale that is told
-    known = {SCALES[name] for name in named if name in SCALES}
-    if given is not None and (not named or given in known):
-        return given
-    if len(known) == 1 and len(named) == 1 and given is None:
-        return known.pop()
-    if not named:
-        return None
-    said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
-    hint = (
-        f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai or tt)"
-    )
-    raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI or TT", hint)
-
-
-def _time_format(header: Header) -> str:
-    text = str(header.meta.get("time_format", "")).strip()
-    if not SINCE.fullmatch(text):
-        text = text.lower().replace(" ", "").replace("2400000.0", "2400000").replace("isot", "iso")
-    if text and not is_time_format(text):
-        raise InputError(header.source, "metadata time_format", repr(text[:40]), TIME_FORMATS)
-    unit = header.units.get("time", "d").lower()
-    if unit not in ("d", "day", "days", "jd", "mjd", "utc"):
-        raise InputError(header.source, "column time", f"unit {unit[:40]}", "d, for Julian dates")
-    return text or ("mjd" if unit == "mjd" else "")
 
 
 def frame(header: Header, scene: Scene | None) -> str | None:
@@ -551,14 +280,6 @@ def units_told(header: Header, kind: str) -> list[str]:
     return []
 
 
-FORMAT_WORDS = {
-    "jd": "Julian date",
-    "mjd": "modified Julian date, JD - 2400000.5",
-    "iso": "ISO",
-    "unix": "seconds since 1970",
-    "unix-ms": "milliseconds since 1970",
-    "gps": "seconds of GPS",
-}
 MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
 
 

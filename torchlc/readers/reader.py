@@ -10,11 +10,8 @@ import numpy as np
 from astropy.time import Time
 
 from torchlc.errors import InputError
-from torchlc.files.decimals import advice, decimal
 from torchlc.readers import declared, groups
-from torchlc.readers.civil_time import to_utc
 from torchlc.readers.copies import copies
-from torchlc.readers.dates import WHICH_ORDER, Calendar
 from torchlc.readers.empty_slots import empty_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
@@ -31,18 +28,10 @@ from torchlc.readers.table import (
     read_numbers,
     row_place,
     too_long,
-    with_point,
 )
+from torchlc.readers.time_cells import TimeReader
+from torchlc.readers.timing import timing
 from torchlc.scene.reading import Reading
-from torchlc.scene.timestamps import (
-    ISO,
-    JULIAN_DATE,
-    REDUCED,
-    UnreadableTime,
-    in_utc,
-    julian_dates_of_iso,
-    julian_dates_of_numbers,
-)
 from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -68,18 +57,8 @@ MARKERS = np.array(
 """-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
 CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
-OFFSET = re.compile(r":\d\d(\.\d+)?\s*[+-]\d\d", re.ASCII)
-"""An offset from UTC behind a time of day."""
-SECONDS_WITH_COMMA = re.compile(r"(:\d\d),(?=\d)", re.ASCII)
-"""ISO 8601 writes the share of a second behind a comma or a point."""
-WEEK_S = 604800.0
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
-SPREADSHEET_TO = 51000.0
-"""2039 in days of a spreadsheet, 1998 in modified Julian dates: recordings of objects of known elements are rarely older."""
-JULIAN_DATES_FROM = 2_400_000.0
-SECONDS_SINCE_1970 = (1e8, 1e10)
-"""1973 to 2286; in milliseconds a thousand times these."""
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
@@ -118,18 +97,15 @@ class _Reader:
         self.header, self.scene, self.reading, self.source = header, scene, reading, header.source
         self.dropped: dict[str, int] = {}
         self.kind = declared.brightness(header, use)
-        self.timing = declared.timing(header, reading, located=self._is_located())
-        self.scale = "tdb" if self.timing.scale == "tdb" else "utc"
-        self.time_format = self.timing.format
-        self.calendar = Calendar(reading.date_order or "")
-        self.offsets = False
+        self.timing = timing(header, reading, located=self._is_located())
+        self.times = TimeReader(header, self.timing, reading.date_order)
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
         self.units_told: list[str] = []
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
-        taken = declared.taken(header, reading, self.columns, self.timing, self.time_format)
+        taken = declared.taken(header, reading, self.columns, self.timing, self.times.format)
         self.warnings = [
             *taken,
             *self.timing.notes,
@@ -139,10 +115,9 @@ class _Reader:
         ]
         if reading.date_order:
             self.warnings.append(f"dates are read {reading.date_order}, as told")
-        elif self.calendar.because:
-            self.warnings.append(
-                f"dates are read {self.calendar.order}: {self.calendar.because} can be nothing else"
-            )
+        elif self.times.calendar.because:
+            calendar = self.times.calendar
+            self.warnings.append(f"dates are read {calendar.order}: {calendar.because} can be nothing else")
 
     def _is_located(self) -> bool:
         """Is the direction to the object known without its orbit about the Earth?"""
@@ -153,7 +128,7 @@ class _Reader:
 
     def _read(self) -> dict[str, np.ndarray]:
         needed, optional = declared.numeric_columns(self.header, self.scene, self.kind)
-        readers: dict[str, Any] = {"time": self._read_times, **self.labels}
+        readers: dict[str, Any] = {"time": self.times, **self.labels}
         readers |= dict.fromkeys([*needed, *(name for group in optional for name in group)], read_numbers)
         readers[self.kind] = self.limits
         if "upper_limit" in self.header.names:
@@ -175,93 +150,6 @@ class _Reader:
             else column
             for name, column in columns.items()
         }
-
-    def _read_times(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
-        """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
-        if header.decimal != ".":
-            cells = [with_point(cell, header.decimal) for cell in cells]
-        cells = [SECONDS_WITH_COMMA.sub(r"\1.", cell) if "," in cell else cell for cell in cells]
-        if not self.time_format:
-            self.time_format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
-        try:
-            if self.time_format == "iso":
-                texts = self._iso(cells)
-                days = julian_dates_of_iso(texts, self.timing.scale)
-                self._check_offsets(texts)
-            else:
-                if not all(map(str.strip, cells)):
-                    blank = next(index for index, cell in enumerate(cells) if not cell.strip())
-                    raise UnreadableTime(blank, "", "a time")
-                numbers = read_numbers(header, name, cells, start)
-                if self.time_format == "gps" and (short := np.flatnonzero(numbers < WEEK_S)).size:
-                    expected = "seconds since 1980-01-06, to which those of a week come if its number times 604800 is added"
-                    raise UnreadableTime(int(short[0]), cells[short[0]].strip(), expected)
-                zero, per_day = declared.count_of(self.time_format, self.timing.scale)
-                days = julian_dates_of_numbers(numbers, self.timing.scale, zero=zero, per_day=per_day)
-        except UnreadableTime as error:
-            place = row_place(start + error.index, name)
-            found = cells[error.index].strip() if self.time_format == "iso" else error.found
-            hint = self._time_hint(found, error.expected)
-            raise InputError(self.source, place, repr(found[:40]), error.expected, hint) from None
-        if self.timing.scale != self.scale:
-            days = in_utc(*days, self.timing.scale)
-        if self.timing.zone is not None:
-            try:
-                days = to_utc(*days, self.timing.zone)
-            except UnreadableTime as error:
-                place = row_place(start + error.index, name)
-                raise InputError(self.source, place, repr(error.found[:40]), error.expected) from None
-        return np.stack(days, axis=-1)
-
-    def _iso(self, cells: list[str]) -> list[str]:
-        """Cells as ISO texts; none may hold an offset of its own where the user tells the zone."""
-        cells = self.calendar.iso(cells)
-        if self.timing.zone is not None:
-            for index, cell in enumerate(cells):
-                match = ISO.fullmatch(cell)
-                if match and match["zone"]:
-                    raise UnreadableTime(index, cell, f"no offset beside time_zone = {self.timing.zone}")
-        return cells
-
-    def _check_offsets(self, texts: Sequence[str]) -> None:
-        """All times hold an offset from UTC, or "Z", where one of the file holds an offset."""
-        self.offsets |= OFFSET.search("\n".join(texts)) is not None
-        for index, cell in enumerate(texts if self.offsets else ()):
-            match = ISO.fullmatch(cell)
-            if match and match["zone"] is None:
-                raise UnreadableTime(index, cell, "an offset from UTC, as other times of the file have")
-
-    def _time_hint(self, found: str, expected: str) -> str | None:
-        """What to do about a time that is no Julian date but may be one of a known kind."""
-        try:
-            number = decimal(found)
-        except ValueError:
-            if expected == WHICH_ORDER:
-                return "Say --columns date_order=day-first, or --columns date_order=month-first"
-            return advice(found)
-        if self.header.decimal == "." and "," in found:
-            return "Write decimals with a point, or say --columns decimal=comma"
-        if self.time_format == "jd" and REDUCED[0] < number < REDUCED[1]:
-            mjd = declared.ways_to_say(self.header, "time_format", "mjd")
-            days = ", or for the days of a spreadsheet, since 1899-12-30, --columns time_format=jd-2415018.5"
-            return (
-                "Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: "
-                f"{mjd}{days if number < SPREADSHEET_TO else ''}"
-            )
-        for form, scale in (("unix", 1.0), ("unix-ms", 1000.0)):
-            if SECONDS_SINCE_1970[0] < number / scale < SECONDS_SINCE_1970[1] and self.time_format != form:
-                said = declared.ways_to_say(self.header, "time_format", form)
-                other = "; or time_format=gps for seconds of GPS, since 1980" if form == "unix" else ""
-                return f"Say, for {declared.FORMAT_WORDS[form]}, {said}{other}"
-        if self.time_format == "jd" and 0 <= number < REDUCED[0]:
-            return (
-                f"Days since another date: {declared.ways_to_say(self.header, 'time_format', 'jd-2450000')}; jd-2457000 "
-                "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: --columns "
-                '"time_format=seconds since 2020-10-17T16:31:00", with minutes, hours and days likewise'
-            )
-        if self.time_format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
-            return f"A whole Julian date: {declared.ways_to_say(self.header, 'time_format', 'jd')}"
-        return None
 
     def measurements(self, min_rows: int) -> Measurements:
         self._choose_object()
@@ -426,44 +314,47 @@ class _Reader:
         """Rows whose brightness, error or exposure is a number that stands for a missing one; an error of a limit is
         left open instead.
         """
-        self._drop_errors_that_are_markers()
-        value, error = self.columns[self.kind], self.columns.get(f"{self.kind}_err")
         limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
-        marked = np.zeros(len(self.rows), dtype=bool)
-        for name in (f"{self.kind}_err", "exptime"):  # which are never negative
-            column = self.columns.get(name)
-            if column is not None:
-                missing = np.isin(column, MARKERS)
-                column[missing & limit] = np.nan
-                marked |= missing & ~limit
-        if self.kind == "flux":
-            missing = np.isin(value, MARKERS)
-            if not ((value < 0) & ~missing).any():  # in a file of fluxes about 0, -99 may be one
-                marked |= missing
-            self._keep(~marked, "marked as missing")
-            return
-        beyond = np.isfinite(value) & (np.abs(value) > BEYOND_MAG)
+        marked, beyond = self._brightness_markers()
+        missing, far = self._error_markers()
+        error, exptime = self.columns.get(f"{self.kind}_err"), self.columns.get("exptime")
         if error is not None:
-            error[limit & (np.abs(error) > BEYOND_MAG)] = np.nan
-            beyond |= np.isfinite(error) & (np.abs(error) > BEYOND_MAG)
+            error[limit & (missing | far)] = np.nan
+            marked |= missing & ~limit
+            beyond |= far & np.isfinite(error)
+        if exptime is not None:  # never negative
+            missing = np.isin(exptime, MARKERS)
+            exptime[limit & missing] = np.nan
+            marked |= missing & ~limit
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
 
-    def _drop_errors_that_are_markers(self) -> None:
-        """A column of errors in which every row has a marker for a missing one says as little as one that is blank."""
+    def _brightness_markers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (T,) whose flux is a marker for a missing value, and rows whose magnitude is beyond all that shine."""
+        value, none = self.columns[self.kind], np.zeros(len(self.rows), dtype=bool)
+        if self.kind == "mag":
+            return none, np.isfinite(value) & (np.abs(value) > BEYOND_MAG)
+        missing = np.isin(value, MARKERS)
+        # in a file of fluxes about 0, -99 may be one
+        return (none if ((value < 0) & ~missing).any() else missing), none.copy()
+
+    def _error_markers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (T,) whose error, which is never negative, is a marker for a missing value, and rows whose error in mag is beyond all
+        sense. A column of which all says as little as one that is blank, and is taken away."""
         name = f"{self.kind}_err"
+        none = np.zeros(len(self.rows), dtype=bool)
         error = self.columns.get(name)
         if error is None:
-            return
+            return none, none
         missing = np.isin(error, MARKERS)
-        if self.kind == "mag":
-            missing |= np.abs(error) > BEYOND_MAG
+        far = np.abs(error) > BEYOND_MAG if self.kind == "mag" else none
         told = np.isfinite(error)
-        if told.any() and missing[told].all():
+        if told.any() and (missing | far)[told].all():
             self.warnings.append(
                 f"{name} is {error[told][0]:g} in all rows, a marker for a missing value: taken as absent"
             )
             del self.columns[name]
+        return missing, far
 
     def _suspect_markers(self) -> None:
         """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
@@ -593,7 +484,7 @@ class _Reader:
 
     def _time(self) -> Time:
         days = self.columns["time"]
-        return cast(Time, Time(days[:, 0], days[:, 1], format="jd", scale=self.scale))
+        return cast(Time, Time(days[:, 0], days[:, 1], format="jd", scale=self.times.scale))
 
     def _stations(self) -> tuple[np.ndarray, tuple[str, ...]]:
         """Station of each row as an index into the scene's stations, else into those that the file names."""

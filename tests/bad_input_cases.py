@@ -424,8 +424,11 @@ RECORDING_CASES = [
     _case("MJD as JD", "time_format: mjd", recording="time,mag\n59139.625,12.5\n59139.626,12.4\n"),
     _case("ISO among JD", "row 2, column time", recording=f"time,mag\n2459140.125,12\n{SECOND},12\n"),
     _case("JD among ISO", "row 2, column time", recording=f"time,mag\n{SECOND},12\n2459140.125,12\n"),
-    _case("no number", "no usable row (2 non-finite)", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
-    _case("no number, hint", "blank, NaN or infinite", recording=f"time,mag\n{FIRST},\n{SECOND},nan\n"),
+    _case(
+        "no number",
+        "no usable row (2 non-finite); expected at least 1 with finite numbers. A row is left out if a cell is blank, NaN or infinite",
+        recording=f"time,mag\n{FIRST},\n{SECOND},nan\n",
+    ),
     _case(
         "never above the horizon",
         "column alt: below 0 in all 3 rows",

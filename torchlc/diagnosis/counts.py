@@ -31,8 +31,6 @@ OWN_DEG = 0.2
 """Error of a phase beyond that of the rows, for what is linear here and is not in the light: the drift within a night."""
 LEAST_PRECISION = 1e-9
 """Of a phase whose prior is left out, 1/deg2: that a night tells nothing of it leaves nothing that cannot be inverted."""
-
-
 FLAT = 10.0
 """Standard deviations, in widths of the bounds, of what is believed alike between these: what lies beyond is left out afterwards."""
 STEP = 1e-5

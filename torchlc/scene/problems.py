@@ -56,8 +56,6 @@ def of_validation(source: str | Path | None, error: ValidationError) -> InputErr
 
 
 MOST_BITS = 4096
-MOST_OF_A_VECTOR = 4
-"""Lists whose length is bounded by so few hold vectors or quaternions, and have to have just as many values."""
 
 
 def shown(value: Any) -> str:
@@ -103,7 +101,8 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
             return _choice(place, value, str(context["expected"]))
         case "too_long" | "too_short":
             most, least = context.get("max_length"), context.get("min_length")
-            exactly = most is not None and most <= MOST_OF_A_VECTOR
+            # a vector or a quaternion is declared as a tuple of so many numbers, what may have fewer as a list
+            exactly = most is not None and context["field_type"] == "Tuple"
             word = "" if exactly else "at most " if most is not None else "at least "
             return (
                 place,

@@ -57,7 +57,7 @@ def settled(problem: Problem, turns: Turns, found: Sequence[Candidate], course: 
             f"no one rotation holds over the nights: the best leaves {modes[0].rms:.3g} mag rms, that with "
             f"{' and '.join(loose[0].apart)} of each night for itself {loose[0].rms:.3g} mag"
         )
-    return Settled(loose, modes, told)
+    return Settled(loose, [], told)
 
 
 def _unjoined(problem: Problem, found: Sequence[Candidate]) -> bool:

@@ -171,54 +171,9 @@ def evidence_of_the_benchmark() -> dict[str, str]:
     """What docs/evidence/concealed.md says in numbers, from those of ``python -m benchmarks.concealed``."""
     numbers = json.loads((HERE / "evidence" / "concealed.json").read_text(encoding="utf-8"))
     toy = json.loads((HERE / "evidence" / "concealed_toy.json").read_text(encoding="utf-8"))
-    titles, scores = numbers["titles"], numbers["scores"]
-    order = ["diagnosis", *sorted(name for name in titles if name != "diagnosis")]
-    kinds = [kind for kind, count in numbers["classes"].items() if count]
-
-    def shown(value: float | None, form: str = ".2f") -> str:
-        return "–" if value is None else format(value, form)
-
-    def table(heads: list[str], rows: list[list[str]]) -> str:
-        lines = [heads, ["---"] * len(heads), *rows]
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-    whole = [
-        [
-            titles[name],
-            str(one["cases"]),
-            shown(one["auc"]),
-            *(shown(one["detected"][level]) for level in ("0.01", "0.05")),
-            *(shown(one["false_alarms"][level]) for level in ("0.01", "0.05")),
-            *(shown(one[key]) for key in ("first", "third", "family", "share", "verdict_right", "overlap")),
-            shown(one["gain"], ".1f"),
-            *(shown(one[key]) for key in ("calibration_error", "abstained")),
-            shown(one["seconds"], ".1f"),
-        ]
-        for name in order
-        for one in [scores[name]["all"]]
-    ]
-    heads = ["method", "cases", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
-             "causes found", "verdict right", "rows", "gain", "calibration error", "abstained", "CPU s"]  # fmt: skip
-    whole += [
-        [
-            title,
-            "0",
-            *(f"not installed: {', '.join(modules)}" if k == 0 else "–" for k in range(len(heads) - 2)),
-        ]
-        for title, modules in numbers.get("left_out", {}).items()
-    ]
-    missing = [kind for kind in kinds if kind != "none"]
-
-    def by_class(key: str) -> str:
-        return table(
-            ["method", *missing],
-            [
-                [titles[name], *(shown(scores[name].get(kind, {}).get(key)) for kind in missing)]
-                for name in order
-            ],
-        )
-
-    strengths = next(iter(toy["detected"].values()))
+    order = ["diagnosis", *sorted(name for name in numbers["titles"] if name != "diagnosis")]
+    missing = [kind for kind, count in numbers["classes"].items() if count and kind != "none"]
+    few = f"Of the 300 cases of a whole run {numbers['cases']} are done. So few say little of false alarms, of calibration and of abstention."
     return {
         "concealed_cases": str(numbers["cases"]),
         "concealed_classes": ", ".join(
@@ -231,24 +186,72 @@ def evidence_of_the_benchmark() -> dict[str, str]:
         "concealed_seed": str(numbers["seed"]),
         "concealed_machine": numbers["machine"],
         "concealed_failed": str(numbers["failed"]),
-        "concealed_share": ""
-        if numbers["cases"] >= 300
-        else (
-            f"Of the 300 cases of a whole run {numbers['cases']} are done. So few say little of false alarms, of calibration and of abstention."
-        ),
-        "concealed_table": table(heads, whole),
+        "concealed_share": "" if numbers["cases"] >= 300 else few,
+        "concealed_table": table_of_methods(numbers, order),
         "concealed_better": better_peers(numbers, order, missing),
-        "concealed_auc": by_class("auc"),
-        "concealed_family": by_class("family"),
-        "concealed_gain": by_class("gain"),
-        "concealed_toy": table(
-            ["statistic", *(f"{one} sigma, {level}" for one in strengths for level in ("1 %", "5 %"))],
-            [
-                [name, *(shown(by_level[level]) for by_level in found.values() for level in ("0.01", "0.05"))]
-                for name, found in toy["detected"].items()
-            ],
-        ),
+        **{
+            f"concealed_{key}": table_by_class(numbers, order, missing, key)
+            for key in ("auc", "family", "gain")
+        },
+        "concealed_toy": table_of_the_toy(toy["detected"]),
     }
+
+
+def shown(value: float | None, form: str = ".2f") -> str:
+    return "–" if value is None else format(value, form)
+
+
+def table(heads: list[str], rows: list[list[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def table_of_methods(numbers: dict[str, Any], order: list[str]) -> str:
+    """Scores of all cases, a row a method, and what was not installed."""
+    heads = ["method", "cases", "AUC", "seen at 1 %", "at 5 %", "false at 1 %", "at 5 %", "first name", "first three", "family",
+             "causes found", "verdict right", "rows", "gain", "calibration error", "abstained", "CPU s"]  # fmt: skip
+    rows = [
+        [
+            numbers["titles"][name],
+            str(one["cases"]),
+            shown(one["auc"]),
+            *(shown(one["detected"][level]) for level in ("0.01", "0.05")),
+            *(shown(one["false_alarms"][level]) for level in ("0.01", "0.05")),
+            *(shown(one[key]) for key in ("first", "third", "family", "share", "verdict_right", "overlap")),
+            shown(one["gain"], ".1f"),
+            *(shown(one[key]) for key in ("calibration_error", "abstained")),
+            shown(one["seconds"], ".1f"),
+        ]
+        for name in order
+        for one in [numbers["scores"][name]["all"]]
+    ]
+    for title, modules in numbers.get("left_out", {}).items():
+        rows.append([title, "0", f"not installed: {', '.join(modules)}", *["–"] * (len(heads) - 3)])
+    return table(heads, rows)
+
+
+def table_by_class(numbers: dict[str, Any], order: list[str], kinds: list[str], key: str) -> str:
+    """One score of each class, a row a method."""
+    scores = numbers["scores"]
+    return table(
+        ["method", *kinds],
+        [
+            [numbers["titles"][name], *(shown(scores[name].get(kind, {}).get(key)) for kind in kinds)]
+            for name in order
+        ],
+    )
+
+
+def table_of_the_toy(detected: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Shares detected in the toy problem, by strength and by level of false alarms."""
+    strengths = next(iter(detected.values()))
+    return table(
+        ["statistic", *(f"{one} sigma, {level}" for one in strengths for level in ("1 %", "5 %"))],
+        [
+            [name, *(shown(by_level[level]) for by_level in found.values() for level in ("0.01", "0.05"))]
+            for name, found in detected.items()
+        ],
+    )
 
 
 def evidence_of_the_peak() -> dict[str, str]:

@@ -39,7 +39,7 @@ from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, fit_map
-from torchlc.inference.sampler import sample
+from torchlc.inference.sampler import Posterior, sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
@@ -254,7 +254,7 @@ def fit(
     chain.h5, figures, report.html), in place of what an earlier run wrote, and ``resume`` continues the chain
     found there. Nothing free: the model is evaluated and nothing is sampled.
     """
-    began = time.monotonic()
+    watch = _Watch()
     scene = _scene(scene, trust)
     if resume and out is None:
         raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
@@ -264,17 +264,12 @@ def fit(
         directory = _held(stack, out, FIT_FILES - later, scene, rows)
         likelihood = Likelihood(LightCurve(scene, rows))
         _check_sampling(len(likelihood.model.names), steps, walkers)
-        chain = None if directory is None else directory.path / CHAIN_FILE
-        if resume and directory is not None and chain is not None:
-            if (stored := read_chain(chain)) is not None:  # says more of what is wrong than the manifest can
-                check_origin(chain, stored, {**input_hashes(scene, rows), "seed": seed})
-            directory.check(CHAIN_FILE)
-        seconds = {"load": time.monotonic() - began}
-        clock = time.monotonic()
+        if resume and directory is not None:
+            _check_chain(directory, scene, rows, seed)
+        watch.lap("load")
         allowed = Budget(budget)
         found, warnings = _search(likelihood, rows, seed, allowed, progress)
-        seconds["search"] = time.monotonic() - clock
-        clock = time.monotonic()
+        watch.lap("search")
         posterior = None
         if found.model.names:
             posterior = sample(
@@ -282,29 +277,18 @@ def fit(
                 walkers=walkers,
                 steps=steps,
                 seed=seed,
-                chain_file=chain,
+                chain_file=None if directory is None else directory.path / CHAIN_FILE,
                 resume=resume,
                 progress=progress,
                 budget=allowed,
                 write=write_whole if directory is None else directory.write_path,
             )
-        seconds["sample"] = time.monotonic() - clock
-        seconds["total"] = time.monotonic() - began
-        warnings += found.likelihood.remarks(found.theta)
-        if posterior is not None and not posterior.converged:
-            warnings.append(f"the chain is short: {posterior.reason}")
-        if not found.converged:
-            warnings.append(f"the search did not converge: {found.reason}")
+        watch.lap("sample")
         result = FitResult(
             fit=found,
             posterior=posterior,
-            seconds=seconds,
-            warnings=[
-                *found.model.warnings,
-                *found.warnings,
-                *limits(found.model, found.theta),
-                *warnings,
-            ],
+            seconds=watch.seconds(),
+            warnings=_remarks(found, posterior, warnings),
             seed=seed,
             provenance=provenance(scene, rows, seed, command),
         )
@@ -588,6 +572,42 @@ def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> 
         raise InputError(
             None, "--walkers", str(walkers), f"at least {2 * parameters + 2} for {parameters} free parameters"
         )
+
+
+def _check_chain(directory: OutputDirectory, scene: Scene, rows: Recording, seed: int) -> None:
+    """InputError where the chain in a directory cannot be continued by a fit of these inputs."""
+    chain = directory.path / CHAIN_FILE
+    if (stored := read_chain(chain)) is not None:  # says more of what is wrong than the manifest can
+        check_origin(chain, stored, {**input_hashes(scene, rows), "seed": seed})
+    directory.check(CHAIN_FILE)
+
+
+def _remarks(found: Fit, posterior: Posterior | None, of_search: Sequence[str]) -> list[str]:
+    """What has to be said of a fit: of its model, its data, its search and its chain."""
+    said = [*found.model.warnings, *found.warnings, *limits(found.model, found.theta), *of_search]
+    said += found.likelihood.remarks(found.theta)
+    if posterior is not None and not posterior.converged:
+        said.append(f"the chain is short: {posterior.reason}")
+    if not found.converged:
+        said.append(f"the search did not converge: {found.reason}")
+    return said
+
+
+class _Watch:
+    """Wall-clock seconds of the parts of a run, one after another."""
+
+    def __init__(self) -> None:
+        self._began = self._last = time.monotonic()
+        self._parts: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        """The part ``name`` ends here."""
+        now = time.monotonic()
+        self._parts[name], self._last = now - self._last, now
+
+    def seconds(self) -> dict[str, float]:
+        """Of each part, and their total."""
+        return {**self._parts, "total": self._last - self._began}
 
 
 def _search(

@@ -111,42 +111,14 @@ def campaign(
         )
     objects = check_manifest(manifest)
     jobs = partial(read_manifest, manifest, seed=seed, threads=threads, budget=budget)
-    counts: Counter[str] = Counter()
-    held: dict[str, str] = {}
-    writes = [PARQUET, TABLE, PAGE, SUMMARY]
-    with OutputDirectory(out, writes, [manifest]) as directory, resources(directory.path):
-        root = directory.path.resolve() / OBJECTS
-        if os.path.lexists(root) and not root.is_dir():
-            raise InputError(
-                root, None, kind_of(root.lstat().st_mode), "a directory, or none", "Move it away"
-            )
+    with OutputDirectory(out, [PARQUET, TABLE, PAGE, SUMMARY], [manifest]) as directory, resources(directory.path):  # fmt: skip
+        root = _folder_of_objects(directory)
+        tally = _Tally(objects, progress)
         with connected(scheduler, workers, threads) as client:
-            running: dict[str, float] = {}
-
-            def told(job: Job, share: float) -> None:
-                running[job.directory] = max(share, running.get(job.directory, 0.0))
-                if progress is not None:
-                    progress("objects", (counts.total() + sum(list(running.values()))) / objects)
-
-            hearing = None if progress is None else told
+            hearing = None if progress is None else tally.heard
             for job, outcome in spread(client, partial(_run_in, root, started), jobs(), hearing):
-                running.pop(job.directory, None)
-                if isinstance(outcome, BusyError | InputError):
-                    held[job.directory] = str(outcome)
-                elif not isinstance(outcome, str):
-                    try:
-                        record_failure(job, root / job.directory, str(outcome))
-                    except (BusyError, InputError) as error:
-                        held[job.directory] = str(error)
-                counts[outcome if isinstance(outcome, str) else "failed"] += 1
-                if progress is not None:
-                    progress("objects", (counts.total() + sum(list(running.values()))) / objects)
-        facts = {
-            "objects": objects,
-            "done": counts["done"] + counts["skipped"],
-            "skipped": counts["skipped"],
-            "failed": counts["failed"],
-        }
+                tally.ended(job, outcome, root)
+        facts = tally.facts()
         made = {
             "started": started,
             "manifest": str(manifest),
@@ -154,7 +126,7 @@ def campaign(
             "seed": seed,
             "command": command,
         }
-        write_summary(jobs(), held, directory, manifest.name, {**facts, **made})
+        write_summary(jobs(), tally.held, directory, manifest.name, {**facts, **made})
         result = CampaignResult(
             directory=directory.path,
             **facts,
@@ -164,6 +136,58 @@ def campaign(
         )
         directory.write_json(SUMMARY, result.to_json())
     return result
+
+
+def _folder_of_objects(directory: OutputDirectory) -> Path:
+    """Where the directories of objects are; InputError where something else has that name."""
+    root = directory.path.resolve() / OBJECTS
+    if os.path.lexists(root) and not root.is_dir():
+        raise InputError(root, None, kind_of(root.lstat().st_mode), "a directory, or none", "Move it away")
+    return root
+
+
+class _Tally:
+    """What has become of the objects so far: counts by outcome, and ``held``, by directory why no record of an object could be
+    written there. ``progress`` is told the share of all work that is done."""
+
+    def __init__(self, objects: int, progress: Callable[[str, float], None] | None) -> None:
+        self.objects, self.progress = objects, progress
+        self.held: dict[str, str] = {}
+        self._counts: Counter[str] = Counter()
+        self._running: dict[str, float] = {}
+
+    def heard(self, job: Job, share: float) -> None:
+        """An object is done to this share, or was before its worker died."""
+        self._running[job.directory] = max(share, self._running.get(job.directory, 0.0))
+        self._tell()
+
+    def ended(self, job: Job, outcome: str | Exception, root: Path) -> None:
+        """An object has come to an outcome; of one that raised, the record is written in its stead."""
+        self._running.pop(job.directory, None)
+        if isinstance(outcome, BusyError | InputError):
+            self.held[job.directory] = str(outcome)
+        elif not isinstance(outcome, str):
+            try:
+                record_failure(job, root / job.directory, str(outcome))
+            except (BusyError, InputError) as error:
+                self.held[job.directory] = str(error)
+        self._counts[outcome if isinstance(outcome, str) else "failed"] += 1
+        self._tell()
+
+    def facts(self) -> dict[str, int]:
+        counts = self._counts
+        return {
+            "objects": self.objects,
+            "done": counts["done"] + counts["skipped"],
+            "skipped": counts["skipped"],
+            "failed": counts["failed"],
+        }
+
+    def _tell(self) -> None:
+        if self.progress is not None:
+            # a copy: workers are heard in another thread
+            shares = sum(list(self._running.values()))
+            self.progress("objects", (self._counts.total() + shares) / self.objects)
 
 
 def _run_in(root: Path, campaign: str, job: Job, tell: Tell | None = None) -> str:

@@ -24,7 +24,7 @@ from torchlc.readers import Recording
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Scene
 from torchlc.shapes import Facets, Shape
-from torchlc.stages.effect import Context
+from torchlc.stages.effect import Context, Effect
 from torchlc.tensors.moving import on_cpu
 
 DEFAULT_SUN_MAGNITUDE = -26.7
@@ -46,45 +46,29 @@ def assemble(
     its track, attitude and shape; ``pinned`` fixes parameters at given values whatever the scene says of
     them. ``finer`` (T,) marks rows whose exposures are divided twice as finely as they need.
     """
-    if base is None:
-        with scene.reading():
-            track = make_track(scene, recording)
-            attitude = Attitude(scene, recording)
-            lobes = finest_lobes(scene, RESOLVED_N)
-            shape = Shape(scene, {name: lobes[name] for name in scene.materials if uneven(scene, name)})
-    else:
-        track, attitude, shape, lobes = base.track, base.attitude, base.shape, base.context.lobes
     models = {name: _law(MODELS[material.model], name, base) for name, material in scene.materials.items()}
-    context = (
-        base.context
-        if base is not None
-        else _context(scene, recording, track, attitude, shape, models, lobes)
+    track, attitude, shape, context = (
+        _read(scene, recording, models)
+        if base is None
+        else (base.track, base.attitude, base.shape, base.context)
     )
-    row_index = {
-        "curve": (context.curve, recording.curve_ids),
-        "station": (context.station, recording.station_ids),
-        "night": (context.night, recording.night_ids),
-    }
-    if context.object is not None:
-        row_index["object"] = (context.object, recording.object_ids)
-    wanted = scene.model.effects if effects is None else list(effects)
     context = replace(context, finer=finer)
     check_given(scene, context)
+    wanted = scene.model.effects if effects is None else list(effects)
     held = {} if effects is not None else held_already(wanted or [], context)
     listed = None if wanted is None else [entry for entry in wanted if entry not in held]
     chosen, context = prepared(effects_of(listed, scene, context), scene, context, pinned or {})
-    for effect, learned in ((one, other) for one in chosen for other in (base.effects if base else ())):
-        if type(effect) is type(learned) and effect.entry == learned.entry and learned.learns:
-            effect.share(learned)
+    if base is not None:
+        _share_learnt(chosen, base)
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
+    row_index = _row_index(context, recording)
     sun, warnings = _sun_magnitude(scene, recording)
     numbers = Numbers.of(scene, chosen, models, row_index, pinned or {})
     warnings += numbers.warnings
     if effects is None:
         warnings += unused(scene, chosen) + [f"{entry} is left out: {why}" for entry, why in held.items()]
-    several = [one for effect in chosen if (one := effect.instants(context)) is not None]
-    instants = several[0] if several else None
-    warnings += edges_within_lobes(shape.parts, models, lobes)
+    warnings += edges_within_lobes(shape.parts, models, context.lobes)
+    instants = next((one for effect in chosen if (one := effect.instants(context)) is not None), None)
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -105,6 +89,38 @@ def assemble(
         instants,
         pinned or {},
     )
+
+
+def _read(
+    scene: Scene, recording: Recording, models: Mapping[str, type[Brdf]]
+) -> tuple[Track, Attitude, Shape, Context]:
+    """What no list of effects changes."""
+    with scene.reading():
+        track = make_track(scene, recording)
+        attitude = Attitude(scene, recording)
+        lobes = finest_lobes(scene, RESOLVED_N)
+        shape = Shape(scene, {name: lobes[name] for name in scene.materials if uneven(scene, name)})
+    return track, attitude, shape, _context(scene, recording, track, attitude, shape, models, lobes)
+
+
+def _row_index(context: Context, recording: Recording) -> dict[str, tuple[Tensor, Sequence[str]]]:
+    """Codes of the rows (T,), and their names, by what a number may differ with."""
+    index: dict[str, tuple[Tensor, Sequence[str]]] = {
+        "curve": (context.curve, recording.curve_ids),
+        "station": (context.station, recording.station_ids),
+        "night": (context.night, recording.night_ids),
+    }
+    if context.object is not None:
+        index["object"] = (context.object, recording.object_ids)
+    return index
+
+
+def _share_learnt(chosen: Sequence[Effect], base: Assembly) -> None:
+    """What effects of the ``base`` have learnt, those of the same entry have too."""
+    for effect in chosen:
+        for learned in base.effects:
+            if type(effect) is type(learned) and effect.entry == learned.entry and learned.learns:
+                effect.share(learned)
 
 
 def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:

@@ -8,7 +8,7 @@ that say "fainter than the limit".
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -68,66 +68,109 @@ def empty_slots(
     camera that saw the object there, or one at ``unusable`` (M,) s, which was there and has been dropped.
     """
     pieces: list[tuple[np.ndarray, ...]] = []
-    unsteady: list[str] = []
-    lost: list[str] = []
-    made: list[str] = []
+    notes = _Notes()
     for code in np.unique(curve):
         rows = np.flatnonzero(curve == code)
         times, values, seen = seconds[rows], fainter * brightness[rows], measured[rows]
-        step = np.diff(times)
         name = curve_ids[int(code)]
-        if seen.sum() < FEWEST_ROWS or not (step > 0).any():
+        if seen.sum() < FEWEST_ROWS or not (np.diff(times) > 0).any():
             continue
-        step = np.where(step > 0, step, np.inf)
-        shortest = np.percentile(step[np.isfinite(step)], 5)
-        cadence = float(np.median(step[step < CLOSE * shortest]))
-        slots = np.where(np.isfinite(step), np.round(step / cadence), 1)
-        bridged = np.isfinite(step) & (step <= longest_gap)
-        off = np.abs(step / cadence - slots)[bridged]
-        if np.mean(off < OFF_SLOT) < STEADY:
-            unsteady.append(name)
+        grid = _slots(times, longest_gap)
+        if not grid.steady:
+            notes.unsteady.append(name)
             continue
-        gap = np.flatnonzero(bridged & (slots > 1))
-        many = slots[gap].astype(np.int64) - 1
-        inside = np.concatenate([np.arange(1, n + 1) for n in many]) if len(gap) else np.zeros(0)
-        before = np.repeat(gap, many)
-        share = inside / np.repeat(slots[gap], many)
-        at = times[before] + share * step[before]
         meanwhile = slice(rows[0], rows[-1] + 1)
         held = np.concatenate([seconds[meanwhile][np.isin(view[meanwhile], view[rows])], unusable])
-        free = ~_near(at, np.sort(held), 0.5 * cadence)
-        before, share = before[free], share[free]
+        before, share = grid.empty(held)
         if not len(before):
             continue
+        part = len(before) / (len(before) + len(rows))
         gaps = np.unique(before)
         edge = 0.5 * (values[gaps] + values[gaps + 1])
-        part = len(before) / (len(before) + len(rows))
         if part <= LOST_FRAMES and _chance_of_fainter(edge, values[seen]) > FAINTER_P:
-            lost.append(f"{len(before)} of {len(before) + len(rows)} in {name}")
+            notes.lost.append(f"{len(before)} of {len(before) + len(rows)} in {name}")
             continue
         limit = float(fainter * np.quantile(values[seen], 1 - FAINTEST))
         pieces.append((rows[before], rows[before + 1], share, np.full(len(before), limit)))
-        longer = int(np.sum(np.isfinite(step) & (slots > 1) & ~bridged))
-        made.append(
-            f"{len(before)} of {cadence:.3g} s in {name} at {limit:.6g}{unit}"
+        longer = grid.gaps_left
+        notes.made.append(
+            f"{len(before)} of {grid.cadence:.3g} s in {name} at {limit:.6g}{unit}"
             + (f" ({longer} gap{'s' * (longer > 1)} longer than {longest_gap:g} s left)" if longer else "")
-        )
-    notes = []
-    if unsteady:
-        notes.append(f"no steady cadence, so that no slot is known to be empty: {_listed(unsteady)}")
-    if lost:
-        notes.append(f"empty slots beside rows as bright as others are taken as lost frames: {_listed(lost)}")
-    if made:
-        side = "faintest" if fainter > 0 else "lowest"
-        notes.append(
-            f"empty slots are upper limits, at the median of the {side} tenth of the curve's rows: {_listed(made)}"
         )
     columns = (
         [np.concatenate(column) for column in zip(*pieces, strict=True)] if pieces else [np.zeros(0)] * 4
     )
     return EmptySlots(
-        columns[0].astype(np.int64), columns[1].astype(np.int64), columns[2], columns[3], tuple(notes)
+        columns[0].astype(np.int64),
+        columns[1].astype(np.int64),
+        columns[2],
+        columns[3],
+        notes.sentences("faintest" if fainter > 0 else "lowest"),
     )
+
+
+@dataclass(frozen=True)
+class _Slots:
+    """The steady cadence (s) of a curve's rows at ``times`` (T,): each ``step`` (T - 1,) to the next row, infinite between rows of one
+    time, the number of ``slots`` in it, and whether it is short enough to be ``bridged``."""
+
+    times: np.ndarray
+    cadence: float
+    step: np.ndarray
+    slots: np.ndarray
+    bridged: np.ndarray
+
+    @property
+    def steady(self) -> bool:
+        """Whether enough rows are in their slots."""
+        off = np.abs(self.step / self.cadence - self.slots)[self.bridged]
+        return bool(np.mean(off < OFF_SLOT) >= STEADY)
+
+    @property
+    def gaps_left(self) -> int:
+        """Gaps that are too long to be bridged."""
+        return int(np.sum(np.isfinite(self.step) & (self.slots > 1) & ~self.bridged))
+
+    def empty(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The slots (N,) that hold no row and none of the times ``held``: the row before each, and the share of its step."""
+        gap = np.flatnonzero(self.bridged & (self.slots > 1))
+        many = self.slots[gap].astype(np.int64) - 1
+        inside = np.concatenate([np.arange(1, n + 1) for n in many]) if len(gap) else np.zeros(0)
+        before = np.repeat(gap, many)
+        share = inside / np.repeat(self.slots[gap], many)
+        at = self.times[before] + share * self.step[before]
+        free = ~_near(at, np.sort(held), 0.5 * self.cadence)
+        return before[free], share[free]
+
+
+def _slots(times: np.ndarray, longest_gap: float) -> _Slots:
+    step = np.diff(times)
+    step = np.where(step > 0, step, np.inf)
+    shortest = np.percentile(step[np.isfinite(step)], 5)
+    cadence = float(np.median(step[step < CLOSE * shortest]))
+    slots = np.where(np.isfinite(step), np.round(step / cadence), 1)
+    return _Slots(times, cadence, step, slots, np.isfinite(step) & (step <= longest_gap))
+
+
+@dataclass(frozen=True)
+class _Notes:
+    """Names of curves without a cadence, of those whose empty slots are ``lost`` frames, and of those that limits were ``made`` for."""
+
+    unsteady: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    made: list[str] = field(default_factory=list)
+
+    def sentences(self, side: str) -> tuple[str, ...]:
+        """``side``: faintest or lowest."""
+        said = (
+            (self.unsteady, "no steady cadence, so that no slot is known to be empty"),
+            (self.lost, "empty slots beside rows as bright as others are taken as lost frames"),
+            (
+                self.made,
+                f"empty slots are upper limits, at the median of the {side} tenth of the curve's rows",
+            ),
+        )
+        return tuple(f"{text}: {_listed(names)}" for names, text in said if names)
 
 
 def _chance_of_fainter(edge: np.ndarray, rows: np.ndarray) -> float:

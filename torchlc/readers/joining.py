@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,9 @@ from torchlc.errors import InputError
 from torchlc.readers.measurements import seconds_since
 from torchlc.readers.recording import Recording
 
+OPTIONAL = ("exptime", "band", "sun", "obs", "position", "velocity", "alt", "az", "height")
+"""Columns that a recording may lack."""
+
 
 def joined(recordings: Sequence[Recording]) -> Recording:
     """The rows of all in order of time. Curves stay apart, numbered where two have one name; stations and nights of one
@@ -20,6 +24,55 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     first = recordings[0]
     if len(recordings) == 1:
         return first
+    _check_alike(recordings)
+    jd1, jd2 = (
+        np.concatenate([np.atleast_1d(getattr(one.time, part)) for one in recordings])
+        for part in ("jd1", "jd2")
+    )
+    order = np.lexsort((jd2, jd1))
+    time: Any = Time(jd1, jd2, format="jd", scale=first.time.scale)[order]
+
+    def together(name: str) -> np.ndarray:
+        return np.concatenate([np.asarray(getattr(one, name)) for one in recordings])[order]
+
+    curve, curve_ids = _curves(recordings)
+    station, station_ids = _by_name([(one.station, one.station_ids) for one in recordings])
+    night, night_ids = _by_name([(one.night, one.night_ids) for one in recordings])
+    named = [(one.object, one.object_ids) for one in recordings if one.object is not None]
+    objects, object_ids = _by_name(named) if len(named) == len(recordings) else (None, ())
+    having = {
+        name: sum(getattr(one, name) is not None for one in recordings) for name in ("object", *OPTIONAL)
+    }
+    lacking = [name for name, count in having.items() if 0 < count < len(recordings)]
+    warnings = [text for one in recordings for text in one.warnings]
+    if lacking:
+        warnings.append(f"left out, because not every recording has it: {', '.join(lacking)}")
+    columns = {name: together(name) if having[name] == len(recordings) else None for name in OPTIONAL}
+    return replace(
+        first,
+        time=time,
+        seconds=seconds_since(time, time[:1]),
+        first_time=min((one.first_time for one in recordings), key=_day),
+        observed=together("observed"),
+        error=None if first.error is None else together("error"),
+        station=station[order],
+        station_ids=station_ids,
+        curve=curve[order],
+        curve_ids=curve_ids,
+        night=night[order],
+        night_ids=night_ids,
+        object=None if objects is None else objects[order],
+        object_ids=object_ids,
+        upper_limit=together("upper_limit"),
+        dropped=dict(sum((Counter(one.dropped) for one in recordings), Counter())),
+        warnings=tuple(dict.fromkeys(warnings)),
+        **columns,
+    )
+
+
+def _check_alike(recordings: Sequence[Recording]) -> None:
+    """InputError where what all rows have in common is not the same in all recordings."""
+    first = recordings[0]
     for other in recordings[1:]:
         for what, ours, theirs in (
             ("kind", first.kind, other.kind),
@@ -30,61 +83,16 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         ):
             if ours != theirs:
                 raise InputError(other.source, what, str(theirs), f"{ours}, as in {first.source}")
-    jd1, jd2 = (
-        np.concatenate([np.atleast_1d(getattr(one.time, part)) for one in recordings])
-        for part in ("jd1", "jd2")
-    )
-    times = Time(jd1, jd2, format="jd", scale=first.time.scale)
-    order = np.lexsort((jd2, jd1))
-    taken: list[str] = []
-    curves: list[np.ndarray] = []
+
+
+def _curves(recordings: Sequence[Recording]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Codes of the curves, one after another, over names of which no two are the same."""
+    names: list[str] = []
+    codes: list[np.ndarray] = []
     for one in recordings:
-        names = [_free(name, taken) for name in one.curve_ids]
-        curves.append(one.curve + len(taken))
-        taken += names
-    station, station_ids = _by_name([(one.station, one.station_ids) for one in recordings])
-    night, night_ids = _by_name([(one.night, one.night_ids) for one in recordings])
-    told = [(one.object, one.object_ids) for one in recordings if one.object is not None]
-    objects, object_ids = _by_name(told) if len(told) == len(recordings) else (None, ())
-    columns: dict[str, np.ndarray | None] = {}
-    lacking = ["object"] if told and objects is None else []
-    for name in ("exptime", "band", "sun", "obs", "position", "velocity", "alt", "az", "height"):
-        parts = [getattr(one, name) for one in recordings]
-        given = [part for part in parts if part is not None]
-        columns[name] = np.concatenate(given)[order] if len(given) == len(parts) else None
-        if given and columns[name] is None:
-            lacking.append(name)
-    warnings = [text for one in recordings for text in one.warnings]
-    if lacking:
-        warnings.append(f"left out, because not every recording has it: {', '.join(lacking)}")
-    time: Any = times[order]
-    dropped: dict[str, int] = {}
-    for one in recordings:
-        for reason, count in one.dropped.items():
-            dropped[reason] = dropped.get(reason, 0) + count
-    error = (
-        None if first.error is None else np.concatenate([np.asarray(one.error) for one in recordings])[order]
-    )
-    return replace(
-        first,
-        time=time,
-        seconds=seconds_since(time, time[:1]),
-        first_time=min((one.first_time for one in recordings), key=_day),
-        observed=np.concatenate([one.observed for one in recordings])[order],
-        error=error,
-        station=station[order],
-        station_ids=station_ids,
-        curve=np.concatenate(curves)[order],
-        curve_ids=tuple(taken),
-        night=night[order],
-        night_ids=night_ids,
-        object=None if objects is None else objects[order],
-        object_ids=object_ids,
-        upper_limit=np.concatenate([one.upper_limit for one in recordings])[order],
-        dropped=dropped,
-        warnings=tuple(dict.fromkeys(warnings)),
-        **columns,
-    )
+        codes.append(one.curve + len(names))
+        names += [_free(name, names) for name in one.curve_ids]
+    return np.concatenate(codes), tuple(names)
 
 
 def _day(moment: Any) -> float:

@@ -6,8 +6,12 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.effects.cases import PLATE, seen_from, still, tilted
+from tests.noisy_rows import FREE
+from tests.small_case import write_case
 from tests.warm import server
 from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene
@@ -38,3 +42,18 @@ def read(tmp_path: Path):
         return load_recording(path, None if scene is None else Scene.from_toml(scene), **options)
 
     return load
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """Paths of a small scene and its recording."""
+    scene, recording = write_case(tmp_path_factory.mktemp("case"))
+    return str(scene), str(recording)
+
+
+@pytest.fixture(scope="module")
+def seven(tmp_path_factory: pytest.TempPathFactory):
+    """A scene and seven rows of its white plate, which fades by a magnitude, one every second."""
+    scene = still(PLATE, FREE)
+    folder = tmp_path_factory.mktemp("seven")
+    return scene, seen_from(scene, folder, tilted(np.linspace(5, 65, 7)), tilted(10, 180))

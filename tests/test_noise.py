@@ -18,7 +18,7 @@ import torchlc
 from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.effects.test_red_noise import matern
 from tests.small_case import write_case
-from tests.test_likelihood import FREE, KNOWN, recorded, seven  # noqa: F401
+from tests.noisy_rows import FREE, KNOWN, recorded
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench

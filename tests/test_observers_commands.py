@@ -1,0 +1,118 @@
+"""Commands as observers type them, on files as they have them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import torchlc
+from tests.bad_input_cases import SCENE
+from tests.observers_night import EXPORTS, table
+from tests.small_case import write_case
+from torchlc.campaigns.manifest import read_manifest
+from torchlc.cli import run
+from torchlc.errors import InputError
+from torchlc.scene import Scene, load_scene
+
+
+class TestCommands:
+    TWO = (
+        "0 BIRD 7\n1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999\n"
+        "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325\n"
+        "TEST SATELLITE\n1 00001U 16037A   20284.07341138 -.00000354  00000-0  00000+0 0  9993\n"
+        "2 00001   1.7237  67.2351 0007471   0.1818  88.7233  1.00273124 15966\n"
+    )
+
+    @pytest.fixture(autouse=True)
+    def folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.chdir(tmp_path)
+        Path("two.txt").write_text(self.TWO)
+
+    def test_an_object_of_many(self, capsys: pytest.CaptureFixture[str]):
+        assert run(["init", "s.toml", "--tle", "two.txt"]) == 2
+        told = capsys.readouterr().err
+        assert "1 TEST SATELLITE, 37834 BIRD 7" in told and not Path("s.toml").exists()
+        followed = re.search(r"--object (\w+)", told)
+        assert followed is not None
+        for wanted, number in (
+            (followed[1], "00001"),
+            ("bird", "37834"),
+            ("BIRD 7", "37834"),
+            ("00001", "00001"),
+        ):
+            assert run(["init", "s.toml", "--tle", "two.txt", "--object", wanted, "--force"]) == 0
+            assert f'"1 {number}U' in Path("s.toml").read_text()
+        assert run(["init", "t.toml", "--tle", "two.txt", "--object", "plane"]) == 2
+        assert run(["init", "t.toml", "--tle", "two.txt", "--object", "I"]) == 2  # both names have an i
+        assert "2 objects for 'I'" in capsys.readouterr().err
+
+    def test_a_campaign_from_a_folder(self, capsys: pytest.CaptureFixture[str]):
+        nights = Path("nights")
+        nights.mkdir()
+        (nights / "37834_2026-03-15.csv").write_text(table("JD,Mag,Err"))
+        (nights / "test-satellite 2.txt").write_text(EXPORTS["ZTF"])
+        (nights / "inside.csv").write_text("# object: BIRD 7\n" + table("JD,Mag,Err"))
+        (nights / "nobody.csv").write_text(table("JD,Mag,Err"))
+        (nights / "bird-7-but.csv").write_text("# object: TEST SATELLITE\n" + table("JD,Mag,Err"))
+        assert run(["campaign", "init", "two.txt", "nights", "--station", "weihai,37.5,122.1,110"]) == 0
+        told = capsys.readouterr()
+        assert "nobody.csv: left out" in told.err and "bird-7-but.csv: left out" in told.err
+        jobs = list(read_manifest(nights / "manifest.csv"))
+        numbers = {job.recording.name: load_scene(job.scene).orbit.tle[0][2:7] for job in jobs}
+        assert numbers == {
+            "37834_2026-03-15.csv": "37834",
+            "inside.csv": "37834",
+            "test-satellite 2.txt": "00001",
+        }
+        assert run(["campaign", "init", "two.txt", "nights"]) == 2
+        assert "--force" in capsys.readouterr().err
+        assert run(["campaign"]) == 2 and run(["campaign", "nights/manifest.csv"]) == 2  # no -o
+
+    def test_columns_of_every_command(self, capsys: pytest.CaptureFixture[str]):
+        rows = "".join(f"{2459140.125 + k / 288:.6f} {12 + 0.1 * np.sin(k):.4f} 0.02\n" for k in range(40))
+        Path("r.txt").write_text("when light spread\n" + rows)
+        Path("s.toml").write_text(SCENE)
+        columns = ["--columns", "time=when,mag=light,mag_err=spread"]
+        assert run(["simulate", "s.toml", "r.txt", "-o", "out", *columns]) == 0
+        assert "when as time (Julian date, UTC, mid-exposure)" in capsys.readouterr().err
+        assert run(["period", "r.txt", *columns]) == 0
+        assert run(["period", "r.txt"]) == 2
+        assert "--columns" in capsys.readouterr().err
+
+    def test_a_fit_is_read_back(self):
+        scene, recording = write_case(Path())
+        result = torchlc.fit(scene, recording, steps=20, out="fit")
+        stored = torchlc.load_fit("fit")
+        assert stored.parameters() == json.loads(Path("fit/fit.json").read_text())["parameters"]
+        assert result.posterior is not None and stored.names == result.names
+        for k, name in enumerate(result.names):
+            np.testing.assert_array_equal(stored.draws[name], result.posterior.theta[..., k].numpy())
+        assert stored.to_pandas()["median"].tolist() == result.to_pandas()["median"].tolist()
+        (Path("fit") / "posterior.nc").write_bytes(b"nothing")
+        with pytest.raises(InputError, match=r"posterior\.nc: cannot be read"):
+            torchlc.load_fit("fit")
+        with pytest.raises(InputError, match="no such file"):
+            torchlc.load_fit("nowhere")
+
+
+def test_all_missing_keys_of_a_scene_are_told_at_once():
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml('format = "torchlc-scene/1"\n[attitude]\n')
+    assert all(
+        key in str(caught.value) for key in ("name", "orbit", "attitude.mode", "components", "materials")
+    )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_scenes_and_manifests_of_windows(tmp_path: Path, encoding: str):
+    text = SCENE.replace("\n", "\r\n")
+    (tmp_path / "scene.toml").write_bytes(text.encode(encoding))
+    assert load_scene(tmp_path / "scene.toml").to_toml() == Scene.from_toml(SCENE).to_toml()
+    (tmp_path / "rows.csv").write_bytes(table("time,mag,mag_err").encode(encoding))
+    (tmp_path / "all.csv").write_bytes("scene,recording,task\r\nscene.toml,rows.csv,fit\r\n".encode(encoding))
+    jobs = list(read_manifest(tmp_path / "all.csv"))
+    assert [job.recording.name for job in jobs] == ["rows.csv"]

@@ -1,0 +1,160 @@
+"""What a user says of a file, and hints that work when they are followed."""
+
+from __future__ import annotations
+
+import re
+import zoneinfo
+from datetime import UTC, datetime, timedelta
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+
+from tests.bad_input_cases import SCENE
+from tests.observers_night import ERROR, EXPORTS, JD, MAG, holds, table
+from torchlc.errors import InputError
+from torchlc.scene import Scene
+
+
+class TestUserSays:
+    def test_columns(self, read):
+        text = "when,brightness,spread,other\n" + table("").strip().replace("\n", ",1\n") + ",1\n"
+        with pytest.raises(InputError, match="--columns time=when"):
+            read(text)
+        holds(read(text, columns="time=when,mag=brightness,mag_err=spread"))
+        holds(read(text, columns={"time": "when", "mag": "brightness", "mag_err": "spread"}))
+        scene = SCENE + '[recording]\ncolumns = { time = "when", mag = "brightness", mag_err = "spread" }\n'
+        holds(read(text, scene))
+        assert Scene.from_toml(Scene.from_toml(scene).to_toml()) == Scene.from_toml(scene)
+
+    def test_places_of_a_table_without_names(self, read):
+        text = "\n".join(f"{row},{mag},{jd:.6f}" for row, (jd, mag) in enumerate(zip(JD, MAG, strict=True)))
+        holds(read(text, columns="time=3,mag=2"), error=False)
+
+    def test_the_user_outranks_the_name(self, read):
+        text = table("time,mag,mag_err,V", more=",9.5")
+        assert read(text, columns="mag=V").observed.tolist() == [9.5] * 3
+
+    def test_units_and_exposures(self, read):
+        scene = SCENE + '[recording]\nunits = { mag_err = "mmag" }\nexptime = 20.0\n'
+        recording = read(
+            table("time,mag,mag_err").replace("0.03", "30").replace("0.02", "20").replace("0.04", "40"), scene
+        )
+        np.testing.assert_allclose(recording.error, ERROR)
+        assert recording.exptime is not None and recording.exptime.tolist() == [20.0] * 3
+
+    @pytest.mark.parametrize(("mark", "moved"), [("start", 5.0), ("middle", 0.0), ("end", -5.0)])
+    def test_marks_of_exposures(self, read, mark: str, moved: float):
+        text = table("time,mag,mag_err")
+        found = read(text, columns=f"time_mark={mark},exptime=10").time
+        assert (found[0] - read(text).time[0]).to_value(u.s) == pytest.approx(moved, abs=1e-4)
+
+    def test_dates_of_fits_are_those_of_the_start(self, read):
+        text = "DATE-OBS,mag,exptime\n2020-10-17T15:00:00,12.0,60\n"
+        assert read(text).time[0].isot == "2020-10-17T15:00:30.000"
+        with pytest.raises(InputError, match="the start of the exposures"):
+            read("DATE-OBS,mag\n2020-10-17T15:00:00,12.0\n")
+
+    @pytest.mark.parametrize(
+        "zone", ["+02:00", "-0930", "UTC+5", "Europe/Vienna", "America/St_Johns", "Asia/Kolkata"]
+    )
+    @pytest.mark.parametrize("julian", [False, True])
+    def test_civil_times_of_a_zone(self, read, zone: str, julian: bool):
+        """Against the standard library."""
+        offsets = {"+02:00": 120, "-0930": -570, "UTC+5": 300}
+        for clock in (datetime(2026, 1, 15, 20, 30), datetime(2026, 7, 15, 3, 15)):
+            if zone in offsets:
+                expected = clock - timedelta(minutes=offsets[zone])
+            else:
+                expected = clock.replace(tzinfo=zoneinfo.ZoneInfo(zone)).astimezone(UTC).replace(tzinfo=None)
+            cell = f"{Time(clock).jd:.8f}" if julian else clock.isoformat()
+            recording = read(f"time,mag\n{cell},12.0\n", columns=f"time_zone={zone}")
+            assert abs((recording.time[0] - Time(expected)).to_value(u.s)) < 1e-3
+            assert f"zone {zone}" in " ".join(recording.warnings)
+
+    @pytest.mark.parametrize("name", ["time", "Local Time"])
+    def test_an_offset_in_some_rows_only_is_refused(self, read, name: str):
+        """The others may be of the same zone, or UTC."""
+        times = ["2020-10-17T17:00:00+02:00", "2020-10-17T17:10:00"]
+        for order in (times, times[::-1]):
+            with pytest.raises(
+                InputError, match=r"an offset from UTC, as other times|local time; expected UTC"
+            ):
+                read(f"{name},mag,mag_err\n" + "".join(f"{time},14.9,0.02\n" for time in order))
+
+    def test_a_time_that_clocks_show_twice_is_refused(self, read):
+        with pytest.raises(InputError, match="show once"):
+            read("time,mag\n2026-10-25T02:30:00,12\n", columns="time_zone=Europe/Vienna")
+        with pytest.raises(InputError, match="no offset beside time_zone"):
+            read("time,mag\n2026-10-25T02:30:00+01:00,12\n", columns="time_zone=Europe/Vienna")
+
+    @pytest.mark.parametrize(("said", "message"), [
+        ("time=", "name=column"), ("tme=JD", "one of time, mag"), ("time=JDD", "no column 'JDD'"), ("time_format=stardate", "time_format"),
+        ("time_zone=Mars/Olympus", "time_zone"), ("decimal=dash", "point or comma"), ("time=JD,time=JD", "twice"), ("exptime=-1", "exptime"),
+    ])  # fmt: skip
+    def test_what_cannot_be(self, read, said: str, message: str):
+        with pytest.raises(InputError, match=message) as caught:
+            read(table("JD,Mag,Err"), columns=said)
+        assert "\n" not in str(caught.value)
+
+
+FOLLOWED = [
+    table("time,mag,mag_err", zero=2400000.0),
+    table("when,V,err_of_it"),
+    table("MJD,mag,err"),  # whole Julian dates under that name
+    "# local time\nDATE-OBS,mag\n2020-10-17T15:00:00,12.0\n2020-10-17T15:01:00,12.1\n",
+    "HJD,mag\n2459140.2,12.0\n2459140.3,12.0\n",
+    table("JD;mag;err", mark=";", comma=True) + "2459140,2;12.5;0,1\n",
+    "2459140.1,0.98,0.01\n2459140.2,1.02,0.01\n",
+    EXPORTS["SCORE"] + EXPORTS["SCORE"].splitlines()[1].replace("SAT 1,12345", "BIRD-7,54321") + "\n",
+    "Time (local),mag\n2020-10-17T15:00:00,12.0\n2020-10-17T15:01:00,12.1\n",
+    table("JD,gmag,rmag"),
+    "time,mag\n10/11/2020 19:12:00,5.1\n10/11/2020 19:12:20,5.2\n",
+    "time,mag\n1605035520.5,5.1\n1605035521.5,5.1\n",
+    "timestamp,mag\n1605035520500,5.1\n1605035521500,5.1\n",
+    "time,mag\n9164.3,5.1\n9164.4,5.1\n",
+    "mjd,psfFlux,psfFluxErr\n59163.8,1000.2,12\n59163.9,1010.2,12\n",
+    "index, field, jd, filter, zpdiff, forcediffimflux, forcediffimfluxunc, diffmaglim\n"
+    "0, 300, 2459164.3, ZTF_r, 26.2, 100.2, 10.0, 20.5\n1, 300, 2459164.4, ZTF_r, 26.2, 110.2, 10.0, 20.5\n",
+    "Session: 3   Object: 25544\nUT Date,UT Time,JD,V-C,Err\n11/10/2020,19:12:00,2459164.3,0.4,0.02\n11/10/2020,19:14:00,2459164.301,0.5,0.02\n",
+    "Label,JD_UTC,Source_AMag_T2,Source_AMag_Err_T2\na,2459164.3,12.1,0.02\nb,2459164.4,12.2,0.02\n",
+    "Date,Local Time,mag\n2020-11-10,19:12:00,12.1\n2020-11-10,19:13:00,12.1\n",
+    "LocalTime,mag\n2020-11-10 19:12:00,12.1\n2020-11-10 19:13:00,12.1\n",
+]
+
+
+@pytest.mark.parametrize("text", FOLLOWED, ids=range(len(FOLLOWED)))
+def test_hints_work_when_they_are_followed(read, text: str):
+    """The option that the message offers is typed as it stands there; an example value is left as the example."""
+    with pytest.raises(InputError) as caught:
+        read(text)
+    options = re.findall(r"--columns ((?:[\w]+=(?:\"[^\"]*\"|[^\s,;()]+),?)+)", str(caught.value))
+    assert options, str(caught.value)
+    answers = {"exptime=SECONDS": "exptime=10", "time=1,mag=2,mag_err=3": "time=1,flux=2,flux_err=3"}
+    option = options[-1].rstrip(",")
+    assert len(read(text, columns=answers.get(option, option))) >= 2
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("<?xml version='1.0'?><VOTABLE/>", "looks like XML or HTML"),
+        ("<html><table></table></html>", "looks like XML or HTML"),
+        ('[{"time": "2020-10-17T15:00:00", "mag": 14.9}]', "looks like JSON"),
+        ('{"mag": [14.9]}', "looks like JSON"),
+        (b"PK\x03\x04" + bytes(200), "Export the table as CSV"),
+        (b"\x1f\x8b\x08" + bytes(200), "a compressed file"),
+        ("SIMPLE  =                    T" + " " * 2850, "a FITS file"),
+        ("JD,Mag\n2459140.1,14.9 V\n", "Write the number alone"),
+        ("JD,Mag\n'2459140.1,14.9\n", "Leave out the apostrophe"),
+        ("JD;Mag\n2 459 140.1;14.9\n", "Leave out what parts the thousands"),
+        ("JD,Mag\n2459140.1,[14.9\n", "as in >18.5"),
+        ("JD,Mag\n2459140.1,14.9\nEnd of report\n", "may go or begin with #"),
+        ("JD,Mag,Err\n2459140.1,14.9,0\n2459140.2,14.9,0.1\n", "Leave an error blank that is not known"),
+    ],
+    ids=lambda value: str(value)[:30],
+)  # fmt: skip
+def test_what_to_do_about_a_file_that_is_none(content: str | bytes, message: str, read):
+    with pytest.raises(InputError, match=re.escape(message)):
+        read(content)

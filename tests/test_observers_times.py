@@ -1,0 +1,127 @@
+"""Times in files of observers: marks of the exposure, offsets, and the way of light to the Sun."""
+
+from __future__ import annotations
+
+import re
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import get_body_barycentric
+from astropy.time import Time
+
+from tests.bad_input_cases import SCENE, VECTOR_SCENE
+from tests.observers_night import ERROR, JD, MAG, holds
+from torchlc.errors import InputError
+from torchlc.scene import Scene
+
+
+def test_reduced_and_modified_dates_are_never_confused(read):
+    """They differ by 12 h; against astropy."""
+    for text, form in (
+        ("JD-2400000", 2400000.0),
+        ("JD-2400000.5", 2400000.5),
+        ("MJD", 2400000.5),
+        ("RJD", 2400000.0),
+        ("JD-2400000.0", 2400000.0),
+    ):
+        found = read(f"{text},mag\n61115.25,14.0\n").time[0]
+        assert found.jd == pytest.approx(61115.25 + form, abs=1e-9)
+    for zero in (2450000, 2457000):
+        for text, options in ((f"JD-{zero}", {}), ("time", {"columns": f"time_format=jd-{zero}"})):
+            found = read(f"{text},mag\n{2459140.125 - zero},14.0\n", **options)
+            assert found.time[0].jd == pytest.approx(2459140.125, abs=1e-9)
+    with pytest.raises(InputError, match="jd- and a Julian date"):
+        read("time,mag\n9140.125,14.0\n", columns="time_format=jd-12")
+    modified = Time(61115.25, format="mjd", scale="utc")
+    assert read("MJD,mag\n61115.25,14.0\n").time[0].isot == modified.isot
+
+
+def path_of_light(jd: np.ndarray, direction: tuple[float, float], centre: str) -> np.ndarray:
+    """Days that the way of light from the geocentre adds, from the place of the Earth and plain trigonometry."""
+    time = Time(jd, format="jd", scale="tdb")
+    earth = get_body_barycentric("earth", time).xyz.to_value(u.km).T
+    if centre == "heliocentric":
+        earth = earth - get_body_barycentric("sun", time).xyz.to_value(u.km).T
+    lon, lat = np.radians(direction)
+    towards = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return earth @ towards / 299792.458 / 86400.0
+
+
+class TestTimesAtTheSun:
+    DIRECTION = (150.0, -12.0)
+
+    @pytest.mark.parametrize(("name", "centre"), [("HJD", "heliocentric"), ("BJD_TDB", "barycentric")])
+    def test_a_direction_puts_the_light_back(self, read, name: str, centre: str):
+        """The observer stands within 21 ms of the geocentre, and dates of eight decimals are good to 1 ms."""
+        jd = np.array([2459140.25, 2459145.75])
+        added = path_of_light(jd, self.DIRECTION, centre)
+        text = f"{name},mag\n" + "".join(f"{one:.8f},14.0\n" for one in jd + added)
+        with pytest.raises(InputError, match="times at the observer"):
+            read(text)
+        recording = read(text, columns='direction="150 -12"')
+        found = np.asarray(getattr(recording.time, "tdb" if "TDB" in name else "utc").jd)
+        assert np.abs(added).max() * 86400 > 100
+        np.testing.assert_allclose((found - jd) * 86400, 0, atol=0.025)
+        assert "brought back to the observer" in " ".join(recording.warnings)
+
+    @pytest.mark.parametrize("centre", ["heliocentric", "barycentric"])
+    @pytest.mark.parametrize("frame", ["icrs", "ecliptic"])
+    def test_vectors_put_the_light_back(self, read, centre: str, frame: str):
+        jd = np.array([2459140.25])
+        added = path_of_light(jd, self.DIRECTION, centre)
+        time = Time(jd, format="jd", scale="tdb")
+        earth, sun = (get_body_barycentric(body, time).xyz.to_value(u.km).T[0] for body in ("earth", "sun"))
+        lon, lat = np.radians(self.DIRECTION)
+        body = earth + 2e8 * np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        turn = np.eye(3)
+        if frame == "ecliptic":
+            obliquity = np.radians(23.4392911)
+            turn[1:, 1:] = [[np.cos(obliquity), np.sin(obliquity)], [-np.sin(obliquity), np.cos(obliquity)]]
+        cells = ",".join(f"{one:.3f}" for one in (*(turn @ (sun - body)), *(turn @ (earth - body))))
+        name = "BJD_TDB" if centre == "barycentric" else "HJD"
+        text = f"# frame: {frame}\n{name},mag,sun_x,sun_y,sun_z,obs_x,obs_y,obs_z\n{(jd + added)[0]:.8f},14.0,{cells}\n"
+        recording = read(text)
+        found = np.asarray(getattr(recording.time, "tdb" if "TDB" in name else "utc").jd)
+        np.testing.assert_allclose((found - jd) * 86400, 0, atol=0.01)
+
+    def test_a_satellite_is_refused(self, read):
+        with pytest.raises(InputError, match="Give UTC at the telescope"):
+            read("BJD_TDB,mag\n2459140.2,12\n", SCENE, columns='direction="150 -12"')
+        assert Scene.from_toml(VECTOR_SCENE).orbit.vectors == "icrs"
+
+
+def test_days_of_a_spreadsheet(read):
+    """43831 is 1 January 2020 in every spreadsheet."""
+    text = "time,mag\n43831.25,12.1\n43831.50,12.2\n"
+    with pytest.raises(InputError) as caught:
+        read(text)
+    (option,) = re.findall(r"--columns (time_format=jd-241\S*)", str(caught.value))
+    assert read(text, columns=option).time.isot[0] == "2020-01-01T06:00:00.000"
+
+
+def test_a_comma_before_the_share_of_a_second(read):
+    """As ISO 8601 has it."""
+    rows = [
+        f"{Time(jd, format='jd').isot.replace('.', ',')}Z;{mag};{error}"
+        for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    ]
+    holds(read("time;mag;mag_err\n" + "\n".join(rows) + "\n"))
+
+
+def test_the_date_of_the_fits_standard_is_the_start_of_the_exposure_in_both_spellings(read):
+    """MJD-OBS is DATE-OBS in another format (FITS standard 4.0, 9.5)."""
+    rows = [f"{jd - 2400000.5:.8f},20.0,{mag},{error}" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)]
+    recording = read("MJD-OBS,EXPTIME,MAG,MAGERR\n" + "\n".join(rows) + "\n")
+    np.testing.assert_allclose(
+        (recording.time - Time(JD, format="jd", scale="utc")).to_value(u.s), 10.0, atol=1e-3
+    )
+
+
+def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
+    moment = Time(JD[0], format="jd").gps
+    week, rest = divmod(moment, 604800)
+    with pytest.raises(InputError, match="those of a week come if its number times 604800 is added"):
+        read(f"gps_week,gps_seconds,mag\n{week:.0f},{rest:.3f},{MAG[0]}\n")
+    recording = read(f"gps_seconds,mag\n{rest + week * 604800:.3f},{MAG[0]}\n")
+    assert abs((recording.time[0] - Time(JD[0], format="jd", scale="utc")).to_value(u.s)) < 0.01

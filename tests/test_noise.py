@@ -17,8 +17,8 @@ from torch import Tensor
 import torchlc
 from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.effects.test_red_noise import matern
-from tests.small_case import write_case
 from tests.noisy_rows import FREE, KNOWN, recorded
+from tests.small_case import write_case
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
@@ -217,7 +217,7 @@ def test_two_laws_or_a_law_among_correlated_rows_are_refused(outside, tmp_path: 
 
 @pytest.mark.parametrize("kind", ["mag", "flux"])
 @pytest.mark.parametrize("limits", [[], [1, 4]], ids=["measured", "limits"])
-def test_density_of_another_law(seven, kind: str, limits: list[int]) -> None:  # noqa: F811
+def test_density_of_another_law(seven, kind: str, limits: list[int]) -> None:
     """SciPy's Laplace distribution; limits by a numerical integral of its density, good to 1e-9."""
     likelihood, _, theta = recorded(seven, kind, limits)
     recording = likelihood.model.recording
@@ -238,7 +238,7 @@ def test_density_of_another_law(seven, kind: str, limits: list[int]) -> None:  #
 
 
 @pytest.mark.parametrize("law", ["normal", "laplace"])
-def test_density_of_a_variance_beside_a_fitted_level(seven, law: str) -> None:  # noqa: F811
+def test_density_of_a_variance_beside_a_fitted_level(seven, law: str) -> None:
     """The level integrated over d ln s by SciPy, with a variance that differs from row to row; a perfect model's finite
     density costs 1e-4."""
     likelihood, _, theta = recorded(seven, "mag", [], fitted=True)
@@ -260,7 +260,7 @@ def test_density_of_a_variance_beside_a_fitted_level(seven, law: str) -> None:  
     assert float(likelihood.log_likelihood(theta, noise)) == pytest.approx(expected, abs=1e-4)
 
 
-def test_density_of_another_process(seven) -> None:  # noqa: F811
+def test_density_of_another_process(seven) -> None:
     """Beside red noise and a jitter: all three in one covariance, by SciPy."""
     likelihood, _, theta = recorded(seven, "mag", [])
     recording = likelihood.model.recording

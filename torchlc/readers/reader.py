@@ -75,6 +75,7 @@ SECONDS_WITH_COMMA = re.compile(r"(:\d\d),(?=\d)", re.ASCII)
 WEEK_S = 604800.0
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+ASIDE = 100
 SPREADSHEET_TO = 51000.0
 """2039 in days of a spreadsheet, 1998 in modified Julian dates: recordings of objects of known elements are rarely older."""
 JULIAN_DATES_FROM = 2_400_000.0
@@ -466,7 +467,10 @@ class _Reader:
             del self.columns[name]
 
     def _suspect_markers(self) -> None:
-        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
+        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from nearly all others.
+
+        One in a hundred of the others is left aside at either end: a wild row beside the markers must not hide them.
+        """
         if self.kind != "mag":
             return
         values = self.columns["mag"]
@@ -476,12 +480,14 @@ class _Reader:
         others = values[~likely]
         if not chosen or not len(others):
             return
-        apart = np.maximum(others.min() - values, values - others.max())
+        others.sort()
+        aside = len(others) // ASIDE
+        apart = np.maximum(others[aside] - values, values - others[-1 - aside])
         far = likely & (apart > FAR_MAG)
         if far.any():
             first = row_place(int(self.rows[far][0]), "mag")
             self.warnings.append(
-                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from all others"
+                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from {'nearly ' if aside else ''}all others"
                 f"{f', and so are {np.count_nonzero(far) - 1} more rows' if far.sum() > 1 else ''}: if it stands for a "
                 "missing measurement, leave it blank or out. It is taken as measured"
             )

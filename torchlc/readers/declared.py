@@ -12,7 +12,7 @@ import astropy.units as u
 import numpy as np
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import ORDERS, Calendar, is_moment
+from torchlc.readers.dates import ORDERS, Calendar, is_moment, moment_of
 from torchlc.readers.roles import ROLES, VECTORS, stamp_of
 from torchlc.readers.table import METADATA, Header, first_row
 from torchlc.scene.reading import LESS_A_DATE, SINCE, TIME_FORMATS, Reading, is_time_format
@@ -357,7 +357,7 @@ def _has_offset(header: Header) -> bool:
     cells, places = first_row(header), header.places("time")
     if max(places) >= len(cells):
         return False
-    text = "T".join(cells[place].strip() for place in places)
+    text = moment_of([cells[place] for place in places])
     try:
         match = ISO.fullmatch(Calendar(ORDERS[0]).iso([text])[0])
     except UnreadableTime:

@@ -359,7 +359,7 @@ def resources(path: Path | None = None) -> Iterator[None]:
         if getattr(error, "errno", None) in FULL or any(os.strerror(code).lower() in text for code in FULL):
             where = path or getattr(error, "filename", None)
             raise ResourceError(
-                f"no room on disk{f' for {where}' if where else ''}; nothing of it was written"
+                f"no room on disk{f' for {_final(Path(where))}' if where else ''}; nothing of it was written"
             ) from None
         if "can't allocate memory" in text or "not enough memory" in text:
             raise ResourceError(
@@ -368,6 +368,12 @@ def resources(path: Path | None = None) -> Iterator[None]:
         if isinstance(error, PermissionError) and path is not None:
             raise _unusable(path, error) from None
         raise
+
+
+def _final(path: Path) -> Path:
+    """Where a file that is being written will be in the end; a path of any other file as it is."""
+    match = re.fullmatch(rf"\.(.+)\.\d+(-\d+)?{re.escape(PARTIAL)}", path.name)
+    return path.with_name(match[1]) if match else path
 
 
 def _unusable(path: Path, error: OSError) -> InputError | ResourceError:

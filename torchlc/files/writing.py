@@ -50,6 +50,7 @@ RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""
 PARTIAL = ".partial"
 CHANGED = ".changed"
+FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 KEPT_HASHES = 2
 """Of each file, newest first: the content that is about to be put in place, and the one before."""
@@ -365,8 +366,8 @@ def resources(path: Path | None = None) -> Iterator[None]:
             raise ResourceError(
                 "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
             ) from None
-        if isinstance(error, PermissionError) and path is not None:
-            raise _unusable(path, error) from None
+        if isinstance(error, OSError) and error.errno in FORBIDDEN and path is not None:
+            raise _unusable(_final(path), error, None) from None
         raise
 
 
@@ -376,12 +377,12 @@ def _final(path: Path) -> Path:
     return path.with_name(match[1]) if match else path
 
 
-def _unusable(path: Path, error: OSError) -> InputError | ResourceError:
+def _unusable(path: Path, error: OSError, option: str | None = "-o") -> InputError | ResourceError:
     if error.errno in FULL:
         return ResourceError(f"no room on disk for {path}")
     name = str(path) if len(str(path)) <= LONGEST_NAME_TOLD else f"{str(path)[:LONGEST_NAME_TOLD]}..."
     return InputError(
-        None, "-o", f"{name} cannot be written: {error.strerror}", "a directory that can be written"
+        None, option, f"{name} cannot be written: {error.strerror}", "a directory that can be written"
     )
 
 

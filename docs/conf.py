@@ -286,6 +286,34 @@ def evidence_of_the_peak() -> dict[str, str]:
     }
 
 
+def hostile_files() -> dict[str, str]:
+    """What docs/how_to/files_from_strangers.md says in numbers, from those that ``python -m tests.hostile_files`` wrote."""
+    numbers = json.loads((HERE / "how_to" / "hostile_files.json").read_text(encoding="utf-8"))
+
+    def table(heads: list[str], rows: list[tuple[list[str], dict[str, Any]]]) -> str:
+        total = {key: sum(found[key] for _, found in rows) for key in ("done", "refused", "else")}
+        lines = [
+            [*heads, "files", "read", "refused in one line", "anything else"],
+            ["---"] * (len(heads) + 4),
+        ]
+        for names, found in [*rows, (["all", *[""] * (len(heads) - 1)], total)]:
+            counts = [found["done"], found["refused"], found["else"]]
+            lines.append([*names, str(sum(counts)), *map(str, counts)])
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    files, damages = numbers["files"], numbers["damages"]
+    return {
+        "hostile_files": table(
+            ["file", "command"], [([name, f"`{found['command']}`"], found) for name, found in files.items()]
+        ),
+        "hostile_damages": table(["damage"], [([name], found) for name, found in damages.items()]),
+        "by_hand": str(sum(numbers["by_hand"].values())),
+        "by_hand_scenes": str(numbers["by_hand"]["scenes"]),
+        "by_hand_recordings": str(numbers["by_hand"]["recordings"]),
+    }
+
+
+myst_substitutions |= hostile_files()
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
 myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak() | evidence_tables()
 myst_heading_anchors = 3

@@ -1,14 +1,17 @@
-"""Files of strangers, broken on purpose, through the commands that read them:  python -m tests.hostile_files FOLDER EACH
+"""Files of strangers, broken on purpose, through the commands that read them:
 
-Works in FOLDER, which is emptied. Each kind of file meets each kind of damage EACH times. Prints a table: how often a command
-did its work or refused in one line with nothing written, and what ended otherwise, took more than LONGEST_S of CPU or more memory
-than MOST_BYTES.
+    python -m tests.hostile_files FOLDER EACH [NUMBERS]
+
+Works in FOLDER. Each kind of file meets each kind of damage EACH times. Prints how often a command did its work or refused in one
+line with nothing written, and what ended otherwise, took more than LONGEST_S of CPU or more memory than MOST_BYTES. NUMBERS, a file
+of JSON, gets the counts: docs/how_to/hostile_files.json is one, and docs/fill_numbers.py makes the tables of the page from it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import random
 import re
@@ -20,8 +23,9 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from tests.bad_input_cases import ECSV, MESH_SCENE, RECORDING, SCENE
+from tests.bad_input_cases import ECSV, MESH_SCENE, RECORDING, RECORDING_CASES, SCENE, SCENE_CASES
 from torchlc.cli import run
 
 LONGEST_S = 30.0
@@ -55,13 +59,13 @@ FILES = {
     "scene": ([("x.toml", SCENE.encode())], ["simulate", "x.toml", "r.csv", *OUT]),
     "recording, CSV": ([("x.csv", RECORDING.encode())], ["simulate", "s.toml", "x.csv", *OUT]),
     "recording, ECSV": ([("x.ecsv", ECSV.encode())], ["simulate", "s.toml", "x.ecsv", *OUT]),
-    "elements": ([("x.txt", ELEMENTS)], ["init", "out", "--tle", "x.txt", "--quiet"]),
+    "two-line elements": ([("x.txt", ELEMENTS)], ["init", "out", "--tle", "x.txt", "--quiet"]),
     "mesh: OBJ, STL, PLY": (
         [("x.obj", OBJ), ("x.stl", STL), ("x.ply", PLY)],
         ["simulate", "m.toml", "r.csv", *OUT],
     ),
     "manifest": ([("x.csv", MANIFEST)], ["campaign", "x.csv", "--scheduler", "nonsense://", *OUT]),
-    "posterior": ([("fit/posterior.nc", HDF5)], ["predict", "fit", "--date", "2020-10-17", *OUT]),
+    "posterior, HDF5": ([("fit/posterior.nc", HDF5)], ["predict", "fit", "--date", "2020-10-17", *OUT]),
 }
 """What a file is: its names with sound contents, and the command that reads it."""
 Damage = Callable[[random.Random, bytes], bytes]
@@ -123,26 +127,49 @@ def _most_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def attack(folder: Path, each: int) -> dict[str, Counter[str]]:
-    """Outcomes by kind of file; every case with the same seed is the same file."""
+def attack(folder: Path, each: int) -> dict[str, dict[str, Counter[str]]]:
+    """Outcomes by kind of file and kind of damage; every case with the same seed is the same file."""
     folder.mkdir(parents=True, exist_ok=True)
     os.chdir(folder)
     Path("fit").mkdir(exist_ok=True)
     Path("s.toml").write_text(SCENE)
     Path("r.csv").write_text(RECORDING)
     rng = random.Random(11)
-    table: dict[str, Counter[str]] = {}
+    table: dict[str, dict[str, Counter[str]]] = {}
     for what, (contents, command) in FILES.items():
-        table[what] = Counter()
-        for damage in DAMAGES.values():
+        table[what] = {kind: Counter() for kind in DAMAGES}
+        for kind, damage in DAMAGES.items():
             for _ in range(each):
                 name, content = rng.choice(contents)
                 Path(name).write_bytes(damage(rng, content))
                 Path("m.toml").write_text(MESH_SCENE.replace("body.obj", name))
-                table[what][outcome(command)] += 1
-        print(f"{what}: {dict(table[what])}", flush=True)
+                table[what][kind][outcome(command)] += 1
+        print(f"{what}: {dict(sum(table[what].values(), Counter()))}", flush=True)
     return table
 
 
+def numbers(table: dict[str, dict[str, Counter[str]]]) -> dict[str, Any]:
+    """The counts for the page: broken files by kind of file and of damage, and the inputs that somebody wrote by hand."""
+
+    def counts(outcomes: Counter[str]) -> dict[str, int]:
+        told = {name: outcomes[name] for name in ("done", "refused")}
+        return told | {"else": outcomes.total() - sum(told.values())}
+
+    return {
+        "files": {
+            what: {"command": FILES[what][1][0], **counts(sum(table[what].values(), Counter()))}
+            for what in table
+        },
+        "damages": {
+            kind: counts(sum((by_damage[kind] for by_damage in table.values()), Counter()))
+            for kind in DAMAGES
+        },
+        "by_hand": {"scenes": len(SCENE_CASES), "recordings": len(RECORDING_CASES)},
+    }
+
+
 if __name__ == "__main__":
-    attack(Path(sys.argv[1]), int(sys.argv[2]))
+    target = Path(sys.argv[3]).absolute() if len(sys.argv) > 3 else None
+    found = numbers(attack(Path(sys.argv[1]), int(sys.argv[2])))
+    if target is not None:
+        target.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")

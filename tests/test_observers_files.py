@@ -325,3 +325,48 @@ def test_errors_that_are_all_markers_are_absent(read):
     holds(recording, error=False)
     assert recording.error is None and not recording.dropped
     assert any("mag_err is 99 in all rows" in warning for warning in recording.warnings)
+
+
+PARTS = {
+    "hours, minutes, seconds": ("year,month,day,hour,minute,second", "2020,10,17,15,0,0", "2020,10,17,15,14,24.0", "2020,10,17,15,28,48"),
+    "no seconds": ("yyyy,mon,dd,hh,mn", "2020,10,17,15,0", "2020,10,17,15,14", "2020,10,17,15,28"),
+    "a share of the day": ("Year,Month,Day", "2020,10,17.625", "2020,10,17.635", "2020,10,17.645"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_parts_of_a_date_in_columns_of_their_own(read, name: str):
+    """Against the instants written out as ISO texts."""
+    names, *moments = PARTS[name]
+    rows = [f"{moment},{mag},0.02" for moment, mag in zip(moments, MAG, strict=True)]
+    recording = read("\n".join([f"{names},mag,mag_err", *rows]))
+    whole = ["2020-10-17T15:00:00", "2020-10-17T15:14:24", "2020-10-17T15:28:48"]
+    if name == "no seconds":
+        whole = [f"{moment[:17]}00" for moment in whole]
+    np.testing.assert_allclose((recording.time - Time(whole)).sec, 0, atol=1e-4)
+    assert recording.observed.tolist() == MAG
+    same = read(
+        "\n".join([f"{names},mag,mag_err".lower(), *rows]), columns=f"time={names.lower().replace(',', '+')}"
+    )
+    assert (same.time == recording.time).all()
+
+
+def test_a_date_without_its_time_of_day_is_no_time(read):
+    """Else all rows of a night would be at midnight."""
+    with pytest.raises(InputError, match="no column time"):
+        read("year,month,day,hours since sunset,mag\n2020,10,17,1.5,14.9\n2020,10,17,1.6,14.8\n")
+
+
+def test_a_table_of_vizier_with_units_and_a_ruler(read):
+    rows = "\n".join(
+        f"{jd - 2400000.5:.6f}\t{mag}\t{error}" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    )
+    recording = read(
+        f"#RESOURCE=yCat\n#Name: J/A+A\nMJD\tVmag\te_Vmag\nd\tmag\tmag\n-----\t----\t----\n{rows}\n"
+    )
+    holds(recording)
+
+
+@pytest.mark.parametrize("name", ["RJD", "reduced JD", "JD-2400000"])
+def test_reduced_julian_dates_by_name(read, name: str):
+    holds(read(table(f"{name},mag,mag_err", zero=2400000.0)))

@@ -548,3 +548,17 @@ def test_what_is_usual_is_that_of_a_row_s_own_curve(read, told: str):
         assert ids[curve].endswith("ab"[curve])
         (error,) = recording.error[recording.upper_limit & (recording.curve == curve)]
         assert error == pytest.approx(np.median(0.1 + 0.05 * np.arange(4)) * unit, rel=1e-9)
+
+
+def test_a_wild_row_does_not_hide_numbers_that_stand_for_none(read):
+    """A camera that saturates wrote 0 in many rows, and 0.483 in one that it did read."""
+    magnitudes = [10 + 0.001 * row for row in range(120)]
+    magnitudes[40:50] = [0.0] * 10
+    magnitudes[50] = 0.483
+    rows = [
+        f"2020-10-17T{15 + row // 60}:{row % 60:02d}:00,{mag:.3f},0.02" for row, mag in enumerate(magnitudes)
+    ]
+    recording = read("\n".join(["time,mag,mag_err", *rows]))
+    assert len(recording) == 120 and recording.dropped == {}
+    said = "row 41, column mag: 0 mag is 10.0 mag from nearly all others, and so are 9 more rows: if"
+    assert [said in warning for warning in recording.warnings] == [True]

@@ -21,6 +21,7 @@ from typing import Any
 
 from torchlc.errors import TorchlcError
 from torchlc.files.libraries import environment
+from torchlc.terminal import quiet_libraries
 
 START_METHOD = "spawn"
 """A fresh interpreter: a fork of a process whose libraries have begun threads may hang."""
@@ -153,6 +154,11 @@ def _serve(connection: Connection) -> None:
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO)
     threading.Thread(target=_end_with_campaign, daemon=True).start()
     connection.send(None)
+    with quiet_libraries():  # what a task needs is imported as it arrives
+        _serve_tasks(connection)
+
+
+def _serve_tasks(connection: Connection) -> None:
     while True:
         try:
             function, task, telling = connection.recv()

@@ -160,7 +160,14 @@ def _draw_model(shown: Comparison, stretch: Stretch, upper: Axes, lower: Axes) -
         values = recording.observed[rows][bad]
         for axes, y in ((upper, values), (lower, values - shown.prediction[rows][bad])):
             axes.plot(
-                elapsed[bad], y, "o", mfc="none", mec=BEFORE, ms=8, label="outlier" if axes is upper else None
+                elapsed[bad],
+                y,
+                "o",
+                mfc="none",
+                mec=BEFORE,
+                ms=8,
+                clip_on=False,  # at the edge of the axes half a ring would be lost
+                label="outlier" if axes is upper else None,
             )
 
 
@@ -177,7 +184,9 @@ def _label(
     if first:
         upper.set_ylabel(unit)
         upper.legend(loc="best" if alone else (0.0, 1.2), ncols=1 if alone else 4, fontsize=8)
-        lower.set_ylabel("obs. − model" if alone else "o − m")
+        lower.set_ylabel(
+            ("obs. − model" if alone else "o − m") + (", mag" if recording.kind == "mag" else "")
+        )
     if not alone:
         upper.set_title(plain(stretch.title), fontsize=8)
         lower.yaxis.set_major_locator(MaxNLocator(3))

@@ -53,7 +53,7 @@ def draw_passes(panels: Sequence[Panel], figure: Figure) -> Figure:
             )
             axes.plot(panel.minutes, panel.mag[2], color=MODEL, lw=1.4, label="median")
             for at in panel.glints:
-                axes.axvline(at, color=MARK, lw=1.2)
+                axes.axvline(at, color=MARK, lw=1.2, label="glint")
             axes.invert_yaxis()
             axes.set_title(plain(panel.title), fontsize=8.5)
             axes.set(xlabel=f"minutes after {panel.start}", ylabel="magnitude")
@@ -65,7 +65,12 @@ def draw_passes(panels: Sequence[Panel], figure: Figure) -> Figure:
             height.spines["right"].set_visible(True)
         for axes in grid.flat[len(panels) :]:
             axes.set_axis_off()
-        grid.flat[0].legend(fontsize=7, loc="lower left")
+        drawn_as = {
+            label: handle
+            for axes in grid.flat
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        grid.flat[0].legend(drawn_as.values(), drawn_as.keys(), fontsize=7)
         figure.tight_layout()
     return figure
 

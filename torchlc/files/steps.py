@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import io
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,10 +32,10 @@ class Steps:
             return
         try:
             stored = torch.load(path, weights_only=True)
-        except (OSError, RuntimeError, EOFError, pickle.UnpicklingError):
+            known = stored["steps"] if stored["key"] == key else {}
+        except Exception:  # PyTorch raises whatever the broken bytes make it raise
             return  # cut short, or of another kind: the search begins anew
-        if isinstance(stored, dict) and stored.get("key") == key:
-            self._known = stored["steps"]
+        self._known = known
 
     @property
     def resumed(self) -> bool:
@@ -49,6 +49,10 @@ class Steps:
             self._known[name] = [dict(vars(one)) for one in made]
             if self._write is not None and time.monotonic() >= self._written + self._every_s:
                 self._written = time.monotonic()
-                self._write(lambda path: torch.save({"key": self._key, "steps": self._known}, path))
+                content = (
+                    io.BytesIO()
+                )  # PyTorch's own writing to a file turns a full disk into a RuntimeError
+                torch.save({"key": self._key, "steps": self._known}, content)
+                self._write(lambda path: path.write_bytes(content.getbuffer()))
             return made
         return [kind(**one) for one in self._known[name]]

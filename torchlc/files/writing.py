@@ -50,6 +50,7 @@ RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""
 PARTIAL = ".partial"
 CHANGED = ".changed"
+FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 KEPT_HASHES = 2
 """Of each file, newest first: the content that is about to be put in place, and the one before."""
@@ -359,23 +360,29 @@ def resources(path: Path | None = None) -> Iterator[None]:
         if getattr(error, "errno", None) in FULL or any(os.strerror(code).lower() in text for code in FULL):
             where = path or getattr(error, "filename", None)
             raise ResourceError(
-                f"no room on disk{f' for {where}' if where else ''}; nothing of it was written"
+                f"no room on disk{f' for {_final(Path(where))}' if where else ''}; nothing of it was written"
             ) from None
         if "can't allocate memory" in text or "not enough memory" in text:
             raise ResourceError(
                 "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
             ) from None
-        if isinstance(error, PermissionError) and path is not None:
-            raise _unusable(path, error) from None
+        if isinstance(error, OSError) and error.errno in FORBIDDEN and path is not None:
+            raise _unusable(_final(path), error, None) from None
         raise
 
 
-def _unusable(path: Path, error: OSError) -> InputError | ResourceError:
+def _final(path: Path) -> Path:
+    """Where a file that is being written will be in the end; a path of any other file as it is."""
+    match = re.fullmatch(rf"\.(.+)\.\d+(-\d+)?{re.escape(PARTIAL)}", path.name)
+    return path.with_name(match[1]) if match else path
+
+
+def _unusable(path: Path, error: OSError, option: str | None = "-o") -> InputError | ResourceError:
     if error.errno in FULL:
         return ResourceError(f"no room on disk for {path}")
     name = str(path) if len(str(path)) <= LONGEST_NAME_TOLD else f"{str(path)[:LONGEST_NAME_TOLD]}..."
     return InputError(
-        None, "-o", f"{name} cannot be written: {error.strerror}", "a directory that can be written"
+        None, option, f"{name} cannot be written: {error.strerror}", "a directory that can be written"
     )
 
 

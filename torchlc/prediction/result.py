@@ -377,14 +377,16 @@ class Prediction:
 
     def headline(self) -> str:
         visible = [one for one in self.passes if one.visible]
-        count = len({one.path.orbiter for one in visible})
-        told = f"{self.name}: {len(visible)} passes to be seen, of {count} of {len(self.orbiters)} objects"
+        several, count = len(self.orbiters) > 1, len({one.path.orbiter for one in visible})
+        whose = f", by {count} of {len(self.orbiters)} objects" if several else ""
+        told = f"{self.name}: {len(visible)} pass{'' if len(visible) == 1 else 'es'} to be seen{whose}"
         if not visible:
             return f"{told}, {str(self.iso(0.0))[:16]} to {str(self.iso(self.span.seconds[-1]))[:16]} UTC"
         best = visible[0]
         row = best.row or 0
         when = str(self.iso(self.span.seconds[best.path.index[row]]))[:19]
-        return f"{told}; brightest {self._name(best)}, {best.brightest[2]:.1f} mag at {when} UTC"
+        named = f"{self._name(best)}, " if several else ""
+        return f"{told}; brightest {named}{best.brightest[2]:.1f} mag at {when} UTC"
 
     def lines(self, most: int = 20) -> list[str]:
         """The brightest passes, ready to print."""

@@ -33,6 +33,11 @@ HALVES = re.compile(
 )
 ONE_DIGIT = re.compile(r"\d:\d\d", re.ASCII)
 ISO_DATE = re.compile(r"\s*\d{4}-\d\d-\d\d(?:[T ]\d\d:(?!.*[AaPp]\.?[Mm])|\s*$)", re.ASCII)
+PARTS = re.compile(
+    r"\d{4} \d{1,2} (\d{1,2}(\.\d*)?|\d{1,2} \d{1,2} \d{1,2}|\d{1,2} \d{1,2} \d{1,2} \d{1,2}(\.\d*)?)",
+    re.ASCII,
+)
+"""Year, month and day with or without a share; these, hour and minute; or these, hour, minute and second."""
 MICROSECONDS = 86_400_000_000
 """In a day."""
 ORDERS = ("day-first", "month-first")
@@ -46,6 +51,20 @@ def are_apart(date: str, clock: str) -> bool:
     return bool(
         re.fullmatch(rf"\s*{DATE}\s*", date) and re.fullmatch(rf"\s*{CLOCK}\s*(Z|UTC?)?\s*", clock, re.I)
     )
+
+
+def moment_of(cells: Sequence[str]) -> str:
+    """The text of an instant that stands in several cells: a date and a time of day, or year, month, day, hour, minute
+    and second, of which the last may have a share."""
+    parts = [cell.strip() for cell in cells]
+    if PARTS.fullmatch(" ".join(parts)) is None:
+        return "T".join(parts)
+    year, month, day, *clock = parts
+    if not clock:
+        return f"{year} {month} {day}"
+    whole, _, share = clock[-1].partition(".")
+    clock[-1] = f"{whole:0>2}{share and f'.{share}'}"
+    return f"{year}-{month:0>2}-{day:0>2}T{':'.join(f'{part:0>2}' for part in clock)}"
 
 
 def is_moment(cell: str) -> bool:

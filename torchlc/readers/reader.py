@@ -59,6 +59,8 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+ASIDE = 100
+"""Of so many rows one may be as far out, at either end, without being like those that somebody chose."""
 LIMITS = {
     "mag": (-BEYOND_MAG, BEYOND_MAG),
     "flux": (-1e30, 1e30),
@@ -357,7 +359,10 @@ class _Reader:
         return missing, far
 
     def _suspect_markers(self) -> None:
-        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from all others."""
+        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from nearly all others.
+
+        One in a hundred of the others is left aside at either end: a wild row beside the markers must not hide them.
+        """
         if self.kind != "mag":
             return
         values = self.columns["mag"]
@@ -367,12 +372,14 @@ class _Reader:
         others = values[~likely]
         if not chosen or not len(others):
             return
-        apart = np.maximum(others.min() - values, values - others.max())
+        others.sort()
+        aside = len(others) // ASIDE
+        apart = np.maximum(others[aside] - values, values - others[-1 - aside])
         far = likely & (apart > FAR_MAG)
         if far.any():
             first = row_place(int(self.rows[far][0]), "mag")
             self.warnings.append(
-                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from all others"
+                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from {'nearly ' if aside else ''}all others"
                 f"{f', and so are {np.count_nonzero(far) - 1} more rows' if far.sum() > 1 else ''}: if it stands for a "
                 "missing measurement, leave it blank or out. It is taken as measured"
             )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import astropy.units as u
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import are_apart
+from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.table import Header, first_row, is_as_wide
 from torchlc.scene.reading import OPTION, SETTINGS, Reading
 from torchlc.suggest import did_you_mean
@@ -53,7 +53,7 @@ STAMPS: dict[str, Stamp] = {
     "mjdtdb": Stamp("mjd", "tdb"),
     "mjdtt": Stamp("mjd", "tt"),
     **dict.fromkeys(("mjd", "obsmjd", "modifiedjuliandate"), _MJD),
-    "rjd": Stamp("jd-2400000"),
+    **dict.fromkeys(("rjd", "reducedjd", "jdreduced", "reducedjuliandate"), Stamp("jd-2400000")),
     "btjd": Stamp("jd-2457000", "tdb", light_path="barycentric"),
     "bkjd": Stamp("jd-2454833", "tdb", light_path="barycentric"),
     **dict.fromkeys(("unix", "unixtime", "unixtimestamp", "unixseconds", "unixepoch", "posixtime", "timeunix"), Stamp("unix", "utc")),
@@ -62,7 +62,7 @@ STAMPS: dict[str, Stamp] = {
     "midpointmjdtai": Stamp("mjd", "tai", mark="mid"),
     "mjdtai": Stamp("mjd", "tai"),
     **dict.fromkeys(
-        ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime"),
+        ("datetime", "datetimeutc", "utc", "utctime", "timeutc", "dateutc", "utcdatetime", "obstime", "observationtime", "obstimeutc", "observationtimeutc"),
         Stamp(),
     ),
     **dict.fromkeys(("timestamp", "timestamputc", "isotime", "obsdate"), Stamp()),
@@ -87,7 +87,7 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
+        "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
@@ -131,6 +131,15 @@ CLOCK = (
 )
 CALENDAR = ("date", "dateutc", "utcdate", "utdate", "obsdate", "datum", "fecha", "data")
 """Names of two columns that hold the time of day and the date."""
+PARTS_OF_DATE = (
+    ("year", "yr", "yyyy", "jahr", "annee"),
+    ("month", "mon", "monat", "mois"),
+    ("day", "dd", "tag", "jour"),
+    ("hour", "hours", "hr", "hh", "h", "stunde"),
+    ("minute", "minutes", "min", "mn", "m"),
+    ("second", "seconds", "sec", "ss", "s", "sekunde"),
+)
+"""Names of columns that hold the parts of a date, letters and digits only."""
 
 
 def without_brackets(name: str) -> tuple[str, str]:
@@ -217,7 +226,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
             signs = [index for index, name in enumerate(header.names) if name.strip() in SIGNS]
             if role not in taken and len(signs) == 1 and loose:
                 taken[role] = (signs[0],)
-    taken |= _date_and_time(header, reading, taken)
+    taken |= _parts_of_date(header, taken) or _date_and_time(header, reading, taken)
     return _renamed(header, reading, taken)
 
 
@@ -260,6 +269,27 @@ def _one_filter(header: Header, known: Sequence[str]) -> bool:
     if folded & {plain(name) for name in (*known, "mag", *NAMES["mag"]) if plain(name) not in OF_A_FILTER}:
         return True
     return len(folded & set(OF_A_FILTER)) < 2
+
+
+def _parts_of_date(header: Header, taken: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Where year, month, day and the parts of the day stand in columns of their own, and nothing else is a time."""
+    if "time" in taken:
+        return {}
+    used = {place for places in taken.values() for place in places}
+    folded = [plain(name) if index not in used else "" for index, name in enumerate(header.names)]
+    places: list[int] = []
+    for names in PARTS_OF_DATE:
+        here = [index for index, name in enumerate(folded) if name in names]
+        if len(here) != 1:
+            break
+        places += here
+    cells = first_row(header)
+    if len(places) < 3 or not is_as_wide(cells, header.names):
+        return {}
+    parts = [cells[place] for place in places]
+    if len(parts) == 3 and "." not in parts[2]:  # a date alone is no instant
+        return {}
+    return {"time": tuple(places)} if is_moment(moment_of(parts)) else {}
 
 
 def _date_and_time(

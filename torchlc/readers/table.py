@@ -16,6 +16,7 @@ import numpy as np
 from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.encodings import wide_encoding_of
+from torchlc.readers.dates import moment_of
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
@@ -90,7 +91,7 @@ def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str,
             first, *others = where[name]
             cells = [row[first] for row in rows]
             if others:
-                cells = ["T".join(row[place].strip() for place in where[name]) for row in rows]
+                cells = [moment_of([row[place] for place in where[name]]) for row in rows]
             pieces[name].append(read(header, name, cells, count))
         count += len(rows)
         if count > MAX_ROWS:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import ORDERS, Calendar
+from torchlc.readers.dates import ORDERS, Calendar, moment_of
 from torchlc.readers.roles import stamp_of
 from torchlc.readers.table import METADATA, Header, first_row
 from torchlc.scene.reading import SINCE, TIME_FORMATS, Reading, is_time_format
@@ -266,7 +266,7 @@ def _has_offset(header: Header) -> bool:
     cells, places = first_row(header), header.places("time")
     if max(places) >= len(cells):
         return False
-    text = "T".join(cells[place].strip() for place in places)
+    text = moment_of([cells[place] for place in places])
     try:
         match = ISO.fullmatch(Calendar(ORDERS[0]).iso([text])[0])
     except UnreadableTime:

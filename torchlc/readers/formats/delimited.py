@@ -88,10 +88,12 @@ def table_header(head: Head) -> Header:
     above = [text for number, text in head.lines if number <= header.skip]
     if above and cells_of(above[-1], header.delimiter) == list(header.names):
         above.pop()
-    if len(rows) > 1 and _is_line_of_units(rows[0][1]) and not _is_line_of_units(rows[1][1]):
+    ruled = len(rows) > 2 and _is_ruler(rows[1][1])  # VizieR writes names, units and a line of dashes
+    below = 1 + ruled
+    if len(rows) > below and _is_line_of_units(rows[0][1]) and not _is_line_of_units(rows[below][1]):
         told = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
-        header = replace(header, skip=rows[0][0], notes=(*header.notes, told))
-        rows = rows[1:]
+        header = replace(header, skip=rows[below - 1][0], notes=(*header.notes, told))
+        rows = rows[below:]
     meta, others = metadata_of_comments([text.lstrip("#%;").removeprefix(" ") for text in above])
     return replace(header, meta=meta, comments=tuple(others), decimal=_decimal(head, header, rows))
 
@@ -262,6 +264,11 @@ def _is_line_of_units(cells: Sequence[str]) -> bool:
     return any(cells) and not any(
         re.search(r"\d", cell) or cell.lower() in BLANK - {"", "-", "--"} for cell in cells
     )
+
+
+def _is_ruler(cells: Sequence[str]) -> bool:
+    """A line of dashes below names and units."""
+    return any(cells) and all(re.fullmatch(r"-*", cell) for cell in cells)
 
 
 def _decimal(head: Head, header: Header, rows: Sequence[tuple[int, list[str]]]) -> str:

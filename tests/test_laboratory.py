@@ -157,7 +157,7 @@ def test_every_member_for_laboratories_is_asked(one_late):
     assert begin.tolist() == pytest.approx([0.0, 0.0, -60.0, 0.0, 0.0], abs=7.5)  # half a step of the 24
 
 
-def test_what_an_effect_promises_is_the_least_squares_of_its_change_and_all_that_is_free(tmp_path):
+def test_the_size_that_suits_an_effect_is_the_least_squares_of_its_change_and_all_that_is_free(tmp_path):
     """By NumPy, of the probed value that promises most: change and tangent together."""
     scene, recording = Bench(power=0.5).recording(tmp_path)
     bench = Workbench(scene, recording)
@@ -172,7 +172,8 @@ def test_what_an_effect_promises_is_the_least_squares_of_its_change_and_all_that
     padded = np.concatenate([moved, np.zeros(len(tangent) - len(moved))])
     residual = np.concatenate([(at.delta / at.sigma).numpy(), at.g.numpy()])
     size = np.linalg.lstsq(np.column_stack([padded, tangent]), residual, rcond=None)[0][0]
-    np.testing.assert_allclose(found.promised(at).numpy(), size * moved, rtol=1e-6, atol=1e-9)
+    assert found.best_size(at) == pytest.approx(size, rel=1e-6)
+    np.testing.assert_allclose((found.best_change(at) / at.sigma).numpy(), moved, rtol=1e-12)
 
 
 @pytest.mark.long

@@ -19,7 +19,8 @@ from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
-from torchlc.inference.posterior import fitted_at
+from torchlc.inference.density import Posterior
+from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
 
 BALL = """
 format = "torchlc-scene/1"
@@ -280,6 +281,85 @@ def test_a_set_whose_members_were_never_fitted_alone_is_tried_with_free_sizes(ba
     search.extend(appendage, "zero_point_drift", None)
     search.alternatives([NOMINAL], [("zero_point_drift",)])
     assert Hypothesis(("zero_point_drift",), search.robust, NOMINAL) in search.visited
+
+
+def stepped(ball, step: float, drift: float):
+    """A step in the middle of the rows, and a drift, mag and mag/h."""
+    hours = ball[1].seconds / 3600
+    return changed(ball, step * (hours > hours.mean()) + drift * (hours - hours.mean()))
+
+
+@pytest.mark.parametrize(("step", "refitted"), [(0.3, False), (0.03, True)])
+def test_an_effect_that_promises_too_little_beside_the_foremost_is_not_refitted(ball, step, refitted) -> None:
+    """A drift of 0.01 mag/h gains some 20 in log density; a step of 0.3 mag gains thousands."""
+    search = searched(stepped(ball, step, 0.01), "zero_point_step")
+    at = search.visited[Hypothesis().under(*search.robust)]
+    search.extend(at, "zero_point_step", None)
+    found = search.probe_all(at, ["zero_point_drift"])["zero_point_drift"]
+    assert search.within_reach("zero_point_drift", at, found) is refitted
+    assert (Hypothesis(("zero_point_drift",), search.robust) in search.linear) is not refitted
+    search.probes, search.bench.entries = {"zero_point_drift": found}, ["zero_point_drift"]
+    search.tell_unexamined()
+    assert ("zero_point_drift" in search.unexamined) is refitted  # here nothing has refitted it
+
+
+@pytest.mark.parametrize(
+    ("stem", "entry", "drift", "tried"),
+    [
+        ("zero_point_step", "zero_point_drift", 0.03, True),
+        ("zero_point_drift", "background", 0.0, False),
+    ],
+)
+def test_an_effect_beside_one_that_is_behind_is_tried_where_it_may_lift_both_above_the_leader(
+    ball, stem, entry, drift, tried
+) -> None:
+    """A drift takes a part of a step of 0.1 mag, and a background beside it hardly more."""
+    search = searched(stepped(ball, 0.1, drift))
+    at = search.visited[Hypothesis().under(*search.robust)]
+    search.probe_all(at, [entry])
+    search.extend(at, "zero_point_step", None)
+    search.extend(at, stem, None)
+    search.overtake([Hypothesis((stem,), search.robust)], [entry], set())
+    assert any(set(one.plain) == {stem, entry} for one in search.visited) is tried
+
+
+def test_the_evidence_of_a_linear_form_is_that_of_a_linear_model(ball) -> None:
+    """A drift beside a free zero point, both with normal priors: by scipy's normal density of all rows."""
+    hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
+    search = searched(changed(ball, 0.01 * hours), "zero_point_drift")
+    drift = search.visited[Hypothesis(("zero_point_drift",))]
+    found = integrated(drift, 500, 0, linear=True)
+    assert found.evidence is not None
+    covariance = drift.slopes @ drift.slopes.T + ERROR**2 * torch.eye(len(drift.delta))
+    left = drift.delta - drift.slopes @ drift.g
+    expected = stats.multivariate_normal(cov=covariance.numpy()).logpdf(left.numpy())
+    assert found.evidence.log_z == pytest.approx(expected, abs=0.1)
+
+
+def test_a_descent_by_linear_forms_comes_to_the_same_minimum(monkeypatch, tmp_path) -> None:
+    """A box whose attitude is 0.5 deg off, with the geometry taken as slow and as quick."""
+    box = BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [2.0, 1.2, 1.6]').replace(
+        'mode = "nadir"', 'mode = "inertial"\nspin_axis = [0.57, 0.78, 0.51]\nspin_rate = 1.7'
+    )
+    (tmp_path / "scene.toml").write_text(box)
+    true = box.replace("effects = []", 'effects = ["attitude_offset"]') + '"attitude_offset.x" = 0.5\n'
+    (tmp_path / "true.toml").write_text(true)
+    curve = torchlc.simulate(
+        tmp_path / "true.toml", start="2026-03-15T19:00:00", hours=3.0, cadence=180, noise=ERROR, seed=3
+    )
+    scene, recording = torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv"))
+    peaks = []
+    for most in (0.0, math.inf):
+        monkeypatch.setattr("torchlc.inference.density.DEAR_S", most)
+        bench = Workbench(scene, recording)
+        hypothesis = Hypothesis(("attitude_offset",))
+        posterior = Posterior(bench.likelihood(hypothesis), scaled=True)
+        start = posterior.coordinates(posterior.model.parameter_set.start())
+        at = polished(fitted_at(hypothesis, posterior, start), 2)
+        assert posterior.slow is (most == 0.0)
+        peaks.append(at.peak)
+    # each is within LEFT of the maximum
+    assert peaks[0] == pytest.approx(peaks[1], abs=2 * LEFT)
 
 
 @pytest.mark.long

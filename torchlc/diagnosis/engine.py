@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
-from torchlc.diagnosis.fits import BEAM, REACH, STARTS, Fits
+from torchlc.diagnosis.fits import BEAM, REACH, STARTS, Fits, sorted_as
 from torchlc.diagnosis.hypotheses import (
     FEW_EFFECTS,
     Hypothesis,
@@ -35,11 +35,13 @@ from torchlc.diagnosis.probes import (
 )
 from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted, Linear, Posterior
-from torchlc.inference.posterior import UNLIKE, fit, material_starts
+from torchlc.inference.posterior import LONGEST, MOST_MINIMA, UNLIKE, fit, material_starts
 from torchlc.stages.entry import Entry
 
 NEAR = 6.0
 """Log odds below the leader within which evidence is integrated, and a set told under every noise: one in 400."""
+LINEAR_NEAR = 3.0
+"""Log odds below the leader within which the linear form of a set of effects is not the last word on it: one in twenty."""
 LAW_STARTS = 48
 """Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
 CLEAN_P = 0.05
@@ -61,6 +63,8 @@ DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
 PROBING_S = 10.0
 """CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
+SLOW_FIT_S = 0.5
+"""CPU seconds of a refit beside other effects beyond which its linear form, which takes some tenths, is asked first."""
 DEAR_FIT_S = 2.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach; and of a probe, beyond which that of
 the first round serves for all sets."""
@@ -122,13 +126,26 @@ class Search(Fits):
             posterior.model.forget()
         return found
 
+    def within_reach(self, entry: str, at: Fitted, found: Probe) -> bool:
+        """Whether an effect beside a fit could come near the foremost if it gained LONGEST times what its probe promises; if not, its
+        linear form, which is kept, is all that is asked of it. Effects that have no value to try are always asked."""
+        if not len(found.scores) or not found.psi.shape[-1]:
+            return True
+        hypothesis = at.hypothesis.with_effect(entry)
+        without = at.log_z + self.bench.log_odds(hypothesis)
+        if without + LONGEST * 0.5 * found.score > self.mark - NEAR:
+            return True
+        self.linear[hypothesis] = without + 0.5 * found.score
+        return False
+
     def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
-        """Whether an effect is refitted. One whose geometry is dear is judged by its linear form, which is kept, and refitted
-        only if that could be the answer and there is time."""
+        """Whether an effect is refitted. One whose geometry is dear, or slow beside other effects, is judged by its linear form, which is
+        kept, and refitted only if that could be the answer and there is time."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        cost = refit_seconds(posterior)
-        if cost < DEAR_FIT_S:
+        each = posterior.geometry_seconds if at.hypothesis.added else posterior.seconds_each
+        cost = refit_seconds(posterior, each)
+        if cost < (SLOW_FIT_S if at.hypothesis.added else DEAR_FIT_S):
             return True
         if Entry.parse(entry).per is not None:
             promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
@@ -142,12 +159,12 @@ class Search(Fits):
             return False
         if not len(found.scores):
             return False
-        moved = replace(at.found, delta=at.delta - found.promised(at) * at.sigma)
-        shifted = replace(at, found=moved)
+        line = Linear(at, found.best_change(at)[:, None])
+        start = torch.cat([at.g, at.g.new_tensor([found.best_size(at)])])
         with torch.no_grad():
-            linear = fit(at.hypothesis, Linear(shifted), shifted.g[None], turns=1)
+            linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
-        if self.linear[hypothesis] < self.mark - NEAR:
+        if self.linear[hypothesis] < self.mark - LINEAR_NEAR:
             return False
         if self.clock.affords(cost):
             return True
@@ -181,7 +198,9 @@ class Search(Fits):
                 break
             if not self.probes[entry].visible:
                 self.invisible.add(entry)
-            elif self.affordable(entry, at, self.probes[entry]):
+            elif self.within_reach(entry, at, self.probes[entry]) and self.affordable(
+                entry, at, self.probes[entry]
+            ):
                 self.extend(at, entry, self.probes[entry])
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
@@ -264,26 +283,23 @@ class Search(Fits):
             self.begun_afresh.add(one)
             generator = torch.Generator().manual_seed(one.seed + self.seed)
             starts = material_starts(at.posterior, at.theta, STARTS, generator)
-            self.refit(one, torch.cat([at.theta[None], starts]), at)
+            # each point that is followed further takes geometries of its own
+            most = MOST_MINIMA // 2 if at.posterior.slow else MOST_MINIMA
+            self.refit(one, torch.cat([at.theta[None], starts]), at, most=most)
 
     def sets(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Sets of effects, as long as they gain: grown from the leaders, then without each of their members, and with each
-        exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader whose rows
-        err independently that leaves nothing, by the p-value that ``left`` gives, and has no red noise ahead of it, is only asked for what
-        may hide beside it; where it has another law than the scene, the best under the scene's own grows beside it;
+        exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader that is :meth:`clean` is only
+        asked for what may hide beside it, and others for what lifts them above it; where it has another law than the scene, the best under the scene's own grows beside it;
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
         behind if FEW_EFFECTS more gained as much each as the best one alone."""
         grown: set[frozenset[str]] = set()
         for size in itertools.count(1):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
-            alike = self.foremost
-            ahead = max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(alike)
-            if not sized or ahead > REACH + FEW_EFFECTS * self.gain_alone:
+            if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.gain_alone:
                 break
-            # another way to err independently is no sign that anything is left
-            hidden = self.correlated(self.leader) and ahead > NEAR
-            clean = not hidden and left(self.visited[alike]) > CLEAN_P
-            if clean and len(alike.added) < size:
+            clean = self.clean(left)
+            if clean and len(self.foremost.added) < size:
                 break
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
@@ -291,6 +307,10 @@ class Search(Fits):
                 stems += [one for one in sized if not one.law][:1]
             for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)
+            if clean:
+                # what probes promise beside fits that are far apart does not compare
+                for stems in (self.behind(sized), *([one] for one in self.shorter())):
+                    self.overtake(stems, entries, grown)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             if not best:
                 break
@@ -309,6 +329,17 @@ class Search(Fits):
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
                 break
             self.clock.tell(self.state(), 0.5 + 0.2 * min(size, FEW_EFFECTS - 1))
+
+    @property
+    def ahead_of_foremost(self) -> float:
+        """Log odds by which what errs otherwise, or something unknown alone, is ahead of the foremost."""
+        return max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(self.foremost)
+
+    def clean(self, left: Callable[[Fitted], float]) -> bool:
+        """Whether the foremost leaves nothing, by the p-value that ``left`` gives, and no red noise is ahead of it; another way to err
+        independently is no sign that anything is left."""
+        hidden = self.correlated(self.leader) and self.ahead_of_foremost > NEAR
+        return not hidden and left(self.visited[self.foremost]) > CLEAN_P
 
     def grow(
         self, stem: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]], most: int, anew: bool
@@ -334,6 +365,47 @@ class Search(Fits):
                 grown.add(frozenset((stem.law, *stem.plain, entry)))
                 self.extend(at, entry, found[entry])
 
+    def behind(self, sized: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Sets within reach of the foremost, of those that are ranked, but the first."""
+        return [one for one in sized[1:] if self.log_odds(one) > self.mark - REACH]
+
+    def shorter(self) -> list[Hypothesis]:
+        """The foremost without each of its effects, where it has several, fitted from its numbers."""
+        at = self.visited[self.foremost]
+        found = []
+        for entry in at.hypothesis.added if len(at.hypothesis.added) > 1 else ():
+            fewer = self.less(at, entry)
+            if refit_seconds(self.posterior(fewer)) < DEAR_FIT_S and self.clock.left(0.8):
+                self.shrunk(at, entry)
+            if fewer in self.visited:
+                found.append(fewer)
+        return found
+
+    def overtake(
+        self, stems: Sequence[Hypothesis], entries: Sequence[str], grown: set[frozenset[str]]
+    ) -> None:
+        """What may lift a set that is behind a clean leader above it: those of one of these and one effect more that promise most, from
+        probes as they were made last."""
+        promised: list[tuple[float, Hypothesis, str, Probe]] = []
+        for stem in stems:
+            at = self.visited[stem]
+            for entry in entries:
+                if entry not in self.latest or not self.bench.compatible(stem, entry):
+                    continue
+                more = stem.with_effect(entry)
+                known = sorted_as(self.visited, more) in self.visited
+                one = rescored(*self.latest[entry], at)
+                if known or not one.visible or not self.bench.carries(more):
+                    continue
+                if self.within_reach(entry, at, one):
+                    odds = at.log_z + self.bench.log_odds(more) + 0.5 * one.score
+                    promised.append((odds, stem, entry, one))
+        for _, stem, entry, one in sorted(promised, key=lambda pair: -pair[0])[:JOINT]:
+            pair, at = frozenset((stem.law, *stem.plain, entry)), self.visited[stem]
+            if pair not in grown and self.clock.left(0.8) and self.affordable(entry, at, one):
+                grown.add(pair)
+                self.extend(at, entry, one)
+
     def least_score(self, stem: Hypothesis, entry: str) -> float:
         """What a signature has to promise that an effect is added to a set: LEAST_SCORE, and beyond FEW_EFFECTS, where each has to gain
         REACH beyond its prior odds, two thirds of that."""
@@ -344,12 +416,12 @@ class Search(Fits):
 
     def noise_of_leaders(self) -> None:
         """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
-        of the leader and of the leading effects; and sets whose geometry is dear are only asked where they are near."""
+        of the leader and of the leading effects; and sets whose geometry is slow are only asked where they are near."""
         top = self.log_odds(self.leader)
         near = [
             one
             for one in self.ranked()
-            if self.log_odds(one) > top - (NEAR if self.visited[one].posterior.dear else REACH)
+            if self.log_odds(one) > top - (NEAR if self.visited[one].posterior.slow else REACH)
         ]
         # red noise far ahead may stand in for effects: how far these are behind is only told with it beside them
         near.append(self.foremost)
@@ -395,19 +467,20 @@ class Search(Fits):
         return found
 
     def integrate(self) -> None:
-        """Evidence by importance sampling of what is near the leader, until the order of the leaders stands. Where time ends before all
-        of them have it none gets it: Laplace's method may be off by as much as they are apart, and alike for all."""
+        """Evidence by importance sampling of what is near the leader, until the order of the leaders stands; of all linear forms where the
+        geometry of any is slow. Where time ends before all of them have it none gets it: Laplace's method, and a linear form, may be off
+        by as much as they are apart, and alike for all."""
         for _ in range(2):
             top = self.log_odds(self.leader)
+            near = [one for one in self.ranked()[: 2 * MOST_LOOKED] if self.log_odds(one) >= top - NEAR]
+            linear = any(self.visited[one].posterior.slow for one in near)
             made: dict[Hypothesis, Fitted] = {}
-            for one in self.ranked()[: 2 * MOST_LOOKED]:
-                if self.log_odds(one) < top - NEAR:
-                    break
+            for one in near:
                 if not self.clock.left(0.95):
                     return
                 if self.visited[one].evidence is None:
                     draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
-                    made[one] = self.weighed(self.visited[one], draws)
+                    made[one] = self.weighed(self.visited[one], draws, linear)
             self.visited.update(made)
 
     def nominal_sizes(self) -> None:
@@ -416,13 +489,13 @@ class Search(Fits):
         if len(kept) < len(self.leader.added) and self.bench.has_free_sizes:
             self.alternatives([NOMINAL], [kept])
 
-    def laws(self, entries: Sequence[str]) -> None:
-        """The scene's own model under other laws of reflection. Under one that describes the rows better than the scene's own law, the
-        leading effects are refitted and others looked for: beside the wrong law others lead."""
+    def laws(self, entries: Sequence[str], clean: bool) -> None:
+        """The scene's own model under other laws of reflection. Unless the foremost is ``clean`` without, under one that describes the rows
+        better than the scene's own law the leading effects are refitted and others looked for: beside the wrong law others lead."""
         self.alternatives(self.bench.laws, [()])
         null = Hypothesis().under(*self.robust)
         better = [law for law in self.bench.laws if self.ahead(replace(null, law=law), null)]
-        if better:
+        if better and not clean:
             leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
             self.alternatives(better, list(dict.fromkeys(leaders))[:2])
         if self.foremost.law:
@@ -484,8 +557,8 @@ class Search(Fits):
         return f"leads: {name}"
 
 
-def refit_seconds(posterior: Posterior) -> float:
-    """CPU seconds of a refit: its geometries, of which those of numbers that share no row are one."""
+def refit_seconds(posterior: Posterior, each: float | None = None) -> float:
+    """CPU seconds of a refit: its geometries of ``each`` seconds, of which those of numbers that share no row are one."""
     colours = posterior.colours()
     slopes = len(posterior.physical) if colours is None else len(colours.groups)
-    return posterior.seconds_each * (1 + slopes) * DEAR_STEPS
+    return (posterior.seconds_each if each is None else each) * (1 + slopes) * DEAR_STEPS

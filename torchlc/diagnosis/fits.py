@@ -102,7 +102,7 @@ class Fits:
     def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
         for one in (hypothesis, hypothesis.under(*self.robust)):
-            found = _sorted_as(self.visited, one)
+            found = sorted_as(self.visited, one)
             if found in self.visited:
                 return found
         return None
@@ -157,9 +157,15 @@ class Fits:
         return new
 
     def refit(
-        self, hypothesis: Hypothesis, starts: Tensor, noise_from: Fitted | None = None, **options
+        self,
+        hypothesis: Hypothesis,
+        starts: Tensor,
+        noise_from: Fitted | None = None,
+        slopes: Tensor | None = None,
+        **options,
     ) -> Fitted:
-        """A fit from natural values (S, P) kept; noise begins as in another fit, or as its prior has it."""
+        """A fit from natural values (S, P) kept; noise begins as in another fit, or as its prior has it. ``slopes`` (S, T, P) are d residual /
+        d g at the starts, if they are known."""
         posterior = self.posterior(hypothesis)
         g = posterior.coordinates(starts)
         g[:, posterior.noise_columns] = 0.0
@@ -177,7 +183,7 @@ class Fits:
         made: list[Fitted] = []
 
         def minima() -> list[Minimum]:
-            made.append(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, **options))
+            made.append(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, slopes=slopes, **options))
             return [Minimum(one.g) for one in made[0].minima]
 
         name = f"{hypothesis} from {hashlib.sha256(g.numpy().tobytes()).hexdigest()} {options}"
@@ -222,11 +228,18 @@ class Fits:
                 1, torch.tensor(geometry, dtype=torch.long), at.theta[geometry].expand(len(starts), -1)
             )
             begin.append(carried(parameters, starts, at.names))
-        return self.refit(hypothesis, torch.cat(begin), at, turns=1)
+            return self.refit(hypothesis, torch.cat(begin), at, turns=1)
+        posterior = self.posterior(hypothesis)
+        slopes = at.slopes.new_zeros(len(at.minima), len(at.delta), posterior.size)
+        place = {name: column for column, name in enumerate(at.names)}
+        columns = posterior.physical
+        of = [place[posterior.model.names[column]] for column in columns]
+        slopes[..., columns] = torch.stack([one.slopes for one in at.minima])[..., of]
+        return self.refit(hypothesis, torch.cat(begin), at, slopes=slopes, turns=1)
 
     def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
         """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
-        hypothesis = at.hypothesis.with_effect(entry)
+        hypothesis = sorted_as(self.visited, at.hypothesis.with_effect(entry))
         posterior = self.posterior(hypothesis)
         parameters = posterior.model.parameter_set
         columns = effect_columns(parameters, entry)
@@ -288,7 +301,7 @@ class Fits:
 
     def less(self, at: Fitted, entry: str) -> Hypothesis:
         """The hypothesis of a fit without one of its effects, in the order in which it was visited, if it was."""
-        return _sorted_as(self.visited, at.hypothesis.without(entry))
+        return sorted_as(self.visited, at.hypothesis.without(entry))
 
     def shrunk(self, at: Fitted, entry: str, **options) -> None:
         """A fit without one of its effects, from the numbers that it has."""
@@ -296,19 +309,20 @@ class Fits:
         parameters = self.bench.likelihood(fewer).model.parameter_set
         self.refit(fewer, carried(parameters, at.theta[None], at.names), at, **options)
 
-    def weighed(self, at: Fitted, draws: int) -> Fitted:
-        """A fit with its evidence by ``draws``."""
+    def weighed(self, at: Fitted, draws: int, linear: bool = False) -> Fitted:
+        """A fit with its evidence by ``draws``, of its ``linear`` form if so asked."""
 
         def evidence() -> list[Evidence]:
-            found = integrated(at, draws, at.hypothesis.seed + self.seed).evidence
+            found = integrated(at, draws, at.hypothesis.seed + self.seed, linear).evidence
             return [] if found is None else [found]
 
         place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
-        found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}", Evidence, evidence)
+        form = " of its linear form" if linear else ""
+        found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}{form}", Evidence, evidence)
         return replace(at, evidence=found[0]) if found else at
 
 
-def _sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:
+def sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:
     """The hypothesis in the order of effects in which it was visited, if it was."""
     return next(
         (

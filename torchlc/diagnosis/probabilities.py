@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from torchlc.diagnosis.discrepancy import FAR
-from torchlc.diagnosis.engine import NEAR, Search
+from torchlc.diagnosis.engine import LINEAR_NEAR, Search
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
@@ -135,7 +135,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     as long as that is out of reach of the leader; what is within it is told as not examined."""
     rows: list[tuple[str, Hypothesis, float]] = []
     rows += [("", one, search.log_odds(one)) for one in search.visited]
-    far = search.log_odds(search.leader) - NEAR
+    far = search.log_odds(search.leader) - LINEAR_NEAR
     judged = {one: odds for one, odds in search.linear.items() if one not in search.visited and odds < far}
     rows += [("", one, odds) for one, odds in judged.items()]
     rows += [("odd", odd.beside, search.odd_log_odds(odd)) for odd in search.odd]

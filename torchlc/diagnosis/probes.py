@@ -62,13 +62,16 @@ class Probe:
     def score(self) -> float:
         return float(self.scores.max()) if len(self.scores) else self.together
 
-    def promised(self, at: Fitted) -> Tensor:
-        """Whitened change of the light (T,) that the best of the values makes beside a fit, in the size that suits the residuals:
-        scores say nothing of it, for they are those of unit signatures."""
+    def best_change(self, at: Fitted) -> Tensor:
+        """Change of the light (T,), in the unit of the rows of a fit, that the best of the values makes."""
+        return self.moved[int(self.scores.argmax())] * at.sigma
+
+    def best_size(self, at: Fitted) -> float:
+        """How many times that suits the residuals of the fit: scores say nothing of it, for they are those of unit signatures."""
         best = int(self.scores.argmax())
         unit, moved = self.signatures[best], self.moved[best]
         size = torch.sqrt(self.scores[best]) / (unit @ moved)
-        return moved * torch.copysign(size, unit @ (at.delta / at.sigma))
+        return float(torch.copysign(size, unit @ (at.delta / at.sigma)))
 
 
 def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: int) -> Probe:

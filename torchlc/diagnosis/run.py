@@ -11,7 +11,7 @@ from torch import Tensor
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import CLEAN_P, Search
+from torchlc.diagnosis.engine import CLEAN_P, DRAWS, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
@@ -77,6 +77,8 @@ def diagnose(
     null, final = search.best(), _final(search, odds)
     if final is not leader:
         final_gate = _gate(final, found, {}, seed, level=False)
+    if final.posterior.slow and not final.posterior.dear and clock.left():
+        final = search.weighed(final, DRAWS)  # the table of the materials is not that of a linear form
     proof = _proof(search, odds, null, final)
     nights, advice = _next(search, odds, clock)
     return Diagnosis(
@@ -111,7 +113,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     if _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
         search.jointly()
         if search.bench.recording.error is not None:
-            search.laws(entries)
+            search.laws(entries, bool(search.foremost.added) and search.clean(left))
     search.sets(entries, left)
     search.afresh()
     search.nominal_sizes()

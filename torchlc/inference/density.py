@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -55,26 +56,39 @@ class Posterior:
         self.noise_columns = [*noise_columns(likelihood), *([self.own] if self.scaled else [])]
         self.physical = [i for i in range(self.size) if i not in self.noise_columns]
 
-    @cached_property
+    @property
     def seconds_each(self) -> float:
-        """CPU seconds that a new geometry takes; 0 where it is fixed, or of so few facets that it is not worth the watch."""
-        if not self.model.geometry_free or self.model.evaluator.gridded:
+        """CPU seconds that a new geometry takes, as far as fits and probes have to save them: 0 where it is fixed, or of so few facets
+        that a search affords them all."""
+        return 0.0 if self.model.evaluator.gridded else self.geometry_seconds
+
+    @cached_property
+    def geometry_seconds(self) -> float:
+        """CPU seconds that a new geometry takes; 0 where it is fixed."""
+        if not self.model.geometry_free:
             return 0.0
+        # effects keep what they made of the last geometries: those timed here are no others' but this model's
+        own = 1e-6 * (1 + zlib.crc32(" ".join(self.model.names).encode()) / 2**32)
         g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
         with torch.no_grad():
             began = time.process_time()
-            self.residuals(g[:1] - 1e-6)  # what all geometries share is made here
+            self.residuals(g[:1] - own)  # what all geometries share is made here
             first = time.process_time() - began
             if first > MOST_TIMED_S:
                 return first
             g = g[:1] if first > 5 * DEAR_S else g
             began = time.process_time()
-            self.residuals(g + 1e-6 * torch.arange(1.0, 1.0 + len(g), dtype=g.dtype)[:, None])
+            self.residuals(g + own * torch.arange(1.0, 1.0 + len(g), dtype=g.dtype)[:, None])
         return (time.process_time() - began) / len(g)
 
     @property
     def dear(self) -> bool:
         return self.seconds_each > DEAR_S
+
+    @property
+    def slow(self) -> bool:
+        """Whether steps are worth a linear form, whatever it costs beside a geometry."""
+        return self.geometry_seconds > DEAR_S
 
     @property
     def model(self) -> LightCurve:
@@ -330,6 +344,10 @@ class Linear(Posterior):
         self.size += self.basis.shape[1]
         self.physical = [*self.physical, *range(self.first, self.size)]
         self.plain = at.found.sigma / at.posterior.factor(at.g)
+
+    @property
+    def geometry_seconds(self) -> float:
+        return 0.0
 
     def residuals(self, g):
         at = self.at

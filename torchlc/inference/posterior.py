@@ -280,7 +280,13 @@ def polished(at: Fitted, turns: int) -> Fitted:
 
 
 def _moved(at: Fitted) -> Fitted:
-    """A fit after a few steps from where it is."""
+    """A fit after a step to the best of its linear form, noise and all, where its geometries are slow and that is better; else after
+    a few steps from where it is."""
+    if at.posterior.slow:
+        g = fit(at.hypothesis, Linear(at), at.g[None], most=1).g
+        new = _sloped(at.hypothesis, at.posterior, g)
+        if new.peak > at.peak:
+            return new
     g = descend(at.posterior, at.g[None], LAST_STEPS, slopes=at.slopes[None])[0][0]
     return _sloped(at.hypothesis, at.posterior, g)
 
@@ -402,19 +408,24 @@ def _defensive(minima: Sequence[Fitted]) -> StudentMixture:
 
 
 @torch.no_grad()
-def integrated(at: Fitted, draws: int, seed: int) -> Fitted:
+def integrated(at: Fitted, draws: int, seed: int, linear: bool = False) -> Fitted:
     """The hypothesis with its evidence by importance sampling and, where weights are not to be trusted, a tempered sequence;
-    from the linear form where a geometry is dear. The sequence takes some 10,000 densities and more: it is left out where each
+    from the ``linear`` form of each of its minima if so asked, and where a geometry is dear from that of the first alone. The sequence takes some 10,000 densities and more: it is left out where each
     draw has a geometry of its own, or where rows err together and each has a covariance of its own to factorise; the latter by
     Laplace's method alone for curves of over MOST_TOGETHER rows."""
     posterior, likelihood = at.posterior, at.likelihood
     together = bool(at.noise.processes)
     if not posterior.size or (together and int(torch.bincount(likelihood.curve).max()) > MOST_TOGETHER):
         return at
-    free = posterior.model.geometry_free and not posterior.dear
-    density = Linear(at).log_density if posterior.dear else posterior.log_density
-    minima = (at,) if posterior.dear else at.minima
+    linear = linear or posterior.dear
+    free = posterior.model.geometry_free and not linear
+    density = Linear(at).log_density if linear else posterior.log_density
+    minima = (at,) if linear else at.minima
     generator = torch.Generator().manual_seed(seed)
     count = draws // GEOMETRY_SHARE if free else draws
     evidence = importance(density, _defensive(minima), count, generator, moving=not together and not free)
+    if linear and not posterior.dear:
+        # the other minima have the mass beside the first that they have by Laplace's method
+        others = torch.tensor([one.laplace for one in at.minima]).logsumexp(0) - at.laplace
+        evidence = replace(evidence, log_z=evidence.log_z + float(others))
     return replace(at, evidence=evidence) if evidence.effective > LEAST_EFFECTIVE else at

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.modes import RotationMode, verdict
-from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.passes import RATE_A_DAY, Rows
 from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
 from torchlc.inference.rotation.search import _changed
@@ -163,9 +164,9 @@ def test_modes_of_rows_without_errors_compare_by_their_scatter(
     np.testing.assert_allclose([one["probability"] for one in modes], chances, atol=0.03)
 
 
-def three_passes(middle: list[float]) -> Rows:
+def passes_at(middle: list[float]) -> Rows:
     empty = torch.zeros(0, dtype=torch.float64)
-    span = torch.full((3,), 50.0, dtype=torch.float64)
+    span = torch.full((len(middle),), 50.0, dtype=torch.float64)
     return Rows(
         empty,
         empty,
@@ -182,7 +183,7 @@ def three_passes(middle: list[float]) -> Rows:
 
 def solution(frequencies: list[float], turns: torch.Tensor, frequency_sd: float) -> Local:
     """What a search without counts would know of passes: their phases modulo 1 and their frequencies."""
-    sd = torch.tensor([frequency_sd] * 3 + [1e-3] * 3, dtype=torch.float64)
+    sd = torch.tensor([frequency_sd] * len(turns) + [1e-3] * len(turns), dtype=torch.float64)
     empty = torch.zeros(0, dtype=torch.float64)
     return Local(
         torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), torch.tensor(frequencies, dtype=torch.float64),
@@ -193,7 +194,7 @@ def solution(frequencies: list[float], turns: torch.Tensor, frequency_sd: float)
 def test_a_count_of_turns_joins_passes_as_arithmetic_says() -> None:
     """Passes at 0, 1000.3 and 5003.7 s of a body of 10.01 s: the phases follow from division; the count is found although
     the frequency is off by 2e-5, and without symmetry no other count is nearer."""
-    rows = three_passes([0.0, 1000.3, 5003.7])
+    rows = passes_at([0.0, 1000.3, 5003.7])
     turns = 0.2 + rows.middle / 10.01
     found = connections(
         rows, solution([1 / 10.01 + 2e-5] * 3, turns, 2e-5), 1, changing=False, bounds=(0.05, 0.2)
@@ -211,7 +212,7 @@ def test_frequencies_of_passes_say_how_the_period_changes() -> None:
     law P + p t integrates to. The true counts are among those that are possible and have its rate to 1 %; that of the
     best is within 3 of the standard deviation that frequencies of 5e-6/s leave, 5e-6 sqrt(2) / 7 d P^2."""
     day, period, slowing = 86400.0, 15.8, 2.2e-3 / 86400.0
-    rows = three_passes([0.0, 4.03 * day, 7.0 * day])
+    rows = passes_at([0.0, 4.03 * day, 7.0 * day])
     turns = torch.log1p(slowing * rows.middle / period) / slowing
     frequencies = (1 / (period + slowing * rows.middle)).tolist()
     found = connections(rows, solution(frequencies, turns, 5e-6), 1, changing=True, bounds=(0.05, 0.08))
@@ -221,9 +222,31 @@ def test_frequencies_of_passes_say_how_the_period_changes() -> None:
         if [k - one.counts[0] for k in one.counts] == (whole - whole[0]).tolist()
     ]  # fmt: skip
     assert len(true) == 1 and found.complete
-    rates = np.array([-one.change / one.frequency**2 * day * 1e3 for one in found.found])
-    assert -true[0].change / true[0].frequency ** 2 * day * 1e3 == pytest.approx(2.2, rel=0.01)
+    rates = np.array([one.rate for one in found.found])
+    assert true[0].rate == pytest.approx(2.2, rel=0.01)
     assert abs(rates[0] - 2.2) < 3 * 5e-6 * np.sqrt(2) / (7 * day) * period**2 * day * 1e3
+
+
+def test_a_fast_change_is_followed_beyond_its_second_order() -> None:
+    """A turn of 5 s that grows by 5 ms a day, four passes over ten days: the third order alone is 0.7 turns at the ends, and phases are
+    good to 1e-3. By the logarithm that the law P + p t integrates to."""
+    day, period, slowing = 86400.0, 5.0, 5e-3 / 86400.0
+    starts = [0.0, 0.02 * day, 4.9 * day, 10.0 * day]
+    rows = passes_at(starts)
+    turns = torch.log1p(slowing * rows.middle / period) / slowing
+    frequencies = 1 / (period + slowing * rows.middle)
+    known = replace(solution(frequencies.tolist(), turns, 1e-8), own_error=0.0)
+    found = connections(rows, known, 1, changing=True, bounds=(0.15, 0.25))
+    best, whole = found.found[0], torch.floor(turns).long()
+    assert [one - best.counts[0] for one in best.counts] == (whole - whole[0]).tolist()
+    # the prior alone is off: a thousandth of the period a day
+    assert best.distance == pytest.approx((1e-3 / RATE_A_DAY) ** 2, rel=0.02)
+    assert best.rate == pytest.approx(5.0, rel=1e-5)
+    for seconds in (-2.0 * day, 3.0 * day, 11.0 * day):
+        phase, frequency = best.at(seconds)
+        assert frequency == pytest.approx(1 / (period + slowing * seconds), rel=1e-8)
+        since = np.log1p(slowing * seconds / period) / slowing - float(turns[0])
+        assert phase - best.at(float(rows.middle[0]))[0] == pytest.approx(since, abs=1e-3)
 
 
 def test_least_squares_without_negative_numbers_is_scipys() -> None:

@@ -1,6 +1,8 @@
 """Which counts of turns between passes are possible: integers that join the phases of passes to one rotation.
 
-phi(t) = phi0 + f (t - t0) + g (t - t0)^2 / 2, in turns; each pass says its frequency, and its phase but for whole turns, or
+The period changes evenly: the frequency is f / (1 - x) and the phase phi0 - f t log(1 - x) / x, in turns, where x = g t / f and t is
+counted from the middle of the passes. To second order that is phi0 + f t + g t^2 / 2; the next term, g^2 t^3 / (3 f), is 0.7 turns five days from the middle for
+a turn of 5 s that grows by 5 ms a day. Each pass says its frequency, and its phase but for whole turns, or
 parts of one of which the body looks the same after each. The counts are found pass by pass, best first, and judged by the squared
 distance in the covariance of phases and frequencies. Letters: N passes.
 """
@@ -20,6 +22,8 @@ WIDTH = 5.0
 """Standard deviations of the predicted phase within which counts are tried."""
 MOST = 3000
 """Counts kept after each pass; beyond, passes cannot be connected."""
+CORRECTIONS, LEFT_TURNS = 3, 1e-5
+"""How often the phases are corrected for what is beyond second order, and by how little they then may change; each takes a tenth off and more."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,19 @@ class Connection:
     frequency: float
     change: float
     distance: float
+
+    def at(self, seconds: float) -> tuple[float, float]:
+        """Phase in turns, and frequency 1/s, at a time in seconds of the rows."""
+        elapsed = np.array([seconds - self.middle])
+        frequency, turns = _beyond_second_order(elapsed, self.frequency, self.change)
+        frequency += self.frequency + self.change * elapsed
+        turns += self.phase + self.frequency * elapsed + self.change * elapsed**2 / 2
+        return float(turns[0]), float(frequency[0])
+
+    @property
+    def rate(self) -> float:
+        """Change of the period, ms a day."""
+        return -self.change / self.frequency**2 * DAY_S * 1e3
 
 
 @dataclass(frozen=True)
@@ -91,13 +108,28 @@ class _PhaseLine:
         part = self.design[rows][:, : self.free]
         scaled = part * self.scale
         inverse = np.linalg.pinv(scaled.T @ weight @ scaled, hermitian=True, rcond=1e-18)
-        about = values - part @ self.start[: self.free]
-        step = inverse @ (scaled.T @ weight @ about)
-        left = about - scaled @ step
-        result, spread = self.start.copy(), np.zeros((3, 3))
-        result[: self.free] += self.scale * step
+        to_best = inverse @ (scaled.T @ weight)
+        result, beyond, about = (
+            self.start.copy(),
+            np.zeros(len(values)),
+            values - part @ self.start[: self.free],
+        )
+        for _ in range(CORRECTIONS):
+            left = about - beyond
+            step = to_best @ left
+            result[: self.free] = self.start[: self.free] + self.scale * step
+            before, beyond = beyond, self.beyond(result)[rows]
+            if np.abs(beyond - before)[self.passes : -1].max(initial=0.0) < LEFT_TURNS:
+                break
+        left = left - scaled @ step
+        spread = np.zeros((3, 3))
         spread[: self.free, : self.free] = inverse * self.scale[:, None] * self.scale
         return result, spread, float(left @ weight @ left)
+
+    def beyond(self, result: np.ndarray) -> np.ndarray:
+        """What frequencies, phases and g (2 N + 1,) of (phi0, f, g) are more than those that are linear in them."""
+        both = _beyond_second_order(self.middles - self.reference, float(result[1]), float(result[2]))
+        return np.concatenate([*both, [0.0]])
 
     def expected_count(self, known: Mapping[int, int], one: int) -> tuple[float, float]:
         """The count of a further pass, not rounded, and its standard deviation."""
@@ -105,7 +137,8 @@ class _PhaseLine:
         place = self.passes + one
         row = self.design[place]
         deviation = float(np.sqrt(row @ spread @ row + self.covariance[place, place]))
-        return (row @ result - self.phases[one]) * self.symmetry, deviation * self.symmetry
+        expected = row @ result + self.beyond(result)[place]
+        return float(expected - self.phases[one]) * self.symmetry, deviation * self.symmetry
 
 
 def _covariance(rows: Rows, local: Local) -> np.ndarray:
@@ -118,6 +151,19 @@ def _covariance(rows: Rows, local: Local) -> np.ndarray:
     whole = np.zeros((2 * passes + 1, 2 * passes + 1))
     whole[:-1, :-1], whole[-1, -1] = measured, (RATE_A_DAY / DAY_S * local.frequency) ** 2
     return whole
+
+
+def _beyond_second_order(
+    elapsed: np.ndarray, frequency: float, change: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of frequencies and phases (N,) of a period that changes evenly, what f + g t and f t + g t^2 / 2 leave out."""
+    x = np.clip(
+        change * elapsed / frequency, -0.5, 0.5
+    )  # a period that halves or doubles between passes is no solution
+    small = np.abs(x) < 1e-3
+    safe = np.where(small, 0.5, x)
+    more = np.where(small, x**2 / 3 + x**3 / 4 + x**4 / 5, -np.log1p(-safe) / safe - 1 - x / 2)
+    return frequency * x**2 / (1 - x), frequency * elapsed * more
 
 
 def _design(elapsed: np.ndarray) -> np.ndarray:

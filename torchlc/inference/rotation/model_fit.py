@@ -170,11 +170,8 @@ def steady_trial(
 ) -> Trial:
     """A turn about one axis with one count of turns between passes, free near it."""
     epoch, seconds = epoch_seconds(scene, recording)
-    away = seconds - one.middle
-    frequency = one.frequency + one.change * away
-    phase = one.phase + one.frequency * away + one.change * away**2 / 2
-    period = 1 / frequency / 3600
-    rate = -one.change / frequency**2 * 86400e3
+    phase, frequency = one.at(seconds)
+    period, rate = 1 / frequency / 3600, one.rate
     longitude, latitude = _angles(scene, local.pole)
     phase_deg = 360 * (phase % 1.0)
     total = max(float(np.ptp(rows.seconds.numpy())), 1.0)

@@ -70,7 +70,7 @@ def any_finite(found: Sequence[Candidate]) -> bool:
 
 def period_at(one: Connection, seconds: float) -> float:
     """Period, s, at a time in seconds of the rows."""
-    return 1 / (one.frequency + one.change * (seconds - one.middle))
+    return 1 / one.at(seconds)[1]
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ class _Ways:
             spread["period"] = float(np.sqrt(_chances(near) @ off**2))
         if self.changes is not None and self.changes.found:
             most = _about_as_possible(self.changes)
-            rates = np.array([_rate(other) for other in most])
-            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - _rate(one)) ** 2))
+            rates = np.array([other.rate for other in most])
+            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - one.rate) ** 2))
         return spread
 
     def likely(self, one: Connection) -> tuple[Count, ...]:
@@ -114,7 +114,7 @@ class _Ways:
                 tuple((np.array(differences(other.counts, self.symmetry)) - base).tolist()),
                 float(chance),
                 period_at(other, self.epoch),
-                _rate(other),
+                other.rate,
             )
             for other, chance in list(zip(near, _chances(near), strict=True))[:LIKELY]
         )
@@ -166,11 +166,6 @@ def _chances(near: Sequence[Connection]) -> np.ndarray:
     """Probabilities of counts of turns by the distances of their phases."""
     weight = np.exp(-0.5 * (np.array([one.distance for one in near]) - near[0].distance))
     return weight / weight.sum()
-
-
-def _rate(one: Connection) -> float:
-    """Change of the period, ms a day."""
-    return -one.change / one.frequency**2 * 86400e3
 
 
 def _wanting(found: Sequence[Candidate], rows: Rows) -> bool:

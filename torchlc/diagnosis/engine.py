@@ -128,8 +128,8 @@ class Search(Fits):
 
     def within_reach(self, entry: str, at: Fitted, found: Probe) -> bool:
         """Whether an effect beside a fit could come near the foremost if it gained LONGEST times what its probe promises; if not, its
-        linear form, which is kept, is all that is asked of it. Effects that have no value to try are always asked."""
-        if not len(found.scores) or not found.psi.shape[-1]:
+        linear form, which is kept, is all that is asked of it. Effects that have no value to try, or of which probes do not tell, are always asked."""
+        if not len(found.scores) or not found.psi.shape[-1] or self.counted(entry):
             return True
         hypothesis = at.hypothesis.with_effect(entry)
         without = at.log_z + self.bench.log_odds(hypothesis)

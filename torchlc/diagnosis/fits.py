@@ -257,10 +257,15 @@ class Fits:
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
         new = self.refit(hypothesis, starts, at, turns=1, most=2)
-        if effect_class(entry).stage == "spin" and Entry.parse(entry).per is None:
+        if self.counted(entry):
             new = self.from_counts(new, at)
         posterior.model.forget()
         return self.rescanned(entry, new)
+
+    def counted(self, entry: str) -> bool:
+        """Whether an effect is tried from counts of turns between nights or curves, of which no probe tells."""
+        alike = effect_class(entry).stage == "spin" and Entry.parse(entry).per is None
+        return alike and phase_entry(self.bench) is not None
 
     def from_counts(self, new: Fitted, at: Fitted) -> Fitted:
         """A fit of what turns tried again from each count of turns between nights or curves that suits the rows best, as told beside

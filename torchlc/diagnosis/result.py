@@ -328,7 +328,8 @@ class Diagnosis:
     def _foreseen(self, at: Fitted | None) -> float | None:
         """What a model gains over the scene's own, errors as quoted, in log density of unseen rows, where it was asked."""
         shown = {"final": self.final, "null": self.baseline}
-        name = next((key for key, one in shown.items() if one is at and key in self.proof), None)
+        alike = [key for key, one in shown.items() if at is not None and one.hypothesis == at.hypothesis]
+        name = next((key for key in alike if key in self.proof), None)
         if name is None or "as quoted" not in self.proof:
             return None
         return self.proof[name].total - self.proof["as quoted"].total

@@ -142,8 +142,8 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         gain = content["proof"]["gain_of_final_over"].get("null")
         if gain is not None:
             proof += (
-                f", and data that the fit has not seen are {gain['difference']:.0f} more probable in logarithm "
-                f"(standard error {gain['error']:.0f})"
+                f", and data that the fit has not seen are {gain['difference']:.0f} more probable in logarithm than by the "
+                f"scene's own model, each with the errors that suit it (standard error {gain['error']:.0f})"
             )
         meant = [
             f"{name}: {_lowered(first_sentence(registry()[name]))}" for name in named if name in registry()

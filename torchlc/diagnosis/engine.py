@@ -64,7 +64,7 @@ DEAR_STEPS = 24
 PROBING_S = 10.0
 """CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
 SLOW_FIT_S = 0.5
-"""CPU seconds of a refit beside other effects beyond which its linear form, which takes some tenths, is asked first."""
+"""CPU seconds of a refit beside a clean leader beyond which its linear form, which takes some tenths, is asked first."""
 DEAR_FIT_S = 2.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach; and of a probe, beyond which that of
 the first round serves for all sets."""
@@ -87,6 +87,8 @@ class Search(Fits):
     """Candidates that would leave no trace in these data, whatever their numbers."""
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
+    settled: bool = False
+    """Whether the foremost was clean when sets were last grown."""
 
     def probe_all(
         self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
@@ -139,13 +141,16 @@ class Search(Fits):
         return False
 
     def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
-        """Whether an effect is refitted. One whose geometry is dear, or slow beside other effects, is judged by its linear form, which is
-        kept, and refitted only if that could be the answer and there is time."""
+        """Whether an effect is refitted. One whose geometry is dear, or slow beside a clean leader, is judged by its linear form, which is
+        kept, and refitted only if that could be the answer and there is time. Linear forms are good to LINEAR_NEAR where little is left
+        to be gained, and far too low where much is."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        each = posterior.geometry_seconds if at.hypothesis.added else posterior.seconds_each
-        cost = refit_seconds(posterior, each)
-        if cost < (SLOW_FIT_S if at.hypothesis.added else DEAR_FIT_S):
+        cost = refit_seconds(
+            posterior, posterior.geometry_seconds if self.settled else posterior.seconds_each
+        )
+        near = LINEAR_NEAR if self.settled else NEAR
+        if cost < (SLOW_FIT_S if self.settled else DEAR_FIT_S):
             return True
         if Entry.parse(entry).per is not None:
             promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
@@ -164,7 +169,7 @@ class Search(Fits):
         with torch.no_grad():
             linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
-        if self.linear[hypothesis] < self.mark - LINEAR_NEAR:
+        if self.linear[hypothesis] < self.mark - near:
             return False
         if self.clock.affords(cost):
             return True
@@ -298,7 +303,7 @@ class Search(Fits):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.gain_alone:
                 break
-            clean = self.clean(left)
+            self.settled = clean = self.clean(left)
             if clean and len(self.foremost.added) < size:
                 break
             beyond = size >= FEW_EFFECTS

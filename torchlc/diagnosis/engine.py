@@ -34,7 +34,7 @@ from torchlc.diagnosis.probes import (
     turns,
 )
 from torchlc.effects import effect_class
-from torchlc.inference.density import Fitted, Linear, Posterior
+from torchlc.inference.density import SCALE_SIGMA, Fitted, Linear, Posterior
 from torchlc.inference.posterior import LONGEST, MOST_MINIMA, UNLIKE, fit, material_starts
 from torchlc.stages.entry import Entry
 
@@ -88,7 +88,7 @@ class Search(Fits):
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
     settled: bool = False
-    """Whether the foremost was clean when sets were last grown."""
+    """Whether the foremost was clean, with errors as quoted, when sets were last grown."""
 
     def probe_all(
         self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
@@ -303,7 +303,8 @@ class Search(Fits):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
             if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.gain_alone:
                 break
-            self.settled = clean = self.clean(left)
+            clean = self.clean(left)
+            self.settled = clean and self.as_quoted
             if clean and len(self.foremost.added) < size:
                 break
             beyond = size >= FEW_EFFECTS
@@ -312,7 +313,7 @@ class Search(Fits):
                 stems += [one for one in sized if not one.law][:1]
             for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
                 self.grow(stem, entries, grown, GROWN if number == 0 else GROWN // 2, anew=number == 0)
-            if clean:
+            if self.settled:
                 # what probes promise beside fits that are far apart does not compare
                 for stems in (self.behind(sized), *([one] for one in self.shorter())):
                     self.overtake(stems, entries, grown)
@@ -369,6 +370,13 @@ class Search(Fits):
             if self.clock.left(0.8) and self.affordable(entry, at, found[entry]):
                 grown.add(frozenset((stem.law, *stem.plain, entry)))
                 self.extend(at, entry, found[entry])
+
+    @property
+    def as_quoted(self) -> bool:
+        """Whether the errors that the foremost leaves are within twice what is believed of those quoted: larger ones, or a curve of bad
+        rows, leave nothing to be seen either."""
+        at = self.visited[self.foremost]
+        return at.chi2 < math.exp(2 * SCALE_SIGMA) ** 2 * len(at.delta)
 
     def behind(self, sized: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Sets within reach of the foremost, of those that are ranked, but the first."""

@@ -49,9 +49,8 @@ class Steps:
             self._known[name] = [dict(vars(one)) for one in made]
             if self._write is not None and time.monotonic() >= self._written + self._every_s:
                 self._written = time.monotonic()
-                content = (
-                    io.BytesIO()
-                )  # PyTorch's own writing to a file turns a full disk into a RuntimeError
+                # PyTorch's own writing to a file turns a full disk into a RuntimeError
+                content = io.BytesIO()
                 torch.save({"key": self._key, "steps": self._known}, content)
                 self._write(lambda path: path.write_bytes(content.getbuffer()))
             return made

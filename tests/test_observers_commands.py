@@ -50,6 +50,28 @@ class TestCommands:
         assert run(["init", "t.toml", "--tle", "two.txt", "--object", "I"]) == 2  # both names have an i
         assert "2 objects for 'I'" in capsys.readouterr().err
 
+    def test_a_wrong_set_of_another_object(self, capsys: pytest.CaptureFixture[str]):
+        """It is said and passed over; one wrong set of the object itself is said where that has no other."""
+        Path("three.txt").write_text(
+            self.TWO.replace("53325\n", "53326\n") + self.TWO[: self.TWO.index("TEST")]
+        )
+        assert run(["init", "s.toml", "--tle", "three.txt", "--object", "test"]) == 0
+        assert "set passed over: three.txt: line 3: checksum '6'" in capsys.readouterr().err
+        assert run(["init", "s.toml", "--tle", "three.txt", "--object", "bird", "--force"]) == 0
+        assert "passed over" in capsys.readouterr().err
+        Path("two.txt").write_text(self.TWO.replace("53325\n", "53326\n"))
+        assert run(["init", "t.toml", "--tle", "two.txt", "--object", "37834"]) == 2
+        told = capsys.readouterr().err
+        assert "no object '37834'" in told and "line 3: checksum '6'" in told
+        assert run(["init", "t.toml", "--tle", "two.txt"]) == 2
+        assert "line 3: checksum '6'" in capsys.readouterr().err
+        night = ["--date", "2020-10-11", "--preset", "6u", "--station", "weihai,37.5,122.1,110"]
+        assert run(["predict", "two.txt", *night, "-o", "out"]) == 2
+        assert "--preset" in capsys.readouterr().err
+        night[3] = "cubesat-6u"
+        assert run(["predict", "two.txt", *night, "-o", "out"]) == 0
+        assert "line 3: checksum '6'" in capsys.readouterr().err
+
     def test_a_campaign_from_a_folder(self, capsys: pytest.CaptureFixture[str]):
         nights = Path("nights")
         nights.mkdir()

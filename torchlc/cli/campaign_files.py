@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from torchlc.cli.scaffold import check_scene, nearest_set, new_scene
 from torchlc.errors import InputError
 from torchlc.files.writing import check_replaceable, write_whole
 from torchlc.readers import load_recording
-from torchlc.scene.tle import read_catalogue
+from torchlc.scene.tle import passed_over, sound_sets
 from torchlc.suggest import did_you_mean
 
 MANIFEST = "manifest.csv"
@@ -29,6 +29,7 @@ class CampaignFiles:
     manifest: Path
     matched: Mapping[Path, str]
     left_out: Mapping[Path, str]
+    passed_over: Sequence[str]
 
 
 def write_campaign(
@@ -51,7 +52,8 @@ def write_campaign(
     texts: dict[Path, str] = {}
     matched: dict[Path, str] = {}
     left_out: dict[Path, str] = {}
-    for match in match_files(folder, read_catalogue(elements), [elements, manifest]):
+    sets, wrong = sound_sets(elements)
+    for match in match_files(folder, sets, [elements, manifest]):
         path = match.recording
         if not match.sets:
             left_out[path] = match.reason
@@ -94,7 +96,7 @@ def write_campaign(
         names = (_plain_path(f"{path.stem}.toml"), _plain_path(path.name))
         writer.writerow([*names, task, plain_cell(path.stem)])
     write_whole(manifest, lambda partial: partial.write_text(table.getvalue(), encoding="utf-8"))
-    return CampaignFiles(manifest, matched, left_out)
+    return CampaignFiles(manifest, matched, left_out, passed_over(wrong))
 
 
 def _plain_path(name: str) -> str:

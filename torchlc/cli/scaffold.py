@@ -19,7 +19,7 @@ from torchlc.prediction.posterior import POSTERIOR_FILE, read_posterior
 from torchlc.scene import Scene, Station, load_scene
 from torchlc.scene.problems import of_validation
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.scene.tle import Elements, nearest, read_catalogue, sets_of_object
+from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, sets_of_object, sound_sets
 from torchlc.scene.writer import toml_value
 from torchlc.suggest import did_you_mean
 
@@ -85,11 +85,22 @@ PRESETS = {
 """Shape by the name people say."""
 
 
-def elements_for(path: Path, date: str | float | None, wanted: str | None = None) -> Elements:
+def elements_for(
+    path: Path, date: str | float | None, wanted: str | None = None
+) -> tuple[Elements, list[str]]:
     """The set of a file with its epoch nearest to ``date`` (ISO UTC or JD), or the latest; of a file of many objects
-    that of the one ``wanted``, by its number, its name or a part of its name.
+    that of the one ``wanted``, by its number, its name or a part of its name. Beside that one, sets that are not right
+    are passed over, which the list says.
     """
-    return nearest_set(sets_of_object(path, read_catalogue(path), wanted), date)
+    if wanted is None:
+        return nearest_set(sets_of_object(path, read_catalogue(path), None), date), []
+    sets, wrong = sound_sets(path)
+    try:
+        chosen = sets_of_object(path, sets, wanted)
+    except InputError as error:
+        hint = ". ".join(filter(None, [error.hint, *passed_over(wrong)]))
+        raise InputError(path, error.place, error.found, error.expected, hint or None) from None
+    return nearest_set(chosen, date), passed_over(wrong)
 
 
 def to_the_minute(when: str | float) -> str:
@@ -125,12 +136,12 @@ def _folded(name: str) -> str:
     return name.strip().lower().replace(" ", "-").replace("_", "-")
 
 
-def _preset_key(preset: str) -> str:
-    """The preset's name as PRESETS has it, folded; InputError if there is none."""
+def _preset_key(preset: str, option: str = "--shape") -> str:
+    """The preset's name as PRESETS has it, folded; InputError, which names the option, if there is none."""
     key = _folded(preset)
     if key not in PRESETS:
         raise InputError(
-            None, "--shape", repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(key, PRESETS)
+            None, option, repr(preset), f"one of {', '.join(PRESETS)}", did_you_mean(key, PRESETS)
         )
     return key
 
@@ -222,8 +233,8 @@ def prediction_of(
     if preset is not None:
         if names or not own:
             raise InputError(None, "--station", repr(names[0]) if names else "missing", "ID,LAT,LON,HEIGHT")
-        first = read_catalogue(given)[0]
-        key = _preset_key(preset)
+        first = sound_sets(given)[0][0]
+        key = _preset_key(preset, "--preset")
         if key == "mesh":
             raise InputError(None, "--preset", "mesh", "a shape with sizes; --like takes a scene with a mesh")
         text = new_scene(

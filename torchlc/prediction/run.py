@@ -25,7 +25,7 @@ from torchlc.prediction.result import PredictedPass, Prediction, along_track_sd_
 from torchlc.readers.table import MAX_ROWS
 from torchlc.scene import Scene, Station, value_of
 from torchlc.scene.timestamps import UnreadableTime, instant
-from torchlc.scene.tle import Elements, nearest, read_catalogue
+from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, sound_sets
 
 Progress = Callable[[str, float], None]
 LONGEST_HOURS = 24.0 * 31
@@ -139,9 +139,10 @@ def orbiter_of(scene: Scene, span: Span) -> Orbiter:
 
 def orbiters_of(path: str | Path, span: Span) -> tuple[list[Orbiter], list[str]]:
     """Every object of a file of elements, each with the set nearest to the middle of the span; and how many sets that
-    leaves out."""
+    leaves out, or are not right."""
     sets: dict[str, list[Elements]] = {}
-    for one in read_catalogue(path):
+    right, wrong = sound_sets(path)
+    for one in right:
         sets.setdefault(one.number, []).append(one)
     found = []
     for number, several in sets.items():
@@ -152,7 +153,7 @@ def orbiters_of(path: str | Path, span: Span) -> tuple[list[Orbiter], list[str]]
         found.append(_with_elements(name, chosen, path, span))
     spare = sum(map(len, sets.values())) - len(sets)
     said = f"{Path(path).name}: {spare} element sets are left out; of each object the nearest to the span is taken"
-    return found, [said] if spare else []
+    return found, [*passed_over(wrong), *([said] if spare else [])]
 
 
 def _nearest(sets: list[Elements], span: Span) -> Elements:

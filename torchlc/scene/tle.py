@@ -152,9 +152,28 @@ def _listed(objects: Iterable[Elements]) -> str:
 
 
 def read_catalogue(path: str | Path) -> list[Elements]:
-    """Every two-line element set of a file, of one object or many, names above them kept; all checked.
+    """Every two-line element set of a file, of one object or many, names above them kept.
 
-    A line of elements that lacks the other of its set is an error: no set is passed over.
+    InputError where one of them is not right: no set is passed over.
+    """
+    found, wrong = sound_sets(path)
+    if wrong:
+        raise wrong[0]
+    return found
+
+
+def passed_over(wrong: Sequence[InputError]) -> list[str]:
+    """What is said of the sets of a file of many objects that are not right: the first, and how many more."""
+    if not wrong:
+        return []
+    more = f"; and {len(wrong) - 1} more like it" if len(wrong) > 1 else ""
+    return [f"element set passed over: {wrong[0]}{more}"]
+
+
+def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
+    """The sets of a file that are right, and what is wrong with each of the others; InputError where none is right.
+
+    One wrong character in a list of thousands does not keep a user from the other objects.
     """
     path = readable_file(path, "two-line element sets")
     if path.stat().st_size > MAX_ELEMENT_BYTES:
@@ -164,7 +183,9 @@ def read_catalogue(path: str | Path) -> list[Elements]:
     texts = re.split(r"\r\n|\r|\n", decoded)
     lines = [(number, text.lstrip("\ufeff \t").rstrip()) for number, text in enumerate(texts, 1)]
     lines = [(number, text) for number, text in lines if text and not text.startswith("#")]
-    found, lacking, k = [], None, 0
+    found: list[Elements] = []
+    wrong: list[InputError] = []
+    lacking, whole, k = None, False, 0
     while k < len(lines):
         number, line = lines[k]
         following = lines[k + 1] if k + 1 < len(lines) else (number, "")
@@ -173,19 +194,24 @@ def read_catalogue(path: str | Path) -> list[Elements]:
         elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
             lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
             told = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
-            lacking = lacking or (f"line {number}", f"{line[:90]!r}{told}")
+            place, said = f"line {number}", f"{line[:90]!r}{told}"
+            lacking = lacking or f"{place}: {said}"
+            wrong.append(InputError(path, place, said, "both lines of each set, one below the other"))
             k += 1
         else:
+            whole = True
             above = lines[k - 1][1] if k else ""
             name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
-            found.append(Elements(name, _checked(path, (number, line), following)))
+            try:
+                found.append(Elements(name, _checked(path, (number, line), following)))
+            except InputError as error:
+                wrong.append(error)
             k += 2
+    if not whole:
+        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", lacking)
     if not found:
-        hint = f"{lacking[0]}: {lacking[1]}" if lacking else None
-        raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", hint)
-    if lacking:
-        raise InputError(path, *lacking, "both lines of each set, one below the other")
-    return found
+        raise wrong[0]
+    return found, wrong
 
 
 def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tuple[str, str]:

@@ -141,12 +141,14 @@ def init_campaign(
                 "manifest": str(done.manifest),
                 "objects": {path.name: label for path, label in done.matched.items()},
                 "left_out": {path.name: reason for path, reason in done.left_out.items()},
+                "passed_over": list(done.passed_over),
             }
         )
     elif not quiet:
         for path, label in done.matched.items():
             print(printable(f"{path.name}: {label}"))
         warn(f"{path.name}: left out: {reason}" for path, reason in done.left_out.items())
+        warn(done.passed_over)
         if place is None:
             say("warning: the station of every scene is a placeholder: edit [[stations]], or give --station")
         print(f"written: {done.manifest} and {len(done.matched)} scenes")

@@ -17,6 +17,7 @@ from torchlc.cli.options import (
     Threads,
     moment,
 )
+from torchlc.cli.printing import warn
 from torchlc.terminal import say, show_json
 
 
@@ -82,7 +83,8 @@ def init(
     if not scene.parent.is_dir():
         raise InputError(scene, None, f"no directory {scene.parent}", "a directory that is there")
     wanted = None if date is None else moment(date)
-    chosen = scaffold.elements_for(tle, wanted, object_)
+    chosen, passed_over = scaffold.elements_for(tle, wanted, object_)
+    warn(passed_over)
     place = None if station is None else scaffold.read_station(station)
     text = scaffold.new_scene(chosen, shape, name=name, station=place, mesh=mesh, exact=exact)
     read = scaffold.check_scene(text, scene.parent, scene)

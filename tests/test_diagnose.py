@@ -590,3 +590,12 @@ def test_two_effects_are_found_together_that_neither_a_third_nor_their_sizes_hid
     apart = joint_sets(probes, at, 2, lambda entries: -math.inf if "background" in entries else 0.0, 3)
     assert [set(one) for one in apart] == [{"saturation", "wobble"}]
     assert joint_sets(probes, at, 4, lambda entries: 0.0, 3) == []
+    # an appendage adds light: beside a background that is there, no less of it explains anything
+    probes["appendage"] = made("appendage", -second)
+    assert all(
+        set(one) != {"background", "appendage"} for one in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
+    )
+    probes["appendage"] = made("appendage", second)
+    assert any(
+        set(one) == {"background", "appendage"} for one in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
+    )

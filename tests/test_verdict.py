@@ -17,6 +17,7 @@ from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancie
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
+from torchlc.diagnosis.probes import AGAIN, beyond, probe
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
 from torchlc.inference.density import Posterior
@@ -301,6 +302,60 @@ def test_an_effect_that_promises_too_little_beside_the_foremost_is_not_refitted(
     search.probes, search.bench.entries = {"zero_point_drift": found}, ["zero_point_drift"]
     search.tell_unexamined()
     assert ("zero_point_drift" in search.unexamined) is refitted  # here nothing has refitted it
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_can_only_add_light_promises_nothing_where_light_is_missing(ball, sign) -> None:
+    """The change that an appendage makes, and its opposite, which no appendage makes."""
+    entry = "appendage"
+
+    def probed(case):
+        search = searched(case)
+        at = search.visited[Hypothesis()]
+        posterior = search.posterior(Hypothesis((entry,)))
+        return at, probe(search.bench, at, posterior, entry, 0)
+
+    at, quiet = probed(ball)
+    off = beyond(quiet.moved, at).norm(dim=1)
+    chosen = int((off - 15.0).abs().argmin())  # in errors of a row: seen well, and small beside the ball
+    found = probed(changed(ball, sign * (quiet.moved[chosen] * at.sigma).numpy()))[1]
+    same = int((found.psi - quiet.psi[chosen]).square().sum(1).argmin())
+    if sign > 0:
+        assert math.sqrt(found.scores[same]) > 0.5 * float(
+            off[chosen]
+        )  # the ball's own zero point takes a part
+    else:
+        assert float(found.scores[same]) == 0.0
+
+
+def test_values_of_an_effect_are_tried_again_where_they_promised_most(tmp_path) -> None:
+    """A box that is turned by 3 deg, beside a scale of the errors: the best of 72 values is the best of the few."""
+    scene = BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [1.0, 2.0, 3.0]')
+    (tmp_path / "turned.toml").write_text(
+        scene.replace("effects = []", 'effects = ["attitude_offset"]').replace(
+            "band_sun",
+            '"attitude_offset.x" = 3.0\n"attitude_offset.y" = 0.0\n"attitude_offset.z" = -2.0\nband_sun',
+        )
+    )
+    (tmp_path / "scene.toml").write_text(scene)
+    curve = torchlc.simulate(
+        tmp_path / "turned.toml", start="2026-03-15T19:00:00", hours=5.0, cadence=300, noise=ERROR, seed=1
+    )
+    case = torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv"))
+    search = searched(case)
+    first = search.visited[Hypothesis()]
+    whole = search.probe_all(first, ["attitude_offset"])["attitude_offset"]
+    other = search.visited[Hypothesis().under(*search.robust)]
+    again = search.probe_all(other, ["attitude_offset"])["attitude_offset"]
+    assert len(again.psi) == AGAIN < len(whole.psi)
+    fresh = probe(
+        search.bench,
+        other,
+        search.posterior(other.hypothesis.with_effect("attitude_offset")),
+        "attitude_offset",
+        0,
+    )
+    assert again.score == pytest.approx(fresh.score, rel=0.2)
 
 
 @pytest.mark.parametrize(

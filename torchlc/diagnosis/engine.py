@@ -78,6 +78,8 @@ class Search(Fits):
     """Of the first round, beside the scene's own model."""
     latest: dict[str, tuple[Probe, Fitted]] = field(default_factory=dict)
     """The last probe of each that was made and not only held against another fit, with what it was made beside."""
+    whole: dict[str, tuple[Probe, Fitted]] = field(default_factory=dict)
+    """The same of the first, which tried all values."""
     odd: list[Discrepancy] = field(default_factory=list)
     unexamined: dict[str, str] = field(default_factory=dict)
     """Why, by entry, a candidate was not refitted."""
@@ -119,8 +121,11 @@ class Search(Fits):
             if entry in held and (as_last or cost > DEAR_FIT_S):
                 found[entry] = held[entry]
             elif self.clock.affords(cost):
-                found[entry] = probe(self.bench, at, posterior, entry, hypothesis.seed + self.seed)
+                seed = hypothesis.seed + self.seed
+                known = rescored(*self.whole[entry], at) if entry in self.whole else None
+                found[entry] = probe(self.bench, at, posterior, entry, seed, known)
                 self.latest[entry] = found[entry], at
+                self.whole.setdefault(entry, self.latest[entry])
             else:
                 self.unexamined[entry] = (
                     f"{cost:.0f} s of light worked out anew before anything is known of it"
@@ -169,6 +174,9 @@ class Search(Fits):
         with torch.no_grad():
             linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
+        if self.settled:
+            # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
+            self.linear[hypothesis] -= 0.5 * max(found.psi.shape[-1] - 1, 0) * math.log(max(found.score, 1.0))
         if self.linear[hypothesis] < self.mark - near:
             return False
         if self.clock.affords(cost):
@@ -219,7 +227,6 @@ class Search(Fits):
             for entry, one in self.probes.items()
             if one.visible
             and len(one.scores)
-            and one.psi.shape[-1]
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
 
@@ -280,8 +287,14 @@ class Search(Fits):
     def afresh(self) -> None:
         """The leading sets of effects once more from materials drawn from their priors: where the scene's own model came to a
         wrong minimum of the materials, for want of the effect, all that grew from it may stand there."""
-        leaders = [one for one in self.ranked() if one.added and one.noise == self.robust][:2]
-        for one in leaders:
+        ranked = [one for one in self.ranked() if one.added and one.noise == self.robust]
+        # what holds a better set gained nothing from the effects that it has more
+        best = [
+            one
+            for place, one in enumerate(ranked)
+            if not any(set(other.added) < set(one.added) for other in ranked[:place])
+        ]
+        for one in best[:2]:
             at = self.visited[one]
             if one in self.begun_afresh or at.posterior.dear or not self.clock.left(0.8):
                 continue
@@ -367,9 +380,10 @@ class Search(Fits):
             and (one.score > self.least_score(stem, entry) or not one.psi.shape[-1])
         ]
         for entry in sorted(promising, key=lambda one: -found[one].score)[:most]:
-            if self.clock.left(0.8) and self.affordable(entry, at, found[entry]):
+            one = found[entry]
+            if self.clock.left(0.8) and self.within_reach(entry, at, one) and self.affordable(entry, at, one):
                 grown.add(frozenset((stem.law, *stem.plain, entry)))
-                self.extend(at, entry, found[entry])
+                self.extend(at, entry, one)
 
     @property
     def as_quoted(self) -> bool:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.probes import Probe, beyond
+from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted
 
 VALUES = 3
@@ -24,7 +25,8 @@ def joint_sets(
     most: int,
 ) -> list[dict[str, Tensor]]:
     """The ``most`` best sets of ``size`` effects by the linear forms of their probes beside a fit, each with the values psi (k,) that
-    promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together."""
+    promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together. Sets that need the opposite of an
+    effect that has none are left out."""
     entries, places, rows = [], [], []
     for entry, one in probes.items():
         for place in torch.argsort(one.scores, descending=True)[:VALUES].tolist():
@@ -42,7 +44,10 @@ def joint_sets(
     sets = torch.combinations(torch.arange(len(entries)), size)
     sets = sets[(member[sets].diff(dim=1) > 0).all(1)]
     inner = torch.linalg.cholesky(gram[sets[:, :, None], sets[:, None, :]])
-    promised = torch.cholesky_solve(pull[sets][..., None], inner)[..., 0].mul(pull[sets]).sum(1)
+    sizes = torch.cholesky_solve(pull[sets][..., None], inner)[..., 0]
+    one_sided = torch.tensor([effect_class(entry).one_sided() for entry in entries])
+    possible = ((sizes > 0) | ~one_sided[sets]).all(1)
+    sets, promised = sets[possible], (sizes * pull[sets]).sum(1)[possible]
     found: dict[frozenset[str], dict[str, Tensor]] = {}
     best: dict[frozenset[str], float] = {}
     # of sets that promise alike the odds decide, which are within some tens of each other

@@ -22,6 +22,9 @@ exponent 200 is wide."""
 MOST_S = 0.5
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
+AGAIN = 8
+"""Values that are tried again beside another fit, of those that promise most by their change of the light beside the one before, where each
+is a geometry of its own."""
 SEEN = 0.3
 """Root sum of squares, in errors of a row: such a change gains 0.05 in log density at most."""
 LINEAR_GRID = 2
@@ -39,8 +42,8 @@ SWING, JUMP = 5, 4
 @dataclass(frozen=True)
 class Probe:
     """Finite-step signatures of one candidate at a refit: values psi (G, k) that were tried, unit signatures
-    (G, T) off everything the refit can absorb, and the score (g'r)^2 / g'g of each (G,); ``aimed`` marks values that
-    were chosen by the residuals themselves, (G,)."""
+    (G, T) off everything the refit can absorb, and the score (g'r)^2 / g'g of each (G,), 0 where the opposite of an effect that has
+    none would be needed; ``aimed`` marks values that were chosen by the residuals themselves, (G,)."""
 
     entry: str
     psi: Tensor
@@ -74,9 +77,12 @@ class Probe:
         return float(torch.copysign(size, unit @ (at.delta / at.sigma)))
 
 
-def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: int) -> Probe:
+def probe(
+    bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: int, known: Probe | None = None
+) -> Probe:
     """Signatures of ``entry`` added to a refit, whose ``posterior`` is that with it, over a ladder or cloud of its
-    parameters; of a divided offset only what its parts score together."""
+    parameters, or over those that promise most of a probe that is ``known`` from another fit and was held against this one; of a divided
+    offset only what its parts score together."""
     likelihood = posterior.likelihood
     parameters = likelihood.model.parameter_set
     columns = effect_columns(parameters, entry)
@@ -92,7 +98,12 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
             moved = (at.delta - likelihood.residuals(many).delta) / at.sigma
         return torch.nan_to_num(moved)
 
-    psi = _tried(bench, posterior, entry, seed) if per is None else _each_moved(entry, theta[:, columns])
+    if per is not None:
+        psi = _each_moved(entry, theta[:, columns])
+    elif known is not None and turns(posterior, entry) and scanned_column(entry) is None:
+        psi = known.psi[torch.argsort(known.scores, descending=True)[:AGAIN]]
+    else:
+        psi = _tried(bench, posterior, entry, seed)
     sought = (
         psi[:0]
         if per is not None
@@ -108,7 +119,7 @@ def probe(bench: Workbench, at: Fitted, posterior: Posterior, entry: str, seed: 
     if per is not None:
         part = bench.base.row_index[per][0]
         moved = torch.where(part == torch.unique(part)[:, None, None], moved, 0.0).flatten(0, 1)
-    signatures, scores, usable, visible = _scored(moved, at)
+    signatures, scores, usable, visible = _scored(moved, at, effect_class(entry).one_sided())
     if per is not None:
         together = max(float((scores - 1.0).sum()), 0.0)
         members = torch.arange(len(torch.unique(part)))
@@ -130,15 +141,17 @@ def beyond(moved: Tensor, at: Fitted) -> Tensor:
     return padded - (padded @ at.basis) @ at.basis.T
 
 
-def _scored(moved: Tensor, at: Fitted) -> tuple[Tensor, Tensor, Tensor, bool]:
+def _scored(moved: Tensor, at: Fitted, one_sided: bool) -> tuple[Tensor, Tensor, Tensor, bool]:
     """Of changes (G, T) in errors of a row, beside a fit: unit signatures and scores of those that are usable, which are, (G,), and
-    whether any may be seen."""
+    whether any may be seen. Of an effect that is ``one_sided`` no change can be made the other way."""
     projected = beyond(moved, at)
     norm = torch.linalg.vector_norm(projected, dim=1)
     raw = torch.linalg.vector_norm(moved, dim=1)
     usable = (norm > 1e-3) & (norm > 1e-7 * raw)
     unit = projected[usable] / norm[usable, None]
-    return unit[:, : moved.shape[1]], (unit @ at.residual_rows) ** 2, usable, bool((norm > SEEN).any())
+    pull = unit @ at.residual_rows
+    score = (pull.clamp(min=0.0) if one_sided else pull) ** 2
+    return unit[:, : moved.shape[1]], score, usable, bool((norm > SEEN).any())
 
 
 def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
@@ -147,7 +160,7 @@ def rescored(known: Probe, before: Fitted, at: Fitted) -> Probe:
     if not len(known.moved):
         return known
     moved = known.moved * before.sigma / at.sigma
-    signatures, scores, usable, visible = _scored(moved, at)
+    signatures, scores, usable, visible = _scored(moved, at, effect_class(known.entry).one_sided())
     if known.part is not None:
         best = scores.new_ones(int(known.part.max()) + 1)
         best.scatter_reduce_(0, known.part[usable], scores, "amax")

@@ -257,6 +257,12 @@ class Effect(nn.Module):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.target or ''})"
 
+    @classmethod
+    def one_sided(cls) -> bool:
+        """Whether it has no opposite: each number that switches it off does so at a bound, or it has none that does."""
+        switches = [(one.low, one.off, one.high) for one in cls.quantities if one.off is not None]
+        return all(not low < off < high for low, off, high in switches)
+
     @property
     def learns(self) -> bool:
         """Whether it has parameters of its own beside its quantities."""

@@ -16,7 +16,7 @@ from torchlc.files.writing import OutputDirectory
 
 COUNT = 5000
 AT_ONCE_S = 1.0
-"""What a person does not wait for; measured 0.03 s for a click and 0.3 s for the page, beside another process."""
+"""What a person does not wait for."""
 
 
 @pytest.fixture(scope="module")

@@ -101,6 +101,24 @@ def test_without_standard_streams(case: tuple[str, str], tmp_path: Path):
     assert text.startswith("# %ECSV") and "written" not in text
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("redirection", ["", "<&- >&- 2>&-"])
+def test_a_campaign_is_whole_wherever_it_runs(redirection: str, case: tuple[str, str], tmp_path: Path):
+    """Processes of workers, with warnings that are errors; with streams, and with none."""
+    manifest, out = tmp_path / "nights.csv", tmp_path / "out"
+    rows = [f"{name},{case[0]},{case[1]},fit,{' '.join(FIT)}" for name in ("a", "b")]
+    manifest.write_text("\n".join(["id,scene,recording,task,options", *rows]) + "\n", encoding="utf-8")
+    arguments = ["-m", "torchlc", "campaign", str(manifest), "-o", str(out), "--workers", "2"]
+    process = start(arguments, redirection, {"PYTHONWARNINGS": "error"})
+    _, error = process.communicate()
+    assert process.returncode == 0, error
+    assert "Traceback" not in error
+    for name in ("a", "b"):
+        assert {path.name for path in (out / "objects" / name).iterdir()} >= WRITTEN
+    assert json.loads((out / "campaign.json").read_text())["done"] == 2
+    assert (out / "index.html").read_text().startswith("<!")
+
+
 def test_a_figure_that_cannot_be_drawn_says_so(tmp_path: Path):
     """Neither an error while it is drawn nor one while it is rendered ends a run; the size stays."""
 

@@ -14,7 +14,7 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses, proof, run, where
+from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses, probes, proof, run, where
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
@@ -36,6 +36,7 @@ myst_substitutions = {
     "clean_p": f"{engine.CLEAN_P:g}",
     "dear": f"{engine.DEAR_FIT_S:g}",
     "slow_fit": f"{engine.SLOW_FIT_S:g}",
+    "again": str(probes.AGAIN),
     "linear_near": f"{engine.LINEAR_NEAR:g}",
     "slow_ms": f"{1000 * density.DEAR_S:g}",
     "draws": gate.DRAWS,

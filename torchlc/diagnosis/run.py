@@ -70,7 +70,7 @@ def diagnose(
     except KeyboardInterrupt:
         clock.stopped = True
     search.tell_unexamined()
-    first_gate = _gate(_as_quoted(search), found, search.probes, seed)
+    first_gate = _gate(_at_quoted_errors(search), found, search.probes, seed)
     leader = search.visited[search.leader]
     final_gate = _gate(leader, found, {}, seed, level=False)
     odds = probabilities(search, final_gate.global_p)
@@ -110,7 +110,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
         return _gate(at, found, {}, search.seed, level=False).global_p
 
     # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
-    if _gate(_as_quoted(search), found, search.probes, search.seed).global_p < CLEAN_P:
+    if _gate(_at_quoted_errors(search), found, search.probes, search.seed).global_p < CLEAN_P:
         search.jointly()
         if search.bench.recording.error is not None:
             search.laws(entries, bool(search.foremost.added) and search.clean(left))
@@ -122,7 +122,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     search.clock.tell(search.state(), 0.9)
 
 
-def _as_quoted(search: Search) -> Fitted:
+def _at_quoted_errors(search: Search) -> Fitted:
     """The scene's own model at the quoted errors, or where there are bad rows with these among the noise."""
     laws = [name for name, kind in search.bench.kinds().items() if kind.reshapes]
     noises = [(), *((name,) for name in laws)]

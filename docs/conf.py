@@ -14,7 +14,19 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 import torchlc
-from torchlc.diagnosis import clock, discrepancy, engine, fits, gate, hypotheses, probes, proof, run, where
+from torchlc.diagnosis import (
+    clock,
+    discrepancy,
+    engine,
+    fits,
+    gate,
+    hypotheses,
+    probes,
+    promises,
+    proof,
+    run,
+    where,
+)
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import UNSEEN
 from torchlc.effects import registry
@@ -34,10 +46,10 @@ myst_substitutions = {
     "runs": proof.RUNS,
     "longest": posterior.LONGEST,
     "clean_p": f"{engine.CLEAN_P:g}",
-    "dear": f"{engine.DEAR_FIT_S:g}",
-    "slow_fit": f"{engine.SLOW_FIT_S:g}",
+    "dear": f"{promises.DEAR_FIT_S:g}",
+    "slow_fit": f"{promises.SLOW_FIT_S:g}",
     "again": str(probes.AGAIN),
-    "linear_near": f"{engine.LINEAR_NEAR:g}",
+    "linear_near": f"{promises.LINEAR_NEAR:g}",
     "slow_ms": f"{1000 * density.DEAR_S:g}",
     "draws": gate.DRAWS,
     "draws_z": engine.DRAWS,
@@ -46,7 +58,7 @@ myst_substitutions = {
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",
     "told": f"{odds.TOLD:g}",
-    "near": f"{engine.NEAR:g}",
+    "near": f"{promises.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",
     "odd_odds": f"{discrepancy.ODDS:g}",
     "far": f"{discrepancy.FAR:g}",

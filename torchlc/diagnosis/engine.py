@@ -18,37 +18,19 @@ from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
-from torchlc.diagnosis.fits import BEAM, REACH, STARTS, Fits, sorted_as
-from torchlc.diagnosis.hypotheses import (
-    FEW_EFFECTS,
-    Hypothesis,
-    carried,
-    effect_columns,
-)
+from torchlc.diagnosis.fits import BEAM, REACH, STARTS, sorted_as
+from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis, carried, effect_columns
 from torchlc.diagnosis.joint import joint_sets
-from torchlc.diagnosis.probes import (
-    Probe,
-    least_seconds,
-    probe,
-    rescored,
-    turns,
-)
+from torchlc.diagnosis.probes import Probe, rescored
+from torchlc.diagnosis.promises import DEAR_FIT_S, NEAR, Promises, refit_seconds
 from torchlc.effects import effect_class
-from torchlc.inference.density import SCALE_SIGMA, Fitted, Linear, Posterior
-from torchlc.inference.posterior import LONGEST, MOST_MINIMA, UNLIKE, fit, material_starts
-from torchlc.stages.entry import Entry
+from torchlc.inference.density import SCALE_SIGMA, Fitted
+from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, material_starts
 
-NEAR = 6.0
-"""Log odds below the leader within which evidence is integrated, and a set told under every noise: one in 400."""
-LINEAR_NEAR = 3.0
-"""Log odds below the leader within which the linear form of a set of effects is not the last word on it: one in twenty."""
 LAW_STARTS = 48
 """Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
 CLEAN_P = 0.05
 """p-value of what a set leaves above which its rivals are not grown."""
-LEAST_SCORE = 6.0
-"""Twice what a signature has to promise in log density, that an effect is added to a set for it: probed values lie apart, and
-the best may reach half as much again, the 9 below which an effect counts as not seen."""
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 GROWN = 8
@@ -59,141 +41,15 @@ MOST_LOOKED = 6
 DRAWS = 500
 RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
-DEAR_STEPS = 24
-"""Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
-PROBING_S = 10.0
-"""CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
-SLOW_FIT_S = 0.5
-"""CPU seconds of a refit beside a clean leader beyond which its linear form, which takes some tenths, is asked first."""
-DEAR_FIT_S = 2.0
-"""CPU seconds of a refit beyond which it is made only of what its linear form says is within reach; and of a probe, beyond which that of
-the first round serves for all sets."""
 
 
 @dataclass
-class Search(Fits):
+class Search(Promises):
     """The rounds of a search: the probes of candidates, what is fitted because of them, what was left out and why."""
 
-    probes: dict[str, Probe] = field(default_factory=dict)
-    """Of the first round, beside the scene's own model."""
-    latest: dict[str, tuple[Probe, Fitted]] = field(default_factory=dict)
-    """The last probe of each that was made and not only held against another fit, with what it was made beside."""
-    whole: dict[str, tuple[Probe, Fitted]] = field(default_factory=dict)
-    """The same of the first, which tried all values."""
     odd: list[Discrepancy] = field(default_factory=list)
-    unexamined: dict[str, str] = field(default_factory=dict)
-    """Why, by entry, a candidate was not refitted."""
-    linear: dict[Hypothesis, float] = field(default_factory=dict)
-    """Log odds of what was judged by its linear form alone."""
-    invisible: set[str] = field(default_factory=set)
-    """Candidates that would leave no trace in these data, whatever their numbers."""
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
-    settled: bool = False
-    """Whether the foremost was clean, with errors as quoted, when sets were last grown."""
-
-    def probe_all(
-        self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
-    ) -> dict[str, Probe]:
-        """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
-        it is. Those that take long are made once, beside the scene's own model. Others are made ``anew``, what the last probe promises
-        most first, as long as all together take PROBING_S; those of dear geometries otherwise are held against this fit as they were
-        made last."""
-        held = {entry: rescored(*self.latest[entry], at) for entry in entries if entry in self.latest}
-        alone = {entry: self.posterior(Hypothesis((entry,), self.robust)) for entry in entries}
-
-        def place(entry: str) -> tuple[bool, float, bool]:
-            return entry in held, -held[entry].score if entry in held else 0.0, turns(alone[entry], entry)
-
-        found = {}
-        began = self.clock.spent
-        for entry in sorted(entries, key=place):
-            if not self.clock.left(share):
-                break
-            spent = self.clock.spent - began > PROBING_S
-            if entry in held and (spent or (not anew and (at.posterior.dear or alone[entry].dear))):
-                found[entry] = held[entry]
-                continue
-            hypothesis = at.hypothesis.with_effect(entry)
-            posterior = self.posterior(hypothesis)
-            as_last = entry in held and not anew and posterior.dear
-            cost = 0.0 if as_last else least_seconds(posterior, entry)
-            if entry in held and (as_last or cost > DEAR_FIT_S):
-                found[entry] = held[entry]
-            elif self.clock.affords(cost):
-                seed = hypothesis.seed + self.seed
-                known = rescored(*self.whole[entry], at) if entry in self.whole else None
-                found[entry] = probe(self.bench, at, posterior, entry, seed, known)
-                self.latest[entry] = found[entry], at
-                self.whole.setdefault(entry, self.latest[entry])
-            else:
-                self.unexamined[entry] = (
-                    f"{cost:.0f} s of light worked out anew before anything is known of it"
-                )
-            posterior.model.forget()
-        return found
-
-    def within_reach(self, entry: str, at: Fitted, found: Probe) -> bool:
-        """Whether an effect beside a fit could come near the foremost if it gained LONGEST times what its probe promises; if not, its
-        linear form, which is kept, is all that is asked of it. Effects that have no value to try, or of which probes do not tell, are always asked."""
-        if not len(found.scores) or not found.psi.shape[-1] or self.counted(entry):
-            return True
-        hypothesis = at.hypothesis.with_effect(entry)
-        without = at.log_z + self.bench.log_odds(hypothesis)
-        if without + LONGEST * 0.5 * found.score > self.mark - NEAR:
-            return True
-        self.linear[hypothesis] = without + 0.5 * found.score
-        return False
-
-    def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
-        """Whether an effect is refitted. One whose geometry is dear, or slow beside a clean leader, is judged by its linear form, which is
-        kept, and refitted only if that could be the answer and there is time. Linear forms are good to LINEAR_NEAR where little is left
-        to be gained, and far too low where much is."""
-        hypothesis = at.hypothesis.with_effect(entry)
-        posterior = self.posterior(hypothesis)
-        cost = refit_seconds(
-            posterior, posterior.geometry_seconds if self.settled else posterior.seconds_each
-        )
-        near = LINEAR_NEAR if self.settled else NEAR
-        if cost < (SLOW_FIT_S if self.settled else DEAR_FIT_S):
-            return True
-        if Entry.parse(entry).per is not None:
-            promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
-            if promised < self.mark - NEAR:
-                return False
-            if self.clock.affords(cost):
-                return True
-            self.unexamined[entry] = (
-                f"{cost:.0f} s of light worked out anew; its parts together promise enough"
-            )
-            return False
-        if not len(found.scores):
-            return False
-        line = Linear(at, found.best_change(at)[:, None])
-        start = torch.cat([at.g, at.g.new_tensor([found.best_size(at)])])
-        with torch.no_grad():
-            linear = fit(at.hypothesis, line, start[None], turns=1)
-        self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
-        if self.settled:
-            # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
-            self.linear[hypothesis] -= 0.5 * max(found.psi.shape[-1] - 1, 0) * math.log(max(found.score, 1.0))
-        if self.linear[hypothesis] < self.mark - near:
-            return False
-        if self.clock.affords(cost):
-            return True
-        self.unexamined[entry] = (
-            f"{cost:.0f} s of light worked out anew; its linear form is within reach of the answer"
-        )
-        return False
-
-    def seconds_of(self, entry: str) -> float:
-        """CPU seconds that a candidate's probe or refit takes where it moves the geometry of a large mesh, whichever is more; 0 of
-        others."""
-        hypothesis = Hypothesis((entry,)).under(*self.robust)
-        if not self.bench.likelihood(hypothesis).model.unaffordable:
-            return 0.0
-        posterior = self.posterior(hypothesis)
-        return max(least_seconds(posterior, entry), refit_seconds(posterior))
 
     def singles(self, entries: Sequence[str]) -> None:
         """Every candidate alone, first those that are fitted fast, by what their signatures promise, most first: a budget then ends among
@@ -433,14 +289,6 @@ class Search(Fits):
                 grown.add(pair)
                 self.extend(at, entry, one)
 
-    def least_score(self, stem: Hypothesis, entry: str) -> float:
-        """What a signature has to promise that an effect is added to a set: LEAST_SCORE, and beyond FEW_EFFECTS, where each has to gain
-        REACH beyond its prior odds, two thirds of that."""
-        if len(stem.added) < FEW_EFFECTS:
-            return LEAST_SCORE
-        cost = self.bench.log_odds(stem) - self.bench.log_odds(stem.with_effect(entry))
-        return 2 * (REACH + cost) / 1.5
-
     def noise_of_leaders(self) -> None:
         """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
         of the leader and of the leading effects; and sets whose geometry is slow are only asked where they are near."""
@@ -582,10 +430,3 @@ class Search(Fits):
         order = self.ranked()
         name = " + ".join(order[0].names) or ("noise" if order[0].noise else "nothing missing")
         return f"leads: {name}"
-
-
-def refit_seconds(posterior: Posterior, each: float | None = None) -> float:
-    """CPU seconds of a refit: its geometries of ``each`` seconds, of which those of numbers that share no row are one."""
-    colours = posterior.colours()
-    slopes = len(posterior.physical) if colours is None else len(colours.groups)
-    return (posterior.seconds_each if each is None else each) * (1 + slopes) * DEAR_STEPS

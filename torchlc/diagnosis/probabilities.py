@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import torch
 
 from torchlc.diagnosis.discrepancy import FAR
-from torchlc.diagnosis.engine import LINEAR_NEAR, Search
+from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
+from torchlc.diagnosis.promises import LINEAR_NEAR
 from torchlc.diagnosis.unseen import unseen_share
 from torchlc.effects import mending_kind
 from torchlc.inference.density import BAD_ROW

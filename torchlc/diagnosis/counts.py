@@ -8,6 +8,8 @@ neighbour. Letters: N parts, T rows, P coordinates, C counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -37,6 +39,25 @@ STEP = 1e-5
 """Of coordinates, for the slopes of natural values: a Cauchy distribution's bend by 1e-5 of themselves over 1e-3."""
 COMMON = 0.01
 """Relative difference up to which a number is a phase of all parts in common."""
+AS_LIKELY = 0.01
+"""Of the likeliest count's probability, that another has to have to be among those that fit."""
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What counts of turns leave open: ``starts`` (S, P), values of theta from which a fit of each of the leading ones begins; how many
+    ``fit`` the rows; and of each number that they tell, by name, its value at each of them (C,), with their probabilities ``p`` (C,)."""
+
+    starts: Tensor
+    fit: int = 0
+    values: Mapping[str, Tensor] | None = None
+    p: Tensor | None = None
+
+    def spread(self, name: str, value: float) -> float:
+        """Root of the mean square by which a number is off from ``value`` over all counts that fit; 0 of one that they do not tell."""
+        if self.fit < 2 or self.values is None or self.p is None or name not in self.values:
+            return 0.0
+        return float(torch.sqrt((self.p * (self.values[name] - value).square()).sum()))
 
 
 def phase_entry(bench: Workbench) -> str | None:
@@ -52,8 +73,8 @@ def phase_entry(bench: Workbench) -> str | None:
     return None
 
 
-def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, phase: str) -> Tensor:
-    """Values (S, P) of theta from which the ``target`` may fit: those of the counts of turns that suit the rows best. ``loose`` is the
+def counted(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, phase: str) -> Counted:
+    """The counts of turns that suit the rows, and where the ``target`` begins from those that do best. ``loose`` is the
     same model with ``phase`` beside it, ``at`` a fit that it is begun from."""
     parameters = loose.model.parameter_set
     theta = carried(parameters, at.theta[None], at.names)
@@ -61,7 +82,7 @@ def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Poste
     kinds = [one.origin.role for one in parameters.free]
     turning = [one for one in loose.physical if one not in columns and kinds[one] in ("attitude", "effects")]
     begin = each_best(bench, at, loose, phase, theta)[0]
-    none = at.theta.new_zeros(0, len(target.model.names))
+    none = Counted(at.theta.new_zeros(0, len(target.model.names)))
     if not turning or begin is None:
         return none
     theta[:, columns] = begin
@@ -79,15 +100,21 @@ def counted_starts(bench: Workbench, at: Fitted, target: Posterior, loose: Poste
     shift = whole * pull.sum(0)
     most = int((shift.abs() / (high - low)).argmax())
     common = bool((shift[most].abs() / whole - 1).abs() < COMMON)
-    counts = _counts(deg / whole, own / whole**2, _from_longest(bench, phase), common)
+    counts, distance = _counts(deg / whole, own / whole**2, _from_longest(bench, phase), common)
     found = values[len(columns) :] + (whole * counts - deg) @ pull
     if common:
         found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
-    found = found[((found >= low) & (found <= high)).all(1)]
+    inside = ((found >= low) & (found <= high)).all(1)
+    if not bool(inside.any()):
+        return none
+    found, distance = found[inside], distance[inside]
+    p = torch.softmax(-0.5 * distance, 0)
     theta = free.theta.repeat(len(found), 1)
     theta[:, turning] = found
     begun = carried(target.model.parameter_set, theta, loose.model.names)
-    return _leading(target, begun) if len(begun) else none
+    names = [parameters.free[one].name for one in turning]
+    values = dict(zip(names, found.T, strict=True))
+    return Counted(_leading(target, begun), int((p > AS_LIKELY * p.max()).sum()), values, p)
 
 
 def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[Tensor, Tensor]:
@@ -132,9 +159,9 @@ def _from_longest(bench: Workbench, phase: str) -> list[int]:
     return torch.argsort((middle - middle[longest]).abs(), stable=True).tolist()
 
 
-def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> Tensor:
-    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``. ``common``: those that differ
-    by the same in all parts are one."""
+def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> tuple[Tensor, Tensor]:
+    """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``, and the squares (C,) of how far
+    they are in standard deviations. ``common``: those that differ by the same in all parts are one."""
     # from a number far from its own the others would be sought along what the rows hardly tell
     found, distance = off[order[: int(common)]].round()[None], off.new_zeros(1)
     for k, one in list(enumerate(order))[int(common) :]:
@@ -150,7 +177,7 @@ def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> Tens
         of = nearest // len(steps)
         found = torch.cat([found[of], tried.flatten()[nearest, None]], 1)
         distance = total.flatten()[nearest]
-    return found[:, torch.argsort(torch.tensor(order))]
+    return found[:, torch.argsort(torch.tensor(order))], distance
 
 
 def _leading(target: Posterior, theta: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.clock import Clock
-from torchlc.diagnosis.counts import counted_starts, phase_entry
+from torchlc.diagnosis.counts import Counted, counted, phase_entry
 from torchlc.diagnosis.hypotheses import (
     SCALE,
     Hypothesis,
@@ -67,6 +67,8 @@ class Fits:
     visited: dict[Hypothesis, Fitted] = field(default_factory=dict)
     steps: Steps = field(default_factory=Steps)
     """Refits and evidences as they are finished, those of an earlier run that was killed among them."""
+    turns: dict[tuple[str, ...], Counted] = field(default_factory=dict)
+    """What counts of turns between nights or curves leave open, by the set of effects."""
     _posteriors: dict[Hypothesis, Posterior] = field(default_factory=dict)
 
     def log_odds(self, hypothesis: Hypothesis) -> float:
@@ -276,8 +278,11 @@ class Fits:
         loose = self.posterior(new.hypothesis.with_effect(phase))
         if loose.dear:
             return new
-        starts = counted_starts(self.bench, at, new.posterior, loose, phase)[:PLACES]
-        return self.refit(new.hypothesis, starts, at, turns=1) if len(starts) else new
+        found = counted(self.bench, at, new.posterior, loose, phase)
+        if not len(found.starts):
+            return new
+        self.turns[new.hypothesis.plain] = found
+        return self.refit(new.hypothesis, found.starts[:PLACES], at, turns=1)
 
     def rescanned(self, entry: str, at: Fitted) -> Fitted:
         """A fit of an effect that no descent finds the row of, tried again at every row from where it came to."""

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
+from torchlc.diagnosis.counts import Counted
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
@@ -103,6 +104,12 @@ class Diagnosis:
         untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
         late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
+        open_counts = self.turns(self.final).fit
+        if open_counts > 1:
+            warned.append(
+                f"{open_counts} counts of turns between the nights fit about as well: the errors of what turns are those of all of them, "
+                "the value is that of one; torchlc rotation lists them"
+            )
         clock = self.search.clock
         if clock.stopped:
             warned.append("interrupted: the verdict is that of what had been examined")
@@ -179,8 +186,15 @@ class Diagnosis:
     @property
     def added(self) -> dict[str, str]:
         """Values of the parameters that the final model adds, by effect and name, ready to print."""
-        refit = self.final
-        return added_values({entry: effect_parameters(refit, entry) for entry in self.final.hypothesis.added})
+        at = self.final
+        turns = self.turns(at)
+        return added_values({entry: effect_parameters(at, entry, turns) for entry in at.hypothesis.added})
+
+    def turns(self, at: Fitted) -> Counted:
+        """What counts of turns between nights or curves leave open beside a fit: as asked for the most of its effects."""
+        own = set(at.hypothesis.plain)
+        asked = [one for one in self.search.turns if set(one) <= own]
+        return self.search.turns[max(asked, key=len)] if asked else Counted(at.theta[None, :0])
 
     @property
     def completed(self) -> Scene:
@@ -295,7 +309,7 @@ class Diagnosis:
                     "probability": self.odds.effects.get(Entry.parse(entry).name, 0.0),
                     "delta_log_evidence": None if at is None else at.log_z - plain,
                     "heldout_delta_log_likelihood": self._foreseen(at),
-                    "parameters": {} if at is None else effect_parameters(at, entry),
+                    "parameters": {} if at is None else effect_parameters(at, entry, self.turns(at)),
                     "chi2_after": None if at is None else at.chi2,
                 }
             )
@@ -484,8 +498,8 @@ def materials(at: Fitted) -> dict[str, dict[str, float]]:
     return found
 
 
-def effect_parameters(at: Fitted, entry: str) -> dict[str, dict[str, Any]]:
-    """Value, sd and unit of the parameters of one effect entry."""
+def effect_parameters(at: Fitted, entry: str, turns: Counted) -> dict[str, dict[str, Any]]:
+    """Value, sd and unit of the parameters of one effect entry; the sd is over all counts of ``turns`` that fit."""
     parameters = at.model.parameter_set
     columns = effect_columns(parameters, entry)
     if not columns:
@@ -494,7 +508,9 @@ def effect_parameters(at: Fitted, entry: str) -> dict[str, dict[str, Any]]:
     return {
         parameters.free[column].origin.short: {
             "median": float(at.theta[column]),
-            "sd": float(sd[place]),
+            "sd": math.hypot(
+                float(sd[place]), turns.spread(parameters.names[column], float(at.theta[column]))
+            ),
             "unit": parameters.free[column].unit,
         }
         for place, column in enumerate(columns)

@@ -22,6 +22,8 @@ from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
 from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
+from torchlc.lightcurve.evaluators import exact
+from torchlc.stages.memory import bytes_of
 
 BALL = """
 format = "torchlc-scene/1"
@@ -445,3 +447,38 @@ def test_beside_another_law_of_reflection_the_effect_is_still_named(tmp_path) ->
     found = torchlc.diagnose(scene, recording, effects=["zero_point_drift", "background", "appendage"])
     assert found.named == ("zero_point_drift",)
     assert found.law == "cook-torrance"
+
+
+def test_tables_of_past_geometries_are_kept_as_far_as_memory_goes(monkeypatch, tmp_path) -> None:
+    """Of a turned box: as many as the bound holds, the last ones, and none once a model forgets."""
+    scene = BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [1.0, 2.0, 3.0]')
+    scene = scene.replace(
+        "band_sun", '"attitude_offset.x" = { value = 0.0, low = -9.0, high = 9.0 }\nband_sun'
+    )
+    (tmp_path / "scene.toml").write_text(scene.replace("effects = []", 'effects = ["attitude_offset"]'))
+    (tmp_path / "exact.toml").write_text(BALL)
+    curve = torchlc.simulate(
+        tmp_path / "exact.toml", start="2026-03-15T19:00:00", hours=5.0, cadence=600, noise=ERROR, seed=1
+    )
+    model = torchlc.LightCurve(
+        *torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv"))
+    )
+    evaluator = model.evaluator
+    assert isinstance(evaluator, exact.ExactGeometry)
+    place = model.names.index("attitude_offset.x")
+    theta = model.parameter_set.start().repeat(6, 1)
+    theta[:, place] = torch.arange(6.0, dtype=torch.float64)
+
+    def kept() -> list[float]:
+        with torch.no_grad():
+            for one in theta:
+                model(one)
+        columns = sorted(model.assembly.geometry_columns)
+        return [key[1][columns.index(place)] for key in evaluator._recent]
+
+    assert kept() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    size = bytes_of(next(iter(evaluator._recent.values())))
+    model.forget()
+    assert not evaluator._recent
+    monkeypatch.setattr(exact, "LARGEST_MEMORY", 3 * size + size // 2)
+    assert kept() == [3.0, 4.0, 5.0]

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchlc.diagnosis.hypotheses import MOST_OBJECTS, Workbench, carried, effect_columns
 from torchlc.diagnosis.probes import MOST_S, each_best
 from torchlc.effects import effect_class, registry
-from torchlc.inference.density import AT_ONCE, Fitted, Posterior
-from torchlc.inference.posterior import WIDE_MAG, descend, fit
+from torchlc.inference.density import Fitted, Posterior
+from torchlc.inference.posterior import WIDE_MAG, descend, fit, likeliest
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.noise import Noise
 from torchlc.stages.entry import Entry
@@ -183,11 +183,7 @@ def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> tupl
 def _leading(target: Posterior, theta: Tensor) -> Tensor:
     """The best of values (C, P) by the rows, as far as there is time to look at them, after a few steps from each: with errors so
     wide that a phase that is a little off counts little."""
-    g = target.coordinates(theta[: max(LEADING, int(MOST_S / max(target.seconds_each, 1e-9)))])
-    wide = Noise().wider(g.new_tensor([WIDE_MAG]))
-    with torch.no_grad():
-        density = torch.cat(
-            [target.likelihood.density(target.residuals(some), wide) for some in g.split(AT_ONCE)]
-        )
-    best = torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:LEADING]
-    return target.theta(descend(target, g[best], STEPS, wide)[0])
+    affordable = max(LEADING, int(MOST_S / max(target.seconds_each, 1e-9)))
+    best = likeliest(target, theta[:affordable], LEADING)
+    wide = Noise().wider(best.new_tensor([WIDE_MAG]))
+    return target.theta(descend(target, best, STEPS, wide)[0])

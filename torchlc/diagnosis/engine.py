@@ -25,7 +25,8 @@ from torchlc.diagnosis.probes import Probe, rescored
 from torchlc.diagnosis.promises import DEAR_FIT_S, NEAR, Promises, refit_seconds
 from torchlc.effects import effect_class
 from torchlc.inference.density import SCALE_SIGMA, Fitted
-from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, material_starts
+from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, likeliest, material_starts
+from torchlc.stages.entry import Entry
 
 LAW_STARTS = 48
 """Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
@@ -74,15 +75,16 @@ class Search(Promises):
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
 
-    def jointly(self) -> None:
+    def jointly(self, clean: bool) -> None:
         """Sets of two and of FEW_EFFECTS by what their probes promise together: what one effect alone would be blamed for may be several
-        that each take little of it."""
+        that each take little of it. Beside a ``clean`` leader those without its effects: what hides beside these is asked of it."""
         at = self.visited[Hypothesis().under(*self.robust)]
         quick = {
             entry: one
             for entry, one in self.probes.items()
             if one.visible
             and len(one.scores)
+            and not (clean and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
 
@@ -191,19 +193,25 @@ class Search(Promises):
                 break
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             close = not clean and gained > (REACH if beyond else -REACH)
-            for entry in best[0].added if close else ():  # shrink, then swap
-                at = self.visited[best[0]]
-                fewer = self.less(at, entry)
-                quick = refit_seconds(self.posterior(fewer)) < DEAR_FIT_S
-                if quick and self.clock.left(0.8):
-                    self.shrunk(at, entry)
-                if fewer in self.visited and self.clock.left(0.8):
-                    self.grow(fewer, entries, grown, GROWN // 2, anew=False)
+            if close:
+                self.exchange(best[0], entries, grown)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
                 break
             self.clock.tell(self.state(), 0.5 + 0.2 * min(size, FEW_EFFECTS - 1))
+        self.of_fewer_numbers(entries, grown)
+
+    def exchange(self, whole: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]]) -> None:
+        """A set without each of its effects, and with another in the place of each."""
+        at = self.visited[whole]
+        for entry in whole.added:
+            fewer = self.less(at, entry)
+            quick = refit_seconds(self.posterior(fewer)) < DEAR_FIT_S
+            if quick and self.clock.left(0.8):
+                self.shrunk(at, entry)
+            if fewer in self.visited and self.clock.left(0.8):
+                self.grow(fewer, entries, grown, GROWN // 2, anew=False)
 
     @property
     def ahead_of_foremost(self) -> float:
@@ -263,6 +271,43 @@ class Search(Promises):
             if fewer in self.visited:
                 found.append(fewer)
         return found
+
+    def of_fewer_numbers(self, entries: Sequence[str], grown: set[frozenset[str]]) -> None:
+        """Sets in the place of a leader of many numbers, which bends to what several effects of few numbers do: the best of those of at
+        most half as many grows by others, as long as that gains and the set has no more numbers than the leader."""
+        leading = self.foremost
+
+        def numbers(one: Hypothesis) -> int:
+            parameters = self.bench.likelihood(one).model.parameter_set
+            return sum(len(effect_columns(parameters, entry)) for entry in one.added)
+
+        most = numbers(leading)
+        few = [
+            entry
+            for entry in entries
+            if 2 * numbers(Hypothesis((entry,))) <= most and Entry.parse(entry).plain not in leading.plain
+        ]
+        possible = {Entry.parse(entry).plain for entry in few}
+
+        def best(stem: Hypothesis) -> Hypothesis | None:
+            more = (
+                one
+                for one in self.ranked()
+                if (one.noise, one.law) == (leading.noise, leading.law)
+                and set(stem.plain) < set(one.plain) <= possible
+                and len(one.added) == len(stem.added) + 1
+            )
+            return next(more, None)
+
+        stem = best(replace(leading, added=()))
+        while stem is not None and numbers(stem) < most and self.clock.left(0.8):
+            self.grow(stem, few, grown, GROWN // 2, anew=False)
+            more = best(stem)
+            if more is None or not self.ahead(more, stem):
+                break
+            stem = more
+        if stem is not None and len(stem.added) > 1 and self.log_odds(stem) > self.mark - REACH:
+            self.exchange(stem, few, grown)
 
     def overtake(
         self, stems: Sequence[Hypothesis], entries: Sequence[str], grown: set[frozenset[str]]
@@ -394,6 +439,9 @@ class Search(Promises):
                 starts = theta[None]
                 if not posterior.dear:
                     starts = material_starts(posterior, theta, LAW_STARTS, generator)
+                if posterior.model.geometry_free:
+                    # light of a free geometry is worked out anew for every lobe: only the best are followed
+                    starts = posterior.theta(likeliest(posterior, starts, STARTS))
                 self.refit(hypothesis, starts, at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:

@@ -178,9 +178,7 @@ class Fits:
                 )
                 if name in known:
                     g[:, column] = noise_from.g[known[name]]
-        best = max(map(self.log_odds, self.visited), default=-math.inf)
-        # the scene's own model, which all gains are counted from, is fitted to the end
-        floor = best - REACH - self.bench.log_odds(hypothesis) if hypothesis.added else -math.inf
+        floor = self.floor(hypothesis) - self.bench.log_odds(hypothesis)
         nominal = self.nominal_columns(posterior)
         made: list[Fitted] = []
 
@@ -190,9 +188,19 @@ class Fits:
 
         name = f"{hypothesis} from {hashlib.sha256(g.numpy().tobytes()).hexdigest()} {options}"
         found = self.steps.of(name, Minimum, minima)
-        return self.keep(
+        kept = self.keep(
             made[0] if made else merged([fitted_at(hypothesis, posterior, one.g) for one in found])
         )
+        posterior.model.forget()  # tables of a rocket body take hundreds of MB, and there are some fifty models
+        return kept
+
+    def floor(self, hypothesis: Hypothesis) -> float:
+        """Log odds below which a fit of a hypothesis need not be finished: out of reach of the leader, or, of another law alone, of the
+        scene's own. The scene's own model, which all gains are counted from, is fitted to the end."""
+        if hypothesis.added:
+            return max(map(self.log_odds, self.visited), default=-math.inf) - REACH
+        own = replace(hypothesis, law="")
+        return self.log_odds(own) - REACH if hypothesis.law and own in self.visited else -math.inf
 
     def nominal_columns(self, posterior: Posterior) -> list[int]:
         """Columns of the scene's own geometry, where there are others that leave that as it is."""
@@ -329,6 +337,7 @@ class Fits:
         place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
         form = " of its linear form" if linear else ""
         found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}{form}", Evidence, evidence)
+        at.model.forget()
         return replace(at, evidence=found[0]) if found else at
 
 

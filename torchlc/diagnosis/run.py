@@ -111,7 +111,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
 
     # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
     if _gate(_at_quoted_errors(search), found, search.probes, search.seed).global_p < CLEAN_P:
-        search.jointly()
+        search.jointly(bool(search.foremost.added) and search.clean(left))
         if search.bench.recording.error is not None:
             search.laws(entries, bool(search.foremost.added) and search.clean(left))
     search.sets(entries, left)

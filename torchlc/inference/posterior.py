@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchlc.inference.density import (
+    AT_ONCE,
     Fitted,
     Linear,
     Posterior,
@@ -167,6 +168,18 @@ def material_starts(posterior: Posterior, theta: Tensor, count: int, generator: 
             if linear_columns(posterior.model)
             else draws
         )
+
+
+def likeliest(posterior: Posterior, theta: Tensor, count: int) -> Tensor:
+    """Coordinates of the ``count`` natural values of theta (S, P) that describe the rows best, with errors so wide that what is a little off
+    counts little."""
+    g = posterior.coordinates(theta)
+    wide = Noise().wider(g.new_tensor([WIDE_MAG]))
+    with torch.no_grad():
+        density = torch.cat(
+            [posterior.likelihood.density(posterior.residuals(some), wide) for some in g.split(AT_ONCE)]
+        )
+    return g[torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:count]]
 
 
 def _noise_objective(posterior: Posterior, g: Tensor, found: Residuals) -> Callable[[Tensor], Tensor]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchlc.tensors.autodiff_state import readable
-
-if TYPE_CHECKING:
-    pass
 
 LARGEST_MEMORY = 400 * 2**20
 
@@ -42,6 +40,17 @@ class Memory:
         while len(self._kept) > 1 and self._bytes > LARGEST_MEMORY:
             self._bytes -= _size(self._kept.pop(next(iter(self._kept))))
         return whole
+
+
+def bytes_of(value: Any) -> int:
+    """Bytes of the tensors in a dataclass, a mapping or a sequence, however deep; what is expanded counts as what it holds."""
+    if isinstance(value, Tensor):
+        return value.untyped_storage().nbytes()
+    if is_dataclass(value):
+        return sum(bytes_of(getattr(value, one.name)) for one in fields(value))
+    if isinstance(value, Mapping):
+        return sum(map(bytes_of, value.values()))
+    return sum(map(bytes_of, value)) if isinstance(value, list | tuple) else 0
 
 
 def _size(tensors: Sequence[Tensor]) -> int:

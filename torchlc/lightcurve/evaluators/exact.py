@@ -23,6 +23,7 @@ from torchlc.lightcurve.tables import (
 from torchlc.pairs.discs import LEFT_OUT_MAG
 from torchlc.pairs.still import StillPairs, still_pairs, turns
 from torchlc.stages.light import Brightness, Patch, Surface, View
+from torchlc.stages.memory import LARGEST_MEMORY, bytes_of
 from torchlc.tensors.autodiff_state import apart, readable, transformed
 
 RECENT_TABLES = 48
@@ -141,11 +142,13 @@ class ExactGeometry(Evaluator):
         return self._remembered(detail, distinct[0], make)
 
     def _remembered(self, detail: bool, one: Tensor, make: Callable[[], Tables]) -> Tables:
-        """Tables of the geometry of theta (P,) as they were made before, or now; the last RECENT_TABLES are kept."""
+        """Tables of the geometry of theta (P,) as they were made before, or now; the last RECENT_TABLES are kept, or as many as take
+        LARGEST_MEMORY: one of a rocket body may take 200 MB."""
         key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
         if key not in self._recent:
             self._recent[key] = make()
-            if len(self._recent) > RECENT_TABLES:
+            most = max(1, min(RECENT_TABLES, LARGEST_MEMORY // max(1, bytes_of(self._recent[key]))))
+            while len(self._recent) > most:
                 self._recent.pop(next(iter(self._recent)))
         return self._recent[key]
 

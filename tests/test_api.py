@@ -13,7 +13,9 @@ from astropy.table import Table
 
 import torchlc
 from tests.small_case import write_case
+from torchlc.digits import number_of
 from torchlc.errors import InputError
+from torchlc.inference.period import find_period
 from torchlc.results.fit_result import FitResult, stated
 
 TRUTH = {"panel.n": 200.0, "panel.r_spec": 0.05, "panel.r_diff": 0.05}
@@ -356,3 +358,22 @@ def test_values_are_stated_with_the_digits_their_uncertainty_bears():
     assert stated(row(1234.6, 57.2)) == "1235 ± 57"
     assert stated(row(42.3, 180_000.0)) == "42 ± 180000"
     assert stated({"median": 40.0, "sd": 90.0, "q05": 30.0, "q95": 400.0, "unit": ""}) == "40 (30 to 400)"
+
+
+def test_numbers_stand_before_a_singular_or_a_plural():
+    assert [number_of(count, "measured row") for count in (0, 1, 2)] == [
+        "0 measured rows",
+        "1 measured row",
+        "2 measured rows",
+    ]
+    assert number_of(1, "pass") == "1 pass" and number_of(2, "pass") == "2 passes"
+    assert number_of(0.96, "step") == "1 step" and number_of(math.nan, "step") == "nan steps"
+
+
+def test_a_recording_of_one_row_is_told_in_the_singular(case: tuple[Path, Path]):
+    curve = torchlc.simulate(case[0], start="2020-10-17T15:00", hours=0.01, cadence=3600.0, noise=0.02)
+    assert ": 1 row, " in curve.headline()
+    one = torchlc.load(case[0], curve.to_table())[1]
+    assert "1 row of mag" in repr(one)
+    with pytest.raises(InputError, match=r"^1 measured row; expected at least \d+ to find a period"):
+        find_period(one)

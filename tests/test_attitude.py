@@ -272,7 +272,7 @@ def test_quaternion_times_may_be_julian_dates(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"knots": KNOTS[1:] + 2.0}, "2 rows of the recording are outside, the first at 2020-10-10T12:00:00"),
+        ({"knots": KNOTS[1:] + 2.0}, "2 rows of the recording outside, the first at 2020-10-10T12:00:00"),
         ({"header": "time,w,x,y,z"}, "no column q0"),
         ({"header": "# time_scale: tai\ntime,q0,q1,q2,q3"}, "metadata time_scale: 'tai'; expected utc"),
         ({"times": ["2020-10-10T12:00:00"] * 6}, "time of another row"),

@@ -141,7 +141,7 @@ def test_facets_without_a_direction_are_told(tmp_path):
     scene = mesh_scene(tmp_path, "u = [0, 0, 1]")
     recording = seen_from(scene, tmp_path, [[0, 0, 1.0]] * 2, [[0, 0, 1.0]] * 2)
     warnings = torchlc.LightCurve(scene, recording).assembly.warnings
-    assert any("60 of 120 facets are perpendicular to u" in warning for warning in warnings)
+    assert any("60 facets of 120 perpendicular to u" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize(

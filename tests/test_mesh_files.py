@@ -161,7 +161,7 @@ def test_faces_that_are_there_twice_count_once(tmp_path, turn):
         (tmp_path / "twice.obj").write_text(obj(corners, [*QUADS, *faces]))
         area, volume, warnings = measured(tmp_path / "twice.obj")
         assert (area, volume) == (pytest.approx(6), pytest.approx(1))
-        assert warnings == ["twice.obj: 6 faces are there twice and count once"]
+        assert warnings == ["twice.obj: 6 faces there twice, counted once"]
 
 
 def test_faces_of_both_sides_and_in_another_division_are_told_of(tmp_path):
@@ -253,9 +253,9 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.obj", CORNERS, "a mesh without faces"),
         ("a.obj", CORNERS + "f 1 1 2\n", "a mesh without area"),
         ("a.obj", "", "a mesh without faces"),
-        ("a.stl", stl_bytes(b"")[:-30], "654 bytes, where 12 faces need 684"),
-        ("a.stl", stl_bytes(b"", 11), "50 bytes after the 11 faces that it declares"),
-        ("a.stl", stl_bytes(b"", 2**32 - 1), "where 4294967295 faces need 214748364834"),
+        ("a.stl", stl_bytes(b"")[:-30], "654 bytes, where 12 faces would take 684"),
+        ("a.stl", stl_bytes(b"", 11), "50 bytes after the 11 faces declared"),
+        ("a.stl", stl_bytes(b"", 2**32 - 1), "where 4294967295 faces would take 214748364834"),
         ("a.stl", b"short", "5 bytes"),
         ("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "no endsolid"),
         ("a.stl", "solid a\nfacet\nouter loop\nvertex 0 0 x\nendsolid", "line 4: '0 0 x'"),
@@ -264,7 +264,7 @@ CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         (
             "a.ply",
             PLY.format(1_900_000, 1) + "0 0 0\n",
-            "1900000 rows of vertex are declared, 6 bytes follow",
+            "a header for 1900000 rows of vertex, with 6 bytes below it",
         ),
         ("a.ply", PLY.format(3, 10**9) + "0 0 0\n", "at most 200000"),
         ("a.ply", PLY.format(3, 1) + "0 0 0\n1_0 0 0\n0 1 0\n3 0 1 2\n", "'1_0' is not a number"),
@@ -314,7 +314,7 @@ def test_a_damaged_file_is_read_or_refused(tmp_path_factory, suffix, cut, change
     ("name", "expected"),
     [
         ("C8.obj", 7.0), ("dart0.obj", 0.5), ("il_neg.obj", 28.0), ("dupface.obj", 1.0),
-        ("zero_based.obj", "corner 0"), ("bin_trunc.stl", "654 bytes, where 12 faces need 684"),
+        ("zero_based.obj", "corner 0"), ("bin_trunc.stl", "654 bytes, where 12 faces would take 684"),
     ],
 )  # fmt: skip
 def test_files_that_went_wrong(name, expected):

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import astropy.units as u
 import numpy as np
@@ -14,7 +16,7 @@ import pandas
 import pytest
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE
+from tests.bad_input_cases import SCENE, STATION
 from tests.observers_night import AIJ, ERROR, EXPORTS, JD, MAG, holds, table
 from torchlc.errors import InputError
 from torchlc.naming import Replaced
@@ -220,6 +222,15 @@ class TestLimitsAndMarkers:
         assert recording.observed.tolist() == [-12.0, -99.0, 30.0]
 
 
+def with_the_station(message: str, numbers: Mapping[str, str] = MappingProxyType({})) -> str:
+    """The scene with the lines that a message says to add, numbers in place of words in brackets."""
+    lines = message.split("each on a line of its own: ")[1]
+    for words, number in numbers.items():
+        lines = lines.replace(words, number)
+    lines = re.sub(r", (?=(?:id|latitude|longitude|height) = )", "\n", lines)
+    return SCENE.replace("[attitude]", f"{lines}\n[attitude]")
+
+
 class TestManyObjects:
     def test_one_of_many_is_chosen(self, read):
         other = EXPORTS["SCORE"].splitlines()[1].replace("SAT 1,12345", "BIRD-7,54321")
@@ -234,8 +245,27 @@ class TestManyObjects:
 
     def test_the_place_of_an_observer_has_to_be_a_station(self, read):
         assert read(EXPORTS["SCORE"], SCENE).station_ids == ("weihai",)
-        with pytest.raises(InputError, match=r"Add to the scene: \[\[stations\]\].*latitude = -30"):
-            read(EXPORTS["SCORE"].replace("37.54,122.05", "-30.0,20.0"), SCENE)
+        elsewhere = EXPORTS["SCORE"].replace("37.54,122.05", "-30.0,20.0")
+        with pytest.raises(InputError, match="an observer at -30, 20") as refused:
+            read(elsewhere, SCENE)
+        holds(read(elsewhere, with_the_station(str(refused.value))))
+
+    @pytest.mark.parametrize("name", ["perth", 'the "old" dome, 2nd floor'])
+    def test_a_station_that_the_scene_lacks_is_added_as_the_message_says(self, read, name: str):
+        quoted = name.replace('"', '""')
+        text = f'time,mag,station\n2020-10-17T15:00:00,12.5,weihai\n2020-10-17T15:10:00,12.4,"{quoted}"\n'
+        with pytest.raises(InputError, match=r"row 2, column station: .*If weihai has been meant") as refused:
+            read(text, SCENE)
+        numbers = {"(deg north)": "-31.95", "(deg east)": "115.86", "(m)": "20"}
+        found = read(text, with_the_station(str(refused.value), numbers))
+        assert found.station_ids == ("weihai", name) and list(found.station) == [0, 1]
+
+    def test_a_row_without_a_station_among_several_is_told_what_it_lacks(self, read):
+        scene = SCENE.replace("[attitude]", STATION.replace("weihai", "karoo") + "[attitude]")
+        with pytest.raises(
+            InputError, match=r"row 2, column station: ''.*Write into every row which of them"
+        ):
+            read("time,mag,station\n2020-10-17T15:00:00,12,karoo\n2020-10-17T15:10:00,12,\n", scene)
 
     def test_magnitudes_of_several_filters(self, read):
         text = table("JD,gmag,rmag")

@@ -431,10 +431,12 @@ def test_nothing_reaches_for_the_network(monkeypatch):
 
 
 def test_old_elements_are_reported_with_the_likely_error():
-    """593 days: 0.02 + 0.01 x 590 to 0.02 + 0.1 x 590 deg."""
+    """593 days: 0.02 + 0.01 x 590 to 0.02 + 0.1 x 590 deg. No exponent where it can be read without."""
     (warning,) = night(ORBIT_3, "2019-02-25").warnings
     assert "592 days" in warning or "593 days" in warning
     assert "6 to 59 deg" in warning
+    (older,) = night(ORBIT_3, "2017-02-25").warnings  # 1323 days: 13.2 to 132 deg, to one and two digits
+    assert "of 10 to 130 deg" in older
     assert night(ORBIT_3, "2020-11-08").warnings == ()
 
 

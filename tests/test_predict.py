@@ -430,7 +430,7 @@ def test_the_faintest_are_left_out_and_counted(tmp_path):
     found = torchlc.predict(scene(), elements=path, **NIGHT, faintest=limit)
     assert 0 < len(found.passes) < len(whole.passes)
     assert any(
-        f"{len(whole.passes) - len(found.passes)} passes are fainter" in text for text in found.warnings
+        f"{len(whole.passes) - len(found.passes)} passes left out: fainter" in text for text in found.warnings
     )
 
 

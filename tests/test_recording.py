@@ -500,7 +500,7 @@ def test_damaged_files_give_a_recording_or_an_input_error(
     ("values", "said"),
     [
         ("0.000", "row 4, column mag: 0 mag is 10.1 mag from all others: if"),
-        ("0 10.4 0", "row 4, column mag: 0 mag is 10.1 mag from all others, and so are 1 more rows: if"),
+        ("0 10.4 0", "row 4, column mag: 0 mag is 10.1 mag from all others, and so is 1 more row: if"),
         ("88.8", "88.8 mag is 78.5 mag from all others"),
         ("50", "50 mag is 39.7 mag from all others"),
         ("-9.99", "-9.99 mag is 20.1 mag from all others"),

@@ -255,6 +255,27 @@ def test_walkers_that_disagree_do_not_pass_for_a_converged_chain():
     assert not posterior(draws[:, :3]).converged and "for an R-hat" in posterior(draws[:, :3]).reason
 
 
+def test_the_advice_about_a_short_chain_is_one_that_can_be_followed(tmp_path: Path, caplog):
+    """There is something to resume only where the chain was kept; a budget is not lengthened by more steps."""
+    scene, recording = write_case(tmp_path)
+
+    def advice(**settings) -> str:
+        (told,) = (
+            text
+            for text in torchlc.fit(scene, recording, **settings).warnings
+            if "the chain is short" in text
+        )
+        return told
+
+    assert advice(steps=3).endswith("are wanted: fit with more steps")
+    assert advice(budget=1e-3).endswith("are wanted: fit with a longer budget")
+    assert advice(steps=3, out=tmp_path / "out").endswith(": run on with --resume and more --steps")
+    resumed = torchlc.fit(scene, recording, steps=5, out=tmp_path / "out", resume=True)
+    assert resumed.posterior is not None and resumed.posterior.steps == 5
+    assert advice(budget=1e-3, out=tmp_path / "out").endswith(": run on with --resume and a longer --budget")
+    assert not caplog.records  # of ArviZ, for which these chains are too short
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("steps", [3, 60, 2000])
 def test_what_is_told_of_a_chain_is_what_arviz_says_of_the_exported_one(steps: int, tmp_path: Path):

@@ -297,7 +297,7 @@ def test_inside_out_faces_of_a_closed_mesh_are_turned_round(tmp_path, turned):
     trimesh.Trimesh(box.vertices, faces, process=False).export(path)
     shape = shape_of(mesh_part(path), directory=tmp_path)
     facets = shape.parts[0].facets({})
-    assert f"{len(turned)} of 12 faces were inside out" in shape.warnings[0]
+    assert f"{len(turned)} faces of 12 turned round, from inside out" in shape.warnings[0]
     assert (facets.area * (facets.centroid * facets.normal).sum(dim=-1)).sum().item() / 3 == pytest.approx(
         8 * 6
     )
@@ -308,7 +308,7 @@ def test_holes_and_faces_without_area_are_told(tmp_path):
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\n")
     shape = shape_of(mesh_part(path), directory=tmp_path)
     assert any("holes" in line for line in shape.warnings)
-    assert any("1 faces without area" in line for line in shape.warnings)
+    assert any("1 face without area" in line for line in shape.warnings)
     assert len(shape.parts[0].faces) == 1
 
 

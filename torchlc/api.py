@@ -290,7 +290,7 @@ def fit(
             fit=found,
             posterior=posterior,
             seconds=watch.seconds(),
-            warnings=_remarks(found, posterior, warnings),
+            warnings=_remarks(found, posterior, warnings, kept=directory is not None),
             seed=seed,
             provenance=provenance(scene, rows, seed, command),
         )
@@ -586,12 +586,15 @@ def _check_chain(directory: OutputDirectory, scene: Scene, rows: Recording, seed
     directory.check(CHAIN_FILE)
 
 
-def _remarks(found: Fit, posterior: Posterior | None, of_search: Sequence[str]) -> list[str]:
-    """What has to be said of a fit: of its model, its data, its search and its chain."""
+def _remarks(found: Fit, posterior: Posterior | None, of_search: Sequence[str], kept: bool) -> list[str]:
+    """What has to be said of a fit: of its model, its data, its search and its chain, which a run can go on with if it
+    is ``kept`` in a directory."""
     said = [*found.model.warnings, *found.warnings, *limits(found.model, found.theta), *of_search]
     said += found.likelihood.remarks(found.theta)
     if posterior is not None and not posterior.converged:
-        said.append(f"the chain is short: {posterior.reason}")
+        more = "a longer --budget" if posterior.out_of_time else "more --steps"
+        advice = f"run on with --resume and {more}" if kept else f"fit with {more.replace('--', '')}"
+        said.append(f"the chain is short: {posterior.reason}: {advice}")
     if not found.converged:
         said.append(f"the search did not converge: {found.reason}")
     return said

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, SupportsFloat
 
 
 def stated(row: Mapping[str, Any]) -> str:
@@ -36,3 +36,10 @@ def rounded(value: float, digits: int) -> str:
     """``value`` to that many significant digits, without an exponent where it can be read without."""
     text = f"{value:.{digits}g}"
     return f"{float(text):g}" if abs(float(text)) < 1e6 else text
+
+
+def number_of(count: SupportsFloat, what: str) -> str:
+    """So many of what is named in the singular: "1 row", "3 rows", "2 passes". Without decimals."""
+    said = f"{float(count):.0f}"
+    plural = "es" if what.endswith(("s", "x", "ch", "sh")) else "s"
+    return f"{said} {what}{'' if said == '1' else plural}"

@@ -17,6 +17,7 @@ from torchlc.campaigns.manifest import Job, check_manifest, read_manifest
 from torchlc.campaigns.objects import record_failure, run_object
 from torchlc.campaigns.processes import Tell
 from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
+from torchlc.digits import number_of
 from torchlc.errors import BusyError, InputError
 from torchlc.files.reading import kind_of
 from torchlc.files.writing import OutputDirectory, resources, without_nan
@@ -54,7 +55,7 @@ class CampaignResult:
         """The campaign in one sentence."""
         before = f" ({self.skipped} of them before)" if self.skipped else ""
         failed = f", {self.failed} failed" if self.failed else ""
-        return f"{self.done} of {self.objects} objects done{before}{failed}"
+        return f"{self.done} of {number_of(self.objects, 'object')} done{before}{failed}"
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Each object's row of the summary, in the manifest's order."""

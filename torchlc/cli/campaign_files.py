@@ -13,6 +13,7 @@ from torchlc.campaigns.manifest import TASKS
 from torchlc.campaigns.matching import match_files
 from torchlc.campaigns.summary import plain_cell
 from torchlc.cli.scaffold import check_scene, nearest_set, new_scene
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.writing import check_replaceable, write_whole
 from torchlc.readers import load_recording
@@ -80,7 +81,7 @@ def write_campaign(
         raise InputError(
             folder,
             None,
-            f"none of {len(left_out)} files has an object of {elements.name}; {path.name}: {reason}",
+            f"none of {number_of(len(left_out), 'file')} has an object of {elements.name}; {path.name}: {reason}",
             "a catalogue number or name in the file's name, or a line # object: NAME above its header",
         )
     for path in (manifest, *texts):

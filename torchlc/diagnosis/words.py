@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchlc.diagnosis.coordinates import TIME, in_words
-from torchlc.digits import stated
+from torchlc.digits import number_of, stated
 from torchlc.effects import registry, with_title
 from torchlc.stages.effect import first_sentence
 from torchlc.stages.entry import Entry
@@ -176,7 +176,7 @@ def _advice(content: Mapping[str, Any]) -> str:
         return "put what is named into effects of the scene's [model], and fit again"
     if content["unexamined"]:
         count = len(content["unexamined"])
-        return f"give torchlc diagnose more time with --budget, for {count} effects were not examined"
+        return f"give torchlc diagnose more time with --budget, for {number_of(count, 'effect')} {'was' if count == 1 else 'were'} not examined"
     return "look when and where it shows, and ask what in the sizes, the attitude or the recording belongs to that"
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.effects.finite_sun import LIMB_DARKENING, SUN_RADIUS_KM
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
@@ -392,7 +393,7 @@ class EarthShadow(Effect):
         if not bool(wrong.any()):
             return ()
         return (
-            f"earth_shadow: the air's edge is taken as hard; one that is {AIR_KM:g} km soft changes {int(wrong.sum())} rows in the "
+            f"earth_shadow: the air's edge is taken as hard; one that is {AIR_KM:g} km soft changes {number_of(int(wrong.sum()), 'row')} in the "
             f"penumbra by up to {float(change.max()):.2g} mag. Set earth_shadow.scale_height = {AIR_KM:g} for it",
         )
 

@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from astropy.time import Time
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.reading import kind_of
 from torchlc.files.writing import write_whole
@@ -129,7 +130,8 @@ def check_origin(path: Path, chain: StoredChain, origin: Mapping[str, Any]) -> N
     made = chain.origin
     if "walkers" in origin and any(made[key] != origin[key] for key in ("walkers", "parameters")):
         found, expected = (
-            f"{one['walkers']} walkers over {', '.join(one['parameters'])}" for one in (made, origin)
+            f"{number_of(one['walkers'], 'walker')} over {', '.join(one['parameters'])}"
+            for one in (made, origin)
         )
         hint = f"{ANEW}, or give the scene and --walkers it was made with"
         raise InputError(path, None, f"a chain of {found}", expected, hint)

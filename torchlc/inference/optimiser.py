@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.inference.budget import Budget
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
@@ -509,9 +510,9 @@ def fit_map(
     reached = int((cost < cost[best] + 0.01 * (1 + cost[best].abs())).sum())
     converged = bool(found.converged[best]) and math.isfinite(chi2)
     reason = (
-        f"the best of {len(cost)} starts stopped improving; {reached} reached it"
+        f"the best of {number_of(len(cost), 'start')} stopped improving; {reached} reached it"
         if converged
-        else f"chi-square was still falling after {found.iterations} steps of the polish"
+        else f"chi-square was still falling after {number_of(found.iterations, 'step')} of the polish"
     )
     if not budget.left():
         reason += "; the time allowed for the search was spent, and this is the best so far"

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording
@@ -149,7 +150,9 @@ class Periodogram:
 
     def __repr__(self) -> str:
         low, high = (spoken(seconds) for seconds in self.searched_s)
-        lines = [f"Periodogram: {self.rows} rows over {spoken(self.span_s)}, periods from {low} to {high}"]
+        lines = [
+            f"Periodogram: {number_of(self.rows, 'row')} over {spoken(self.span_s)}, periods from {low} to {high}"
+        ]
         for one in self.candidates:
             size = f"amplitude {one.amplitude:.3g} {self.unit}".rstrip()
             lines.append(
@@ -195,7 +198,10 @@ def find_period(
     rows = np.flatnonzero(~recording.upper_limit)
     if len(rows) < MIN_ROWS:
         raise InputError(
-            recording.source, None, f"{len(rows)} measured rows", f"at least {MIN_ROWS} to find a period"
+            recording.source,
+            None,
+            number_of(len(rows), "measured row"),
+            f"at least {MIN_ROWS} to find a period",
         )
     seconds = recording.seconds[rows]
     span = float(np.ptp(seconds))
@@ -268,7 +274,7 @@ def _beyond_nyquist(
             refined = _refined(search, other, 1 / (OVERSAMPLING * span))
             reached = float(search.power(refined, method="cython"))
             if reached > EQUAL * power:
-                relation = f"beyond Nyquist: {k} turn{'s' if k > 1 else ''} more or fewer between rows {sampling:.4g} s apart"
+                relation = f"beyond Nyquist: {number_of(k, 'turn')} more or fewer between rows {sampling:.4g} s apart"
                 found.append(Alias(1 / refined, reached, relation))
     return found
 

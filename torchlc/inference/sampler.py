@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import write_whole
@@ -53,6 +54,8 @@ FEW_WEIGHED = 192
 """The same under a budget: 3 s."""
 AT_ONCE = 64
 """Draws whose exact densities are worked out at once."""
+LEAST_DRAWS = 4
+"""Draws of a walker below which ArviZ's diagnostics are not defined: each half needs two."""
 GOOD_RHAT = 1.03
 """What R-hat of every parameter must not exceed. For walkers of N draws that are a stationary chain with
 autocorrelation time tau, the halves' means alone make it sqrt(1 + 2 tau / N): 1.02 at LONG_ENOUGH. The usual 1.01 is
@@ -82,7 +85,9 @@ class Posterior:
     burn: int
     thin: int
     note: str = ""
-    """How the densities were worked out, where not exactly at every step."""
+    """How the densities were worked out, where not exactly at every step, and what ended the chain."""
+    out_of_time: bool = False
+    """Whether a budget ended the chain."""
 
     @property
     def flat(self) -> Tensor:
@@ -113,22 +118,24 @@ class Posterior:
     def reason(self) -> str:
         """Why the chain is trusted, or not."""
         said = (
-            f"{self.steps} steps, {self.lengths:.0f} autocorrelation times of {float(np.max(self.tau)):.0f} steps "
+            f"{number_of(self.steps, 'step')}, {number_of(self.lengths, 'autocorrelation time')} of {number_of(np.max(self.tau), 'step')} "
             "after burn-in"
         )
         worst, least = float(np.max(self.rhat)), float(np.min(self.ess))
         if math.isfinite(worst):
-            said += f"; R-hat up to {worst:.3f}, at least {least:.0f} effective draws"
+            said += f"; R-hat up to {worst:.3f}, at least {number_of(least, 'effective draw')}"
         else:
             said += "; too few draws, or walkers that have not moved, for an R-hat"
         said += self.note
         if self.converged:
             return said
-        return f"{said}; {LONG_ENOUGH} and {GOOD_RHAT} are wanted: run on with --resume and more --steps"
+        return f"{said}; {LONG_ENOUGH} and {GOOD_RHAT} are wanted"
 
 
 def _by_parameter(name: str, theta: Tensor) -> np.ndarray:
-    """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P)."""
+    """A diagnostic of ArviZ by its name, of each parameter (P,) of draws (W, N, P); NaN of fewer draws than it takes."""
+    if theta.shape[1] < LEAST_DRAWS:
+        return np.full(theta.shape[-1], np.nan)  # as ArviZ gives, which logs a line for each as well
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of ArviZ's next version, and of walkers without enough draws
         diagnostic = getattr(arviz_library(), name)
@@ -262,7 +269,9 @@ def sample(
     posterior = _posterior(likelihood, sampler.backend)
     if cut:
         posterior = replace(
-            posterior, note=f"; stopped when the {budget.seconds:.0f} CPU seconds allowed were spent"
+            posterior,
+            note=f"; stopped when the {budget.seconds:g} CPU seconds allowed were spent",
+            out_of_time=True,
         )
     if moving is likelihood:
         return posterior
@@ -282,7 +291,8 @@ def sample(
         budget=budget,
     )
     return replace(
-        again, note="; exact at every step, for of draws by an expansion of the geometry too few counted"
+        again,
+        note=f"{again.note}; exact at every step, for of draws by an expansion of the geometry too few counted",
     )
 
 
@@ -294,8 +304,8 @@ def _number_of_walkers(wanted: int | None, dimensions: int) -> int:
         raise InputError(
             None,
             "--walkers",
-            f"{count} walkers",
-            f"at least {2 * dimensions + 2} for {dimensions} parameters",
+            number_of(count, "walker"),
+            f"at least {2 * dimensions + 2} for {number_of(dimensions, 'parameter')}",
         )
     return count
 

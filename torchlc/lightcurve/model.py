@@ -17,6 +17,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
+from torchlc.digits import number_of
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.evaluators import Evaluator, chosen
@@ -297,7 +298,7 @@ class LightCurve(nn.Module):
 
     def extra_repr(self) -> str:
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.effects)) or "none"
-        return f"{self.scene.name!r}, {self.assembly.T} rows, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
+        return f"{self.scene.name!r}, {number_of(self.assembly.T, 'row')}, effects: {effects}; free: {', '.join(self.names) or 'nothing'}"
 
 
 def module_key(text: str) -> str:

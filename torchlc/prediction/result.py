@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from astropy.table import MaskedColumn, Table
 
+from torchlc.digits import number_of
 from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import OutputDirectory, without_nan, write_whole
 from torchlc.geometry.orbit import airmass
@@ -379,7 +380,7 @@ class Prediction:
         visible = [one for one in self.passes if one.visible]
         several, count = len(self.orbiters) > 1, len({one.path.orbiter for one in visible})
         whose = f", by {count} of {len(self.orbiters)} objects" if several else ""
-        told = f"{self.name}: {len(visible)} pass{'' if len(visible) == 1 else 'es'} to be seen{whose}"
+        told = f"{self.name}: {number_of(len(visible), 'pass')} to be seen{whose}"
         if not visible:
             return f"{told}, {str(self.iso(0.0))[:16]} to {str(self.iso(self.span.seconds[-1]))[:16]} UTC"
         best = visible[0]
@@ -398,7 +399,7 @@ class Prediction:
             light = "in the Earth's shadow"
             if one.visible:
                 light = f"{one.brightest[2]:5.1f}  {_mag(one.brightest[0])} to {_mag(one.brightest[-1])}"
-                light += f"  {len(one.glints)} glints" if one.glints else ""
+                light += f"  {number_of(len(one.glints), 'glint')}" if one.glints else ""
             found.append(
                 f"{begin[:19]}  {end[11:19]}  {self._name(one)[:24]:24}  {self._station(one)[:12]:12}  "
                 f"{path.top_elevation:3.0f}°  {light}"
@@ -406,7 +407,7 @@ class Prediction:
         if len(self.passes) > most:
             dark = sum(not one.visible for one in self.passes[most:])
             shadow = f", {dark} of them in the Earth's shadow all the time" if dark else ""
-            found.append(f"and {len(self.passes) - most} more passes{shadow}")
+            found.append(f"and {number_of(len(self.passes) - most, 'more pass')}{shadow}")
         return found
 
     def __repr__(self) -> str:

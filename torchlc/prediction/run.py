@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from astropy.time import Time
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.geometry.orbit.earth import after, in_scale, julian_dates
 from torchlc.geometry.orbit.elements import FRESH_DAYS, ElementSet
@@ -220,7 +221,9 @@ def run(
     whole = [finished.get(k) or _dark(path) for k, path in enumerate(passes)]
     bright, dropped = _bright(whole, wanted)
     if dropped:
-        said.append(f"{dropped} passes are fainter than {wanted.faintest_mag:g} mag, or dark, and left out")
+        said.append(
+            f"{number_of(dropped, 'pass')} left out: fainter than {wanted.faintest_mag:g} mag, or dark"
+        )
     order = sorted(bright, key=lambda one: (float(one.brightest[2]), one.path.begin))
     said += _ages(orbiters)
     kind = "none" if not free else "posterior" if posterior is not None else "priors"
@@ -363,6 +366,6 @@ def _ages(orbiters: Sequence[Orbiter]) -> list[str]:
         return []
     oldest = max(old, key=lambda one: one.age_days or 0.0)
     return [
-        f"elements of {len(old)} objects are more than {FRESH_DAYS:.0f} days from the span: {oldest.name} may be "
+        f"elements of {number_of(len(old), 'object')} are more than {FRESH_DAYS:.0f} days from the span: {oldest.name} may be "
         f"{along_track_sd_s(oldest):.0f} s ahead or behind; find elements of the date"
     ]

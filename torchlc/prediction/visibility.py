@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.errors import InputError
 from torchlc.inference.identifiability import bare_model
@@ -50,7 +51,9 @@ class Visibility:
     to_observer: Tensor
 
     def __repr__(self) -> str:
-        lines = [f"Visibility: {len(self.components)} components at {len(self.seconds)} rows"]
+        lines = [
+            f"Visibility: {number_of(len(self.components), 'component')} at {number_of(len(self.seconds), 'row')}"
+        ]
         width = max(map(len, self.components))
         for name, share, area in zip(self.components, self.lit_and_seen, self.area_to_sun, strict=True):
             mean, square = float(share.detach().mean()), float(area.detach().mean())

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from torchlc.digits import number_of
+
 WINDOW = 6
 """Successive rows that are compared as one: values of 30 steps a row agree by chance in one of 7e8 pairs of such."""
 CHANGES = 3
@@ -55,7 +57,9 @@ def copies(seconds: np.ndarray, observed: np.ndarray, curve: np.ndarray, ids: Se
         equal = int(counts.max()) + WINDOW - 1
         name, other = ids[int(curve[rows[b][0]])], ids[int(curve[rows[a][0]])]
         what = (
-            f"{abs(main)} rows {'behind' if main > 0 else 'ahead'}, {delay:+.6g} s" if main else "row by row"
+            f"{number_of(abs(main), 'row')} {'behind' if main > 0 else 'ahead'}, {delay:+.6g} s"
+            if main
+            else "row by row"
         )
         found.append(
             f"curve {name} repeats curve {other} to the last digit ({what}; {equal} of {len(rows[b])} rows): one of the "

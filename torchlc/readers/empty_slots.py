@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from torchlc.digits import number_of
+
 LONGEST_GAP_S = 5.0
 """A tracker that has not seen an object for longer may have lost it: among the tracks of tumbling bodies of
 Mini-MegaTORTORA gaps are up to 3.7 s, and then 7.5 s and more."""
@@ -188,4 +190,4 @@ def _near(at: np.ndarray, times: np.ndarray, within: float) -> np.ndarray:
 
 def _listed(items: Sequence[str]) -> str:
     more = len(items) - MOST_LISTED
-    return "; ".join(items[:MOST_LISTED]) + (f"; and {more} more curves" if more > 0 else "")
+    return "; ".join(items[:MOST_LISTED]) + (f"; and {number_of(more, 'more curve')}" if more > 0 else "")

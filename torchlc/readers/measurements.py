@@ -13,6 +13,7 @@ import numpy as np
 from astropy.time import Time
 from erfa import ErfaWarning
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.readers.groups import compact
 
@@ -174,6 +175,6 @@ def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError
 def too_few_rows(source: Path | None, rows: int, dropped: Mapping[str, int], least: int) -> InputError:
     """The error of a recording of which fewer than ``least`` rows are left; says why the others went and what keeps them."""
     usual = max(dropped, key=lambda reason: dropped[reason], default="")
-    found = f"{rows or 'no'} usable row{'s' * (rows > 1)}{f' ({counted(dropped)})' if dropped else ''}"
+    found = f"{number_of(rows, 'usable row') if rows else 'no usable row'}{f' ({counted(dropped)})' if dropped else ''}"
     needs, hint = KEPT_IF.get(usual, ("", None))
     return InputError(source, None, found, f"at least {least}{needs and f' {needs}'}", hint)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from astropy.time import Time
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.readers import declared, groups
 from torchlc.readers.copies import copies
@@ -17,6 +18,7 @@ from torchlc.readers.light_path import days_by_direction, days_by_vectors
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
+from torchlc.readers.stations import remedy
 from torchlc.readers.table import (
     BEYOND_MAG,
     MAX_ROWS,
@@ -32,7 +34,6 @@ from torchlc.readers.table import (
 from torchlc.readers.time_cells import TimeReader
 from torchlc.readers.timing import timing
 from torchlc.scene.reading import Reading
-from torchlc.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
@@ -171,7 +172,7 @@ class _Reader:
         if "alt" in self.columns:
             above = self.columns["alt"] >= 0
             if not above.any():
-                found = f"below 0 in all {len(above)} rows that are left"
+                found = f"below 0 in {number_of(len(above), 'row')}, which is all that is left"
                 hint = "alt is the elevation of the object, degrees, not its zenith distance nor a latitude"
                 raise InputError(self.source, "column alt", found, "0 to 90 deg", hint)
             self._keep(above, "below the horizon")
@@ -296,7 +297,7 @@ class _Reader:
             columns["mag_err"] = np.where(empty, np.nan, columns["mag_err"])
         count = np.count_nonzero(empty)
         self.warnings.append(
-            f"{count} row{'s' * bool(count > 1)} without a magnitude {'are' if count > 1 else 'is'} taken as fainter than "
+            f"{number_of(count, 'row')} without a magnitude {'are' if count > 1 else 'is'} taken as fainter than "
             f"{self.header.theirs.get('limiting_mag', 'limiting_mag')}"
         )
 
@@ -378,9 +379,11 @@ class _Reader:
         far = likely & (apart > FAR_MAG)
         if far.any():
             first = row_place(int(self.rows[far][0]), "mag")
+            more = np.count_nonzero(far) - 1
+            also = f", and so {'is' if more == 1 else 'are'} {number_of(more, 'more row')}" if more else ""
             self.warnings.append(
                 f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from {'nearly ' if aside else ''}all others"
-                f"{f', and so are {np.count_nonzero(far) - 1} more rows' if far.sum() > 1 else ''}: if it stands for a "
+                f"{also}: if it stands for a "
                 "missing measurement, leave it blank or out. It is taken as measured"
             )
 
@@ -514,7 +517,7 @@ class _Reader:
             elif name or len(known) > 1:
                 place = row_place(int(self.rows[np.flatnonzero(codes == code)[0]]), "station")
                 expected = f"a station of the scene: {', '.join(known)}"[:200]
-                raise InputError(self.source, place, repr(name[:40]), expected, did_you_mean(name, known))
+                raise InputError(self.source, place, repr(name[:40]), expected, remedy(name, known))
         return numbers[codes], known
 
     def _curves(self, station: np.ndarray, station_ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:

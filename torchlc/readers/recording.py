@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.files.reading import sha256_of, unchanged
 from torchlc.files.svg import scatter
 from torchlc.readers import exchange
@@ -33,14 +34,14 @@ class Recording(Measurements):
 
     def __repr__(self) -> str:
         first, last = (str(cast(Any, self.time[i]).isot)[:19] for i in (0, -1))
-        told = [f"{len(self)} rows of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
+        told = [f"{number_of(len(self), 'row')} of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
         for names, what in (
             (self.curve_ids, "curve"),
             (self.night_ids, "night"),
             (self.station_ids, "station"),
             *([(self.object_ids, "object")] if self.object is not None else []),
         ):
-            told.append(f"{len(names)} {what}{'s' * (len(names) != 1)}")
+            told.append(f"{number_of(len(names), what)}")
         told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")
         told += [f"{count} {reason} dropped" for reason, count in self.dropped.items()]
         return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])

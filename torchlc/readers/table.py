@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.encodings import wide_encoding_of
@@ -233,7 +234,7 @@ def check_width(path: Path, place: str, cells: Sequence[str], names: Sequence[st
     if not is_as_wide(cells, names):
         short = len(cells) < len(names)
         hint = "A line that is no row, such as one below the table, may go or begin with #" if short else None
-        raise InputError(path, place, f"{len(cells)} values", f"{len(names)}, as in the header", hint)
+        raise InputError(path, place, number_of(len(cells), "value"), f"{len(names)}, as in the header", hint)
 
 
 def without_blank_end(cells: Sequence[str], width: int = 0) -> Sequence[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchlc.digits import decimals, rounded, stated
+from torchlc.digits import decimals, number_of, rounded, stated
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
 from torchlc.inference.sampler import GOOD_RHAT
@@ -139,7 +139,7 @@ def _quality(result: FitResult) -> str:
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
     elif not (widening := [one for one in result.model.effects if isinstance(one, NoiseKind) and one.widens]):
-        judged = f"chi-square is {result.fit.chi2:.0f} for {result.fit.dof} degrees of freedom"
+        judged = f"chi-square is {result.fit.chi2:.0f} for {number_of(result.fit.dof, 'degree')} of freedom"
         judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
     elif {one.name for one in widening} <= {
         Entry.parse(entry).name for entry in result.model.scene.model.effects or ()
@@ -148,11 +148,11 @@ def _quality(result: FitResult) -> str:
     else:
         quoted = recording.error if magnitudes else 100 * recording.error / np.abs(recording.observed)
         return (
-            f"The model does not fit: it is off by {size} (root mean square of {len(recording)} rows), where the "
+            f"The model does not fit: it is off by {size} (root mean square of {number_of(len(recording), 'row')}), where the "
             f"recording quotes errors of {np.median(quoted):.2g} {'mag' if magnitudes else '%'}. To go on, they were "
             f"widened by a {widening[-1].name}; torchlc diagnose looks for what the model lacks. {trust}"
         )
-    return f"The model follows {len(recording)} rows to {size} (root mean square); {judged}. {trust}"
+    return f"The model follows {number_of(len(recording), 'row')} to {size} (root mean square); {judged}. {trust}"
 
 
 def _trust(result: FitResult) -> str:
@@ -181,7 +181,7 @@ def _chain_words(result: FitResult) -> str:
         return ""
     return (
         f"{posterior.theta.shape[0]} walkers; {posterior.reason}. Acceptance {posterior.acceptance:.2f}; "
-        f"{len(posterior.flat)} draws kept, one of {posterior.thin} steps after {posterior.burn}."
+        f"{len(posterior.flat)} draws kept, one of {number_of(posterior.thin, 'step')} after {posterior.burn}."
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from torchlc.digits import number_of
 from torchlc.effects import registry
 from torchlc.errors import InputError
 from torchlc.materials.goniometer import ReflectanceFit
@@ -126,7 +127,7 @@ def reflectance_lines(found: ReflectanceFit, dropped: Mapping[str, int]) -> list
     """A fit to a laboratory table, as the lines of a scene."""
     lost = "".join(f", {count} {reason}" for reason, count in dropped.items())
     return [
-        f"# {found.rows} rows{lost}; rms {found.rms_dex:.3f} dex, median {found.median_dex:.3f} dex; "
+        f"# {number_of(found.rows, 'row')}{lost}; rms {found.rms_dex:.3f} dex, median {found.median_dex:.3f} dex; "
         f"{found.reason}",
         "[materials.measured]",
         f'model = "{found.model}"',

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from torchlc.brdf.base import MODELS
+from torchlc.digits import number_of
 from torchlc.readers import Recording, iso_times
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def origin(recording: Recording) -> str:
     nights = len(recording.night_ids)
     source = recording.source.name if recording.source is not None else "a recording"
     return (
-        f"{source}: {len(recording)} rows, {first} to {last} {recording.time.scale.upper()}"
+        f"{source}: {number_of(len(recording), 'row')}, {first} to {last} {recording.time.scale.upper()}"
         + (f", {nights} nights" if nights > 1 else "")
         + (f", from {places}" if places != "unknown" else "")
     )

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.digits import stated
+from torchlc.digits import number_of, stated
 from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
@@ -458,8 +458,8 @@ class FitResult:
         state = "converged" if self.converged else "not converged"
         spread = "upper limits alone" if self.recording.upper_limit.all() else f"rms {self.rms_mag:.3f} mag"
         return (
-            f"{self.model.scene.name}: {len(self.recording)} rows, chi2 {self.fit.chi2:.1f} for "
-            f"{self.fit.dof} degrees of freedom, {spread}, {state}"
+            f"{self.model.scene.name}: {number_of(len(self.recording), 'row')}, chi2 {self.fit.chi2:.1f} for "
+            f"{number_of(self.fit.dof, 'degree')} of freedom, {spread}, {state}"
         )
 
     def __repr__(self) -> str:

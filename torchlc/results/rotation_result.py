@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from torchlc.digits import rounded
 from torchlc.files.writing import PER_PASS_FILE, OutputDirectory, without_nan
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.attitude import epochs_seconds, since_nearest
@@ -160,14 +161,14 @@ class RotationResult:
             (ra, dec), (lon, lat) = one["pole_icrs"], one["pole_ecliptic_j2000"]
             rate = one["period_rate_ms_per_day"]
             parts = [
-                f"pole RA {ra:.2f} Dec {dec:+.2f} (ecliptic {lon:.2f} {lat:+.2f}) +- {one['pole_sd_deg']:.2g} deg",
-                f"turn in {one['period_s']:.8g} +- {one['period_sd_s']:.1g} s ({one['rev_per_hour']:.6g} rev/h)",
+                f"pole RA {ra:.2f} Dec {dec:+.2f} (ecliptic {lon:.2f} {lat:+.2f}) +- {rounded(one['pole_sd_deg'], 2)} deg",
+                f"turn in {one['period_s']:.8g} +- {rounded(one['period_sd_s'], 1)} s ({one['rev_per_hour']:.6g} rev/h)",
                 f"phase {one['phase_deg']:.1f} deg at {one['epoch']}",
             ]
             if one["periods_s"] is not None:
                 first, second = one["inertia_ratios"]
                 parts[1] = (
-                    f"long axis about it in {one['period_s']:.8g} +- {one['period_sd_s']:.1g} s ({one['rev_per_hour']:.6g} rev/h), "
+                    f"long axis about it in {one['period_s']:.8g} +- {rounded(one['period_sd_s'], 1)} s ({one['rev_per_hour']:.6g} rev/h), "
                     f"short axis in {one['periods_s']['precession_short']:.6g} s, the body's own turn {one['periods_s']['rotation']:.6g} s"
                 )
                 parts.append(
@@ -177,9 +178,9 @@ class RotationResult:
             if rate is not None and one["period_rate_sd_ms_per_day"] is not None:
                 sd = one["period_rate_sd_ms_per_day"]
                 parts.append(
-                    f"period grows by {rate:.4g} +- {sd:.1g} ms a day"
+                    f"period grows by {rate:.4g} +- {rounded(sd, 1)} ms a day"
                     if rate
-                    else f"a change of the period by {sd:.1g} ms a day would not show"
+                    else f"a change of the period by {rounded(sd, 1)} ms a day would not show"
                 )
             if one["tilt_deg"] is not None:
                 parts.append(f"tilt {', '.join(f'{x:.2f}' for x in one['tilt_deg'])} deg")
@@ -187,7 +188,7 @@ class RotationResult:
                 turns = ", ".join(f"{count:+g}" for count in one["turns_between_passes"])
                 parts.append(f"turns between passes {turns} against mode 1")
             if mode.possible > 1 and mode.periods:
-                each = ", ".join(f"{period:.6g} +- {sd_:.1g}" for period, sd_ in mode.periods)
+                each = ", ".join(f"{period:.6g} +- {rounded(sd_, 1)}" for period, sd_ in mode.periods)
                 parts.append(f"turns of the passes, each by itself: {each} s")
             if mode.possible > 1:
                 parts.append(f"{mode.possible} counts of turns between passes fit")
@@ -196,7 +197,7 @@ class RotationResult:
                     f"{' and '.join(mode.apart)} per pass: "
                     + ", ".join(
                         (f"{night['period_s']:.7g} s " if "period" in mode.apart else "")
-                        + f"{night['phase_deg']:.1f} +- {night['phase_sd_deg']:.1g} deg in {night['night']}"
+                        + f"{night['phase_deg']:.1f} +- {rounded(night['phase_sd_deg'], 1)} deg in {night['night']}"
                         for night in one["nights"]
                     )
                 ]

@@ -16,6 +16,7 @@ import torch
 from astropy.table import MaskedColumn, Table
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import without_nan, write_whole
 from torchlc.inference.identifiability import bare_view, limits
@@ -141,8 +142,8 @@ class SimulatedCurve:
         """The curve in one line, beside the magnitudes at whose rows it was simulated."""
         said = self.to_json()
         if said["brightest"] is None:
-            return f"{self.name}: {said['rows']} rows, no light in any"
-        told = f"{self.name}: {said['rows']} rows, {self._range(said)}"
+            return f"{self.name}: {number_of(said['rows'], 'row')}, no light in any"
+        told = f"{self.name}: {number_of(said['rows'], 'row')}, {self._range(said)}"
         if "recorded" in said:
             fainter = said["recorded"]["fainter_mag"]
             told += (

@@ -24,6 +24,7 @@ from torchlc.suggest import did_you_mean
 
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
+TRUST = "Put the file there; or, of a scene that you trust, --trust lets it name files anywhere"
 MOST_NAMED = 10
 """New names that a warning lists."""
 PARAMETER_KEY = re.compile(
@@ -97,14 +98,14 @@ def file_inside(directory: Path, name: str, *, trust: bool = False) -> Path:
     if not trust:
         outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
         if outside or ".." in re.split(r"[/\\]", name):
-            raise problem(shown(name), "a relative path inside the scene's folder")
+            raise problem(shown(name), "a relative path inside the scene's folder", hint=TRUST)
     try:
         path = (directory / name).resolve()
         size = path.stat().st_size if path.is_file() else None
     except (OSError, ValueError, RuntimeError):
         size, path = None, directory
     if not trust and not path.is_relative_to(directory.resolve()):
-        raise problem(f"{shown(name)} leads out of the scene's folder", "a file inside it")
+        raise problem(f"{shown(name)} leads out of the scene's folder", "a file inside it", hint=TRUST)
     if size is None:
         raise problem(f"no file {shown(name)}", f"a file in {directory}")
     if size > MAX_FILE_BYTES:
@@ -262,7 +263,7 @@ class _Checks:
             file_inside(self.scene.directory, name, trust=self.trust)
         except PydanticCustomError as error:
             context = error.context or {}
-            raise self.error(place, context["found"], context["expected"]) from None
+            raise self.error(place, context["found"], context["expected"], context["hint"]) from None
 
     def effects(self, known: Collection[str] | None) -> None:
         listed = self.scene.model.effects or []

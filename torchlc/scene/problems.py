@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.numbers import FIXED, FREE, SEVERAL, SIDES, SINGLE, WHOLE
 from torchlc.suggest import did_you_mean
@@ -106,7 +107,7 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
             word = "" if exactly else "at most " if most is not None else "at least "
             return (
                 place,
-                f"{context['actual_length']} values",
+                number_of(context["actual_length"], "value"),
                 f"{word}{least if most is None else most}",
                 None,
             )

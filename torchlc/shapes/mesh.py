@@ -11,6 +11,7 @@ import torch
 from pydantic import Discriminator, Tag, model_validator
 from torch import Tensor
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError, MissingExtraError
 from torchlc.files.numbers import SIDES, WHOLE, Direction, Real, between, problem
 from torchlc.shapes.component import Component, Side
@@ -103,7 +104,7 @@ class Mesh(Part):
         lost = size < PERPENDICULAR
         if lost.any():
             self.warnings.append(
-                f"{self.name}: {np.count_nonzero(lost)} of {len(lost)} facets are perpendicular to "
+                f"{self.name}: {number_of(np.count_nonzero(lost), 'facet')} of {len(lost)} perpendicular to "
                 f"{'u_around' if turned else 'u'}; there u is the next body axis cyclically, as on a cylinder's cap"
             )
             across[lost] = _projected(
@@ -124,7 +125,7 @@ class Mesh(Part):
                 count = np.count_nonzero(sides == side)
                 place, found = (
                     f"component {self.name!r}.u",
-                    f"no direction for {side}, which {count} facets face",
+                    f"no direction for {side}, which {number_of(count, 'facet')} {'faces' if count == 1 else 'face'}",
                 )
                 raise InputError(directory / component.file, place, found, f'"{side}" = [x, y, z] in u')
         return np.array([unit(component.u[side]) for side in sides])
@@ -185,7 +186,7 @@ def _repaired(path: Path, place: str, whole: Faces, warnings: list[str]) -> tupl
     if not sound.any():
         raise InputError(path, place, "a mesh without area", "triangles that are not lines or points")
     if not sound.all():
-        warnings.append(f"{path.name}: {np.count_nonzero(~sound)} faces without area dropped")
+        warnings.append(f"{path.name}: {number_of(np.count_nonzero(~sound), 'face')} without area dropped")
     if not mesh.is_watertight:
         warnings += _faults_of_edges(mesh.edges_sorted[np.repeat(sound, 3)], path.name)
     else:
@@ -194,7 +195,7 @@ def _repaired(path: Path, place: str, whole: Faces, warnings: list[str]) -> tupl
         flipped = len(before) - _kept(before, mesh.faces)
         if flipped:
             warnings.append(
-                f"{path.name}: {flipped} of {len(before)} faces were inside out and have been turned round"
+                f"{path.name}: {number_of(flipped, 'face')} of {len(before)} turned round, from inside out"
             )
     return np.asarray(mesh.vertices, dtype=float)[np.asarray(mesh.faces)[sound]], warnings
 
@@ -229,10 +230,10 @@ def _cut(mesh: Faces, path: Path, place: str) -> tuple[Faces, list[str]]:
         cut += [[face[i] for i in three] for three in found] or [[face[0], face[0], face[0]]]
     warnings = []
     if again:
-        warnings.append(f"{path.name}: {again} faces are there twice and count once")
+        warnings.append(f"{path.name}: {number_of(again, 'face')} there twice, counted once")
     if bent:
         warnings.append(
-            f"{path.name}: {bent} faces of four corners or more are not flat; they are bent along the cuts into triangles"
+            f"{path.name}: {number_of(bent, 'face')} of four corners or more not flat, but bent along the cuts into triangles"
         )
     return Faces(mesh.corners, cut), warnings
 

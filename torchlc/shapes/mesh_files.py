@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
 
@@ -72,7 +73,9 @@ def read_obj(content: bytes, refuse: Refuse) -> Faces:
     for number, words in _obj_lines(content):
         if words[0] == "v":
             if len(words) < 4:
-                raise refuse(f"a corner of {len(words) - 1} numbers", "x, y and z", at=f"line {number}")
+                raise refuse(
+                    f"a corner of {number_of(len(words) - 1, 'number')}", "x, y and z", at=f"line {number}"
+                )
             corners.append(_numbers(words[1:4], refuse, number))
         elif words[0] == "f":
             faces.append([_obj_index(word, len(corners), refuse, number) for word in words[1:]])
@@ -141,12 +144,14 @@ def read_stl(content: bytes, refuse: Refuse) -> Faces:
     if text:
         return _text_stl(content, refuse)
     if count is None:
-        raise refuse(f"{size} bytes", "a binary STL of at least 84 bytes, or text that begins with solid")
+        raise refuse(
+            number_of(size, "byte"), "a binary STL of at least 84 bytes, or text that begins with solid"
+        )
     needed = STL_HEADER + STL_FACE * count
     if size < needed:
-        found = f"{size} bytes, where {count} faces need {needed}"
+        found = f"{number_of(size, 'byte')}, where {number_of(count, 'face')} would take {needed}"
         raise refuse(found, "a whole file", "The file was cut off: copy or export it again.")
-    raise refuse(f"{size - needed} bytes after the {count} faces that it declares", "none")
+    raise refuse(f"{number_of(size - needed, 'byte')} after the {number_of(count, 'face')} declared", "none")
 
 
 def _binary_stl(content: bytes, count: int, refuse: Refuse) -> Faces:
@@ -191,7 +196,7 @@ def read_ply(content: bytes, refuse: Refuse) -> Faces:
     rest = content[end.end() :]
     for name, count, _ in elements:
         if count > len(rest):  # every row has at least a byte
-            found = f"{count} rows of {name} are declared, {len(rest)} bytes follow"
+            found = f"a header for {number_of(count, 'row')} of {name}, with {number_of(len(rest), 'byte')} below it"
             raise refuse(found, "a whole file", "Copy or export it again.")
     try:
         rows = _ply_text(elements, rest) if kind == "ascii" else _ply_binary(elements, rest, kind)

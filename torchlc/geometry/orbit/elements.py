@@ -9,6 +9,7 @@ import numpy as np
 from astropy.time import Time
 from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
+from torchlc.digits import rounded
 from torchlc.errors import InputError
 from torchlc.geometry.orbit.earth import julian_dates
 from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, piecewise
@@ -142,7 +143,7 @@ class ElementSet:
             return ()
         low, high = along_track_error_deg(age)
         return (
-            f"the TLE is {age:.0f} days from the recording: an along-track error of {low:.1g} to {high:.2g} "
+            f"the TLE is {age:.0f} days from the recording: an along-track error of {rounded(low, 1)} to {rounded(high, 2)} "
             "deg is likely (0.02 deg, plus 0.01 to 0.1 deg a day beyond 3 days); find elements of the date, "
             "or put along_track_offset in the model",
         )

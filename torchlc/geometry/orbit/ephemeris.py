@@ -15,6 +15,7 @@ from astropy import units as u
 from astropy.time import Time, TimeDelta
 from erfa import ErfaWarning
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimals
 from torchlc.files.encodings import wide_encoding_of
@@ -209,7 +210,7 @@ def _blocks(path: Path) -> Iterator[tuple[Mapping[str, str], list[tuple[int, lis
                 cells = text.split()
                 if len(cells) not in (7, 10):
                     raise InputError(
-                        path, f"line {number}", f"{len(cells)} values", "a time, 3 km and 3 km/s"
+                        path, f"line {number}", number_of(len(cells), "value"), "a time, 3 km and 3 km/s"
                     )
                 lines.append((number, cells))
                 total += 1

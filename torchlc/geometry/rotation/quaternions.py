@@ -10,6 +10,7 @@ import torch
 from astropy.time import Time
 from torch import Tensor, nn
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.geometry.rotation.matrices import rotation_about
 from torchlc.readers import Recording, seconds_since
@@ -93,7 +94,7 @@ def read_quaternions(path: Path, recording: Recording) -> Slerp:
     if outside.size:
         iso = times.isot
         where = recording.time.isot[outside[0]]
-        found = f"{outside.size} rows of the recording are outside, the first at {where}"
+        found = f"{number_of(outside.size, 'row')} of the recording outside, the first at {where}"
         span = f"{iso[order[0]]} to {iso[order[-1]]}"
         raise InputError(path, None, found, f"quaternions for all rows (these span {span})")
     return Slerp(seconds, quaternions / norm[:, None])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid
@@ -85,7 +86,7 @@ def _check_rows(rows: Rows, recording: Recording) -> None:
         raise InputError(
             recording.source,
             None,
-            f"{len(rows.flux)} measured rows",
+            number_of(len(rows.flux), "measured row"),
             f"at least {MIN_ROWS} to find a rotation",
         )
     if not float(rows.span.max()) > 0:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
@@ -55,7 +56,7 @@ class Aavso(Format):
                 place = f"line {number}"
                 if len(cells) < len(wanted_cells):
                     expected = f"{', '.join(wanted_cells)} and more"
-                    raise InputError(path, place, f"{len(cells)} values", expected)
+                    raise InputError(path, place, number_of(len(cells), "value"), expected)
                 if cells[:2] == ["NAME", "DATE"]:
                     continue
                 if by_eye:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 
+from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
@@ -54,7 +55,7 @@ class Damit(Format):
                     if len(cells) != 8:
                         place = f"line {number}" if number else f"curve {curve + 1}"
                         expected = "JD, brightness, 3 numbers to the Sun, 3 to the Earth"
-                        raise InputError(path, place, f"{len(cells)} values", expected)
+                        raise InputError(path, place, number_of(len(cells), "value"), expected)
                     name = f"{curve + 1:03d}"
                     if calibrated == "1":
                         place = f"line {number}"

@@ -9,6 +9,7 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.objects import chosen_object
+from torchlc.readers.stations import to_add
 from torchlc.readers.table import BLANK, Header, check_width, lines_of
 
 SATELLITE = ("satellite_name", "norad_cat_id")
@@ -104,14 +105,10 @@ def _station(head: Head, row: int, place: tuple[str, ...]) -> str:
         if abs(station.latitude - latitude) < NEAR_DEG and abs(east) < NEAR_DEG:
             return station.id
     known = ", ".join(f"{one.id} at {one.latitude:g}, {one.longitude:g}" for one in head.scene.stations[:5])
-    hint = (
-        f"Add to the scene: [[stations]] with id, latitude = {latitude:g}, longitude = {longitude:g}, "
-        f"height = {place[2] or '0'}"
-    )
     raise InputError(
         head.path,
         f"row {row}",
         f"an observer at {latitude:g}, {longitude:g}",
         f"a station of the scene: {known}",
-        hint,
+        to_add(f"{latitude:g} {longitude:g}", f"{latitude:g}", f"{longitude:g}", place[2] or "0"),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from torchlc.digits import number_of
 from torchlc.figures.curves import MOST_PANELS, curve_size, draw_curves, stretches
 from torchlc.report.figures.contract import ReportFigure
 
@@ -25,7 +26,7 @@ class Curve(ReportFigure):
         recording = result.recording
         low, high = np.nanmin(recording.observed), np.nanmax(recording.observed)
         unit = "magnitudes" if recording.kind == "mag" else "relative fluxes"
-        return f"Light curve: {len(recording)} rows, {unit} from {low:.4g} to {high:.4g}, the model over them, residuals below."
+        return f"Light curve: {number_of(len(recording), 'row')}, {unit} from {low:.4g} to {high:.4g}, the model over them, residuals below."
 
     def caption(self, result):
         total = len(stretches(result.recording))

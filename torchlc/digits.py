@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, SupportsFloat
+
+HISSING = re.compile("(s|x|ch|sh)$")
+"""Ends of nouns whose plural takes another syllable."""
 
 
 def stated(row: Mapping[str, Any]) -> str:
@@ -41,5 +45,5 @@ def rounded(value: float, digits: int) -> str:
 def number_of(count: SupportsFloat, what: str) -> str:
     """So many of what is named in the singular: "1 row", "3 rows", "2 passes". Without decimals."""
     said = f"{float(count):.0f}"
-    plural = "es" if what.endswith(("s", "x", "ch", "sh")) else "s"
+    plural = "es" if HISSING.search(what) else "s"
     return f"{said} {what}{'' if said == '1' else plural}"

@@ -449,6 +449,29 @@ def test_beside_another_law_of_reflection_the_effect_is_still_named(tmp_path) ->
     assert found.law == "cook-torrance"
 
 
+@pytest.mark.parametrize(("leader", "tried"), [("zero_point_step", True), ("zero_point_drift", False)])
+def test_a_leader_of_two_numbers_is_held_against_two_effects_of_one(ball, leader, tried) -> None:
+    """A drift beside stray light: a step takes most of both. A leader of one number leaves none for two."""
+    scene, recording = ball
+    light = 10 ** (-0.4 * recording.observed)
+    stray = -2.5 * np.log10(1 + 0.5 * np.median(light) / light)
+    hours = recording.seconds / 3600
+    search = searched((scene, replace(recording, observed=recording.observed + stray + 0.05 * hours)))
+    at = search.visited[Hypothesis().under(*search.robust)]
+    entries = [one for one in ("zero_point_drift", "background") if one != leader]
+    search.probes = search.probe_all(at, entries)
+    for entry in (leader, *entries):
+        search.extend(at, entry, search.probes.get(entry))
+    # whatever leads here, the rule is about the numbers of what does
+    one = Hypothesis((leader,), search.robust)
+    behind = search.log_odds(search.leader) - search.log_odds(one)
+    search.visited[one] = replace(search.visited[one], peak=search.visited[one].peak + behind + 1.0)
+    assert search.foremost == one
+    search.of_fewer_numbers(entries, set())
+    pair = {"zero_point_drift", "background"}
+    assert any(set(one.plain) == pair for one in search.visited) is tried
+
+
 def test_tables_of_past_geometries_are_kept_as_far_as_memory_goes(monkeypatch, tmp_path) -> None:
     """Of a turned box: as many as the bound holds, the last ones, and none once a model forgets."""
     scene = BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [1.0, 2.0, 3.0]')

@@ -282,6 +282,8 @@ class Search(Promises):
             return sum(len(effect_columns(parameters, entry)) for entry in one.added)
 
         most = numbers(leading)
+        if most < 2:  # one number bends to one thing
+            return
         few = [
             entry
             for entry in entries

@@ -84,6 +84,7 @@ class Search(Promises):
             for entry, one in self.probes.items()
             if one.visible
             and len(one.scores)
+            and one.psi.shape[-1]  # what has no number is fitted in no time, and grown from
             and not (clean and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }

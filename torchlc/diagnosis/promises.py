@@ -94,13 +94,19 @@ class Promises(Fits):
         return found
 
     def within_reach(self, entry: str, at: Fitted, found: Probe) -> bool:
-        """Whether an effect beside a fit could come near the foremost if it gained LONGEST times what its probe promises; if not, its
+        """Whether an effect beside a fit could come near the best set of as many if it gained LONGEST times what its probe promises; if not, its
         linear form, which is kept, is all that is asked of it. Effects that have no value to try, or of which probes do not tell, are always asked."""
         if not len(found.scores) or not found.psi.shape[-1] or self.counted(entry):
             return True
         hypothesis = at.hypothesis.with_effect(entry)
         without = at.log_z + self.bench.log_odds(hypothesis)
-        if without + LONGEST * 0.5 * found.score > self.mark - NEAR:
+        # larger sets are ahead of many that come to them by further effects
+        alike = [
+            one
+            for one in self.visited
+            if one.noise == self.robust and len(one.added) <= len(hypothesis.added)
+        ]
+        if without + LONGEST * 0.5 * found.score > max(map(self.log_odds, alike)) - NEAR:
             return True
         self.linear[hypothesis] = without + 0.5 * found.score
         return False

@@ -84,7 +84,6 @@ class Search(Promises):
             for entry, one in self.probes.items()
             if one.visible
             and len(one.scores)
-            and one.psi.shape[-1]  # what has no number is fitted in no time, and grown from
             and not (clean and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
@@ -98,7 +97,9 @@ class Search(Promises):
             return self.bench.log_odds(together)
 
         for size in (2, FEW_EFFECTS):
-            for chosen in joint_sets(quick, at, size, log_odds, JOINT):
+            # threes with one that has no number are grown to: begun together they led, and left a fourth unseen
+            among = {entry: one for entry, one in quick.items() if size == 2 or one.psi.shape[-1]}
+            for chosen in joint_sets(among, at, size, log_odds, JOINT):
                 if not self.clock.left(0.7) or self.exactly(*chosen):
                     continue
                 hypothesis = Hypothesis(tuple(chosen), self.robust)

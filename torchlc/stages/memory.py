@@ -35,10 +35,10 @@ class Memory:
         found = compute(list(new.values())) if new else ()
         made = {key: [one[place].clone() for one in found] for place, key in enumerate(new)}
         self._kept |= made
-        self._bytes += sum(map(_size, made.values()))
+        self._bytes += bytes_of(made)
         whole = [torch.stack(column) for column in zip(*(self._kept[key] for key in keys), strict=True)]
         while len(self._kept) > 1 and self._bytes > LARGEST_MEMORY:
-            self._bytes -= _size(self._kept.pop(next(iter(self._kept))))
+            self._bytes -= bytes_of(self._kept.pop(next(iter(self._kept))))
         return whole
 
 
@@ -51,10 +51,6 @@ def bytes_of(value: Any) -> int:
     if isinstance(value, Mapping):
         return sum(map(bytes_of, value.values()))
     return sum(map(bytes_of, value)) if isinstance(value, list | tuple) else 0
-
-
-def _size(tensors: Sequence[Tensor]) -> int:
-    return sum(one.numel() * one.element_size() for one in tensors)
 
 
 def _digest(tensors: Sequence[Tensor]) -> bytes:

@@ -20,6 +20,7 @@ from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.effects import effect_class
 from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
 from torchlc.lightcurve.evaluators import exact
@@ -328,6 +329,21 @@ def test_what_can_only_add_light_promises_nothing_where_light_is_missing(ball, s
         assert math.sqrt(found.score) == pytest.approx(float(off[chosen]), rel=0.5)
     else:
         assert found.score == 0.0
+
+
+@pytest.mark.parametrize(
+    ("entry", "without_opposite"),
+    [
+        ("earthshine", True),
+        ("self_shadowing", True),
+        ("background", False),
+        ("wing_split", False),
+        ("normal_dispersion", False),
+    ],
+)
+def test_only_light_in_proportion_to_a_number_has_no_opposite(entry, without_opposite) -> None:
+    """A lobe that was fitted too wide, for want of two glints apart, asks for less of a split though there is much."""
+    assert effect_class(entry).one_sided() is without_opposite
 
 
 def test_values_of_an_effect_are_tried_again_where_they_promised_most(tmp_path) -> None:

@@ -57,6 +57,8 @@ STAGES = (
 )  # fmt: skip
 MANY_FACETS = 100
 GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
+SCALING_STAGES = frozenset(("light", "surface", "shade", "scatter", "detector"))
+"""Where more of an effect changes the light in proportion; elsewhere glints are moved or widened, which soon does not."""
 
 
 @dataclass(frozen=True)
@@ -259,9 +261,12 @@ class Effect(nn.Module):
 
     @classmethod
     def one_sided(cls) -> bool:
-        """Whether it has no opposite: each number that switches it off does so at a bound, or it has none that does."""
+        """Whether the change of the light that it makes has no opposite: each number that switches it off does so at a bound and changes
+        the light in proportion, or it has none that does. Of glints that are moved or widened a small step may ask for less where the minimum
+        has much of it, and sharper lobes."""
         switches = [(one.low, one.off, one.high) for one in cls.quantities if one.off is not None]
-        return all(not low < off < high for low, off, high in switches)
+        scales = not switches or cls.stage in SCALING_STAGES
+        return scales and all(not low < off < high for low, off, high in switches)
 
     @property
     def learns(self) -> bool:

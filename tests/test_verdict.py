@@ -521,3 +521,20 @@ def test_tables_of_past_geometries_are_kept_as_far_as_memory_goes(monkeypatch, t
     assert not evaluator._recent
     monkeypatch.setattr(exact, "LARGEST_MEMORY", 3 * size + size // 2)
     assert kept() == [3.0, 4.0, 5.0]
+
+
+def test_what_laplace_misses_of_a_set_it_misses_under_another_noise(tmp_path) -> None:
+    """A ball whose albedo and zero point are known by their product alone, a bent ridge: against a tempered sequence of its own."""
+    ridge = BALL.replace("albedo = 0.5", "albedo = { value = 0.5, low = 0.0, high = 1.0 }")
+    ridge = ridge.replace("sigma = 0.02", "sigma = 0.5")
+    (tmp_path / "scene.toml").write_text(ridge)
+    (tmp_path / "true.toml").write_text(BALL)
+    curve = torchlc.simulate(
+        tmp_path / "true.toml", start="2026-03-15T19:00:00", hours=5.0, cadence=150, noise=1e-4, seed=3
+    )
+    search = searched(torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv")))
+    quoted, scaled = search.visited[Hypothesis()], search.visited[Hypothesis(noise=(SCALE,))]
+    first, alone = search.weighed(quoted, 500), search.weighed(scaled, 500)
+    found = search.weighed(scaled, 500, beside=first)
+    assert found.evidence is None and alone.evidence is not None
+    assert abs(found.missed) > 3 * abs(found.log_z - alone.log_z)

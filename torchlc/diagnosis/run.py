@@ -77,8 +77,10 @@ def diagnose(
     null, final = search.best(), _final(search, odds)
     if final is not leader:
         final_gate = _gate(final, found, {}, seed, level=False)
-    if final.posterior.slow and not final.posterior.dear and clock.left():
-        final = search.weighed(final, DRAWS)  # the table of the materials is not that of a linear form
+    if (final.posterior.slow or final.missed) and not final.posterior.dear and clock.left():
+        final = search.weighed(
+            final, DRAWS
+        )  # the table of the materials is neither that of a linear form nor of Laplace's method
     proof = _proof(search, odds, null, final)
     nights, advice = _next(search, odds, clock)
     return Diagnosis(

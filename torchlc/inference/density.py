@@ -160,7 +160,8 @@ class Posterior:
 class Fitted:
     """A ``hypothesis``, whatever stands for one, at one minimum g (P,): its residuals ``found`` with sigma (T,) as fitted, its ``noise``, the ``slopes``
     (T, P) = d residual / d g, ``peak``, the log density there, and the Laplace ``covariance`` (P, P). ``others`` are
-    further minima that the data leave possible, ``evidence`` what importance sampling made of them all."""
+    further minima that the data leave possible, ``evidence`` what importance sampling made of them all, ``missed`` what Laplace's method
+    misses of the log evidence of the same set under another noise."""
 
     hypothesis: Any
     posterior: Posterior
@@ -172,6 +173,7 @@ class Fitted:
     covariance: Tensor
     others: tuple[Fitted, ...] = ()
     evidence: Evidence | None = None
+    missed: float = 0.0
 
     @property
     def likelihood(self) -> Likelihood:
@@ -247,6 +249,11 @@ class Fitted:
         """Log evidence: of all the minima by importance sampling, or by Laplace's method as long as that is not done."""
         if self.evidence is not None and math.isfinite(self.evidence.log_z):
             return self.evidence.log_z
+        return self.laplace_of_all + self.missed
+
+    @property
+    def laplace_of_all(self) -> float:
+        """Log evidence of all the minima by Laplace's method."""
         return float(torch.logsumexp(torch.tensor([one.laplace for one in (self, *self.others)]), 0))
 
     @property

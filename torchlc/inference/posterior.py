@@ -322,7 +322,7 @@ def merged(minima: Sequence[Fitted]) -> Fitted:
         if one.peak < max(other.peak for other in order) - DEPTH:
             continue
         if all(_distance(one, other) > APART for other in kept):
-            kept.append(replace(one, others=(), evidence=None))
+            kept.append(replace(one, others=(), evidence=None, missed=0.0))
     return replace(kept[0], others=tuple(kept[1:MOST_MINIMA]))
 
 
@@ -421,8 +421,8 @@ def _defensive(minima: Sequence[Fitted]) -> StudentMixture:
 
 
 @torch.no_grad()
-def integrated(at: Fitted, draws: int, seed: int, linear: bool = False) -> Fitted:
-    """The hypothesis with its evidence by importance sampling and, where weights are not to be trusted, a tempered sequence;
+def integrated(at: Fitted, draws: int, seed: int, linear: bool = False, moving: bool = True) -> Fitted:
+    """The hypothesis with its evidence by importance sampling and, where weights are not to be trusted and draws may be ``moving``, a tempered sequence;
     from the ``linear`` form of each of its minima if so asked, and where a geometry is dear from that of the first alone. The sequence takes some 10,000 densities and more: it is left out where each
     draw has a geometry of its own, or where rows err together and each has a covariance of its own to factorise; the latter by
     Laplace's method alone for curves of over MOST_TOGETHER rows."""
@@ -436,7 +436,9 @@ def integrated(at: Fitted, draws: int, seed: int, linear: bool = False) -> Fitte
     minima = (at,) if linear else at.minima
     generator = torch.Generator().manual_seed(seed)
     count = draws // GEOMETRY_SHARE if free else draws
-    evidence = importance(density, _defensive(minima), count, generator, moving=not together and not free)
+    evidence = importance(
+        density, _defensive(minima), count, generator, moving=moving and not together and not free
+    )
     if linear and not posterior.dear:
         # the other minima have the mass beside the first that they have by Laplace's method
         others = torch.tensor([one.laplace for one in at.minima]).logsumexp(0) - at.laplace

@@ -354,7 +354,7 @@ def test_a_budget_ends_among_the_effects_that_promise_least(demo, tmp_path: Path
         Workbench(scene, load_recording(hidden.write(tmp_path / "hidden.ecsv"), scene)), Clock(None), 0
     )
     search.null()
-    search.singles(["zero_point_drift", "saturation", "background", "panel_offset"])
+    search.singles(["zero_point_drift", "saturation", "background", "panel_offset"], lambda _: 0.0)
     refitted = [one.added[0] for one in search.visited if len(one.added) == 1]
     judged = [one.added[0] for one in search.linear]  # of too little promise beside the first to be refitted
     assert refitted[0] == "panel_offset" and len(refitted) + len(judged) > 2

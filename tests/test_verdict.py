@@ -272,7 +272,7 @@ def test_red_noise_in_the_place_of_an_effect_says_nothing_of_how_rows_err_beside
     hours = ball[1].seconds / 3600
     wave = 0.015 * np.sin(2 * np.pi * hours / 1.5) + 0.006 * hours
     search = searched(changed(ball, wave))
-    search.singles(["zero_point_drift"])
+    search.singles(["zero_point_drift"], lambda _: 0.0)
     search.noise_of_leaders()
     assert search.leader == Hypothesis().under("red_noise")
     drift = Hypothesis(("zero_point_drift",))
@@ -538,3 +538,16 @@ def test_what_laplace_misses_of_a_set_it_misses_under_another_noise(tmp_path) ->
     found = search.weighed(scaled, 500, beside=first)
     assert found.evidence is None and alone.evidence is not None
     assert abs(found.missed) > 3 * abs(found.log_z - alone.log_z)
+
+
+@pytest.mark.parametrize("clean", [True, False])
+def test_beside_one_number_that_describes_all_no_two_are_begun_together(ball, clean) -> None:
+    hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
+    search = searched(changed(ball, 0.05 * hours), "zero_point_drift")
+    entries = ["zero_point_drift", "background", "extinction_residual"]
+    at = search.visited[Hypothesis().under(*search.robust)]
+    search.probes = search.probe_all(at, entries)
+    search.extend(at, "zero_point_drift", search.probes["zero_point_drift"])
+    assert search.foremost.added == ("zero_point_drift",) and search.as_quoted
+    search.jointly(clean)
+    assert any(len(one.added) == 2 for one in search.visited) is not clean

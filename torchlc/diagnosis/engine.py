@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
-from torchlc.diagnosis.discrepancy import Discrepancy, discrepancies
+from torchlc.diagnosis.discrepancy import FAR, Discrepancy, discrepancies
 from torchlc.diagnosis.fits import BEAM, REACH, STARTS, sorted_as
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis, carried, effect_columns
 from torchlc.diagnosis.joint import joint_sets
@@ -52,12 +52,13 @@ class Search(Promises):
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
 
-    def singles(self, entries: Sequence[str]) -> None:
+    def singles(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Every candidate alone, first those that are fitted fast, by what their signatures promise, most first: a budget then ends among
         those that promise least, and they set the mark that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
         self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
+        self.settled = self.clean(left) and self.as_quoted
         slow = {
             entry: refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) >= DEAR_FIT_S
             for entry in self.probes
@@ -77,7 +78,9 @@ class Search(Promises):
 
     def jointly(self, clean: bool) -> None:
         """Sets of two and of FEW_EFFECTS by what their probes promise together: what one effect alone would be blamed for may be several
-        that each take little of it. Beside a ``clean`` leader those without its effects: what hides beside these is asked of it."""
+        that each take little of it. Beside a ``clean`` leader those without its effects: what hides beside these is asked of it. Where its errors
+        are as quoted, none of more numbers than it has: there is nothing more to describe."""
+        most = self.numbers(self.foremost) if clean and self.as_quoted else math.inf
         at = self.visited[Hypothesis().under(*self.robust)]
         quick = {
             entry: one
@@ -87,8 +90,11 @@ class Search(Promises):
             and not (clean and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
+        numbers = {entry: self.numbers(Hypothesis((entry,))) for entry in quick}
 
         def log_odds(entries: Sequence[str]) -> float:
+            if sum(numbers[entry] for entry in entries) > most:
+                return -math.inf
             together = Hypothesis()
             for entry in entries:
                 if not self.bench.compatible(together, entry):
@@ -253,10 +259,11 @@ class Search(Promises):
 
     @property
     def as_quoted(self) -> bool:
-        """Whether the errors that the foremost leaves are within twice what is believed of those quoted: larger ones, or a curve of bad
-        rows, leave nothing to be seen either."""
+        """Whether the errors that the foremost leaves are within twice what is believed of those quoted, a row counted as FAR off at most:
+        larger ones, or many bad rows, leave nothing to be seen either."""
         at = self.visited[self.foremost]
-        return at.chi2 < math.exp(2 * SCALE_SIGMA) ** 2 * len(at.delta)
+        squares = (at.delta / at.quoted).square().clamp(max=FAR**2)
+        return float(squares.mean()) < math.exp(2 * SCALE_SIGMA) ** 2
 
     def behind(self, sized: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Sets within reach of the foremost, of those that are ranked, but the first."""
@@ -274,22 +281,23 @@ class Search(Promises):
                 found.append(fewer)
         return found
 
+    def numbers(self, one: Hypothesis) -> int:
+        """How many numbers the effects of a set have."""
+        parameters = self.bench.likelihood(one).model.parameter_set
+        return sum(len(effect_columns(parameters, entry)) for entry in one.added)
+
     def of_fewer_numbers(self, entries: Sequence[str], grown: set[frozenset[str]]) -> None:
         """Sets in the place of a leader of many numbers, which bends to what several effects of few numbers do: the best of those of at
         most half as many grows by others, as long as that gains and the set has no more numbers than the leader."""
         leading = self.foremost
-
-        def numbers(one: Hypothesis) -> int:
-            parameters = self.bench.likelihood(one).model.parameter_set
-            return sum(len(effect_columns(parameters, entry)) for entry in one.added)
-
-        most = numbers(leading)
+        most = self.numbers(leading)
         if most < 2:  # one number bends to one thing
             return
         few = [
             entry
             for entry in entries
-            if 2 * numbers(Hypothesis((entry,))) <= most and Entry.parse(entry).plain not in leading.plain
+            if 2 * self.numbers(Hypothesis((entry,))) <= most
+            and Entry.parse(entry).plain not in leading.plain
         ]
         possible = {Entry.parse(entry).plain for entry in few}
 
@@ -304,7 +312,7 @@ class Search(Promises):
             return next(more, None)
 
         stem = best(replace(leading, added=()))
-        while stem is not None and numbers(stem) < most and self.clock.left(0.8):
+        while stem is not None and self.numbers(stem) < most and self.clock.left(0.8):
             self.grow(stem, few, grown, GROWN // 2, anew=False)
             more = best(stem)
             if more is None or not self.ahead(more, stem):

@@ -329,7 +329,10 @@ class Fits:
 
     def weighed(self, at: Fitted, draws: int, linear: bool = False, beside: Fitted | None = None) -> Fitted:
         """A fit with its evidence by ``draws``, of its ``linear`` form if so asked. Where the same set has its evidence under another noise,
-        ``beside``, and weights are not to be trusted, Laplace's method misses as much of this one: the shape of what is not noise is the same."""
+        ``beside``, and weights are not to be trusted, or take long for rows that err together, Laplace's method misses as much of this one: the
+        shape of what is not noise is the same."""
+        if beside is not None and at.noise.processes:
+            return replace(at, missed=beside.log_z - beside.laplace_of_all)
 
         def evidence() -> list[Evidence]:
             seed = at.hypothesis.seed + self.seed

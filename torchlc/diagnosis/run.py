@@ -104,13 +104,13 @@ def diagnose(
 def _explore(search: Search, found: dict[str, Tensor]) -> None:
     """Everything that is searched, the most telling first."""
     entries = search.bench.entries
-    search.singles(entries)
-    search.afresh()
-    search.strangers(found)
 
     def left(at: Fitted) -> float:
         return _gate(at, found, {}, search.seed, level=False).global_p
 
+    search.singles(entries, left)
+    search.afresh()
+    search.strangers(found)
     # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
     if _gate(_at_quoted_errors(search), found, search.probes, search.seed).global_p < CLEAN_P:
         search.jointly(bool(search.foremost.added) and search.clean(left))

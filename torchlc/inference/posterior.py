@@ -58,8 +58,8 @@ MOST_MINIMA = 4
 PRIOR_SHARE = 0.1
 MOST_TOGETHER = 400
 """Rows that err together, up to which 1,000 covariances are factorised in some 5 s."""
-GEOMETRY_SHARE = 2
-"""What draws are divided by where each is a geometry of its own, which takes a hundred times as long."""
+DEAR_SHARE = 2
+"""What draws are divided by where each is a geometry or a covariance of its own, which takes a hundred times as long."""
 LEAST_EFFECTIVE = 5.0
 """Draws on which an evidence rests at least; with fewer Laplace's method is the better guess."""
 
@@ -435,7 +435,7 @@ def integrated(at: Fitted, draws: int, seed: int, linear: bool = False, moving: 
     density = Linear(at).log_density if linear else posterior.log_density
     minima = (at,) if linear else at.minima
     generator = torch.Generator().manual_seed(seed)
-    count = draws // GEOMETRY_SHARE if free else draws
+    count = draws // DEAR_SHARE if free or together else draws
     evidence = importance(
         density, _defensive(minima), count, generator, moving=moving and not together and not free
     )

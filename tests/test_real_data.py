@@ -75,6 +75,7 @@ def test_shadows_and_clocks_of_eros_are_found(eros_recording, eros_table):
 
 @pytest.mark.long
 @pytest.mark.skipif(not eros.EROS.exists(), reason="needs ../shared/data/eros")
+@pytest.mark.timeout(900)
 def test_no_shadows_are_claimed_where_they_do_not_help(eros_recording, eros_table):
     """The low curves of Eros, seen over a pole: the reference is no better with shadows on most of them."""
     scene, recording = eros_recording

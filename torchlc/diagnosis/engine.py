@@ -69,11 +69,13 @@ class Search(Promises):
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 break
-            if not self.probes[entry].visible:
+            one = self.probes[entry]
+            if not one.visible:
                 self.invisible.add(entry)
-            elif entry in first or self.within_reach(entry, at, self.probes[entry]):
-                if self.affordable(entry, at, self.probes[entry]):
-                    self.extend(at, entry, self.probes[entry])
+                continue
+            asked = entry in first or self.within_reach(entry, at, one)
+            if asked and self.affordable(entry, at, one):
+                self.extend(at, entry, one)
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
 

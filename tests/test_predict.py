@@ -349,6 +349,15 @@ def test_many_objects_come_brightest_first_and_as_each_alone(tmp_path):
     alone = torchlc.predict(scene(text[3 * number + 1 : 3 * number + 3]), **NIGHT)
     here = next(one for one in alone.passes if one.path.begin == found.passes[0].path.begin)
     np.testing.assert_allclose(here.mag, found.passes[0].mag, rtol=1e-12)
+    model = scene().name
+    assert (
+        found.headline().startswith(f"12 objects like {model}: ")
+        and " of them; brightest " in found.headline()
+    )
+    assert alone.headline().startswith(f"{model}: ")
+    path.write_text("\n".join(text[3 * number : 3 * number + 3]))
+    named = torchlc.predict(scene(), elements=path, **NIGHT).headline()
+    assert named.startswith(f"{text[3 * number].strip()}, like {model}: ")
 
 
 def test_what_has_no_orbit_is_left_out_and_named(tmp_path):

@@ -240,7 +240,7 @@ def prediction_of(
         text = new_scene(
             first,
             preset,
-            name=f"{preset.strip().lower()} of {given.name}",
+            name=preset.strip().lower(),
             station=_numbers(own[0]),
             exact=True,
         )

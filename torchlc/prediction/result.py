@@ -376,11 +376,18 @@ class Prediction:
 
     # ------------------------------------------------------------------ in words
 
+    def _who(self) -> str:
+        """The object of the scene, or those that are taken for one like it."""
+        if len(self.orbiters) > 1:
+            return f"{len(self.orbiters)} objects like {self.name}"
+        (one,) = self.orbiters
+        return self.name if one.name == self.name else f"{one.name}, like {self.name}"
+
     def headline(self) -> str:
         visible = [one for one in self.passes if one.visible]
         several, count = len(self.orbiters) > 1, len({one.path.orbiter for one in visible})
-        whose = f", by {count} of {len(self.orbiters)} objects" if several else ""
-        told = f"{self.name}: {number_of(len(visible), 'pass')} to be seen{whose}"
+        whose = f", by {count} of them" if several else ""
+        told = f"{self._who()}: {number_of(len(visible), 'pass')} to be seen{whose}"
         if not visible:
             return f"{told}, {str(self.iso(0.0))[:16]} to {str(self.iso(self.span.seconds[-1]))[:16]} UTC"
         best = visible[0]

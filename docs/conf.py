@@ -50,6 +50,7 @@ myst_substitutions = {
     "dear": f"{promises.DEAR_FIT_S:g}",
     "slow_fit": f"{promises.SLOW_FIT_S:g}",
     "again": str(probes.AGAIN),
+    "grown": str(engine.GROWN),
     "as_likely": f"{100 * counts.AS_LIKELY:g}",
     "linear_near": f"{promises.LINEAR_NEAR:g}",
     "slow_ms": f"{1000 * density.DEAR_S:g}",

@@ -41,7 +41,7 @@ def main() -> None:
     table = exported(out / "Measurements.tbl")
     scene, recording = torchlc.load(DEMO / "scene.toml", table)
     print(recording)
-    result = torchlc.fit(scene, recording, steps=40, out=out / "fit")
+    result = torchlc.fit(scene, recording, out=out / "fit")  # until its chain has converged: about a minute
     print(result)
     print(f"figure: {out / 'fit' / 'curve.png'}")
 

@@ -21,7 +21,8 @@ from torchlc.inference.rotation.passes import RATE_A_DAY, Rows
 from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
 from torchlc.inference.rotation.search import _changed
-from torchlc.scene import Scene
+from torchlc.results.rotation_result import _wider
+from torchlc.scene import Free, Scene
 
 PERIOD_S, POLE, PHASE = 61.7, (143.0, 36.0), 77.0
 STARTS = ("2020-10-10T21:30:00", "2020-10-11T22:40:00")
@@ -342,3 +343,13 @@ def test_passes_of_unlike_turns_years_apart_are_not_searched_for_a_free_rotation
     assert changed(2365.0, (11.82, 12.36))
     assert not changed(2365.0, (12.36, 12.361))
     assert not changed(7.0, (11.82, 12.36))
+
+
+@pytest.mark.parametrize(
+    ("reach", "bounds"),
+    [(0.001, (0.099, 0.102)), (0.01, (0.09, 0.11)), (0.2, (0.05, 0.3)), (0.0, (0.099, 0.102))],
+)
+def test_bounds_of_a_period_reach_over_all_counts_of_turns(reach, bounds) -> None:
+    found = _wider(Free(value=0.1, low=0.099, high=0.102), reach)
+    assert (found.low, found.high) == pytest.approx(bounds)
+    assert _wider(0.1, reach) == 0.1

@@ -27,6 +27,9 @@ WIDTH = 4.0
 """Standard deviations of a phase within which counts are tried."""
 MOST = 1500
 """Counts that are kept from part to part."""
+MOST_STEPS, PARTS_OF_A_STEP = 8, (1.0, 0.3)
+"""Steps of whole turns to where the rows have what changes the turn within a part, and how much of one is tried: a change of the period
+by 2 ms a day took six."""
 LEADING, STEPS = 12, 6
 """Counts that a few steps are made from, and how many."""
 OWN_DEG = 0.2
@@ -86,35 +89,102 @@ def counted(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, p
     if not turning or begin is None:
         return none
     theta[:, columns] = begin
-    free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
-    values, spread = _by_the_rows(free, columns, turning)
-    if not bool(torch.isfinite(spread).all()):
-        return none
-    deg, own = values[: len(columns)], spread[: len(columns), : len(columns)]
-    pull = torch.linalg.solve(own, spread[: len(columns), len(columns) :])
-    whole = effect_class(phase).whole_turn / _alike(bench)
     bounds = theta.new_tensor(
         [[parameters.free[k].prior.low, parameters.free[k].prior.high] for k in turning]
     )
-    low, high = bounds.unbind(1)
-    shift = whole * pull.sum(0)
-    most = int((shift.abs() / (high - low)).argmax())
-    common = bool((shift[most].abs() / whole - 1).abs() < COMMON)
-    counts, distance = _counts(deg / whole, own / whole**2, _from_longest(bench, phase), common)
-    found = values[len(columns) :] + (whole * counts - deg) @ pull
-    if common:
-        found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
-    inside = ((found >= low) & (found <= high)).all(1)
-    if not bool(inside.any()):
+    whole = effect_class(phase).whole_turn / _alike(bench)
+    lattice = _Lattice(columns, turning, whole, bounds, _from_longest(bench, phase))
+    first = free = fit(at.hypothesis, loose, loose.coordinates(theta), turns=1, most=1)
+    for _ in range(MOST_STEPS):
+        stepped = lattice.stepped(free)
+        if stepped is None or lattice.told(stepped) < lattice.told(free) + 1.0:
+            break
+        free = stepped
+    points = [found for one in (free, first) if (found := lattice.points(one)) is not None]
+    if not points:
         return none
-    found, distance = found[inside], distance[inside]
-    p = torch.softmax(-0.5 * distance, 0)
-    theta = free.theta.repeat(len(found), 1)
-    theta[:, turning] = found
-    begun = carried(target.model.parameter_set, theta, loose.model.names)
-    names = [parameters.free[one].name for one in turning]
-    values = dict(zip(names, found.T, strict=True))
-    return Counted(_leading(target, begun), int((p > AS_LIKELY * p.max()).sum()), values, p)
+    # a model that cannot have the phases of its parts may do better among the counts of where it was
+    starts = [
+        _leading(target, carried(target.model.parameter_set, one, loose.model.names))
+        for one, _ in points[: 1 if free is first else 2]
+    ]
+    begun = (
+        torch.cat(starts) if len(starts) == 1 else target.theta(likeliest(target, torch.cat(starts), LEADING))
+    )
+    theta, p = points[0]
+    values = {parameters.free[one].name: theta[:, one] for one in turning}
+    return Counted(begun, int((p > AS_LIKELY * p.max()).sum()), values, p)
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Where the phases of the parts are whole turns: columns of theta of these ``phases`` (N), and of what else is ``turning`` (K) with its
+    ``bounds`` (K, 2), degrees after which the body looks the same, and the ``order`` in which parts are joined."""
+
+    phases: list[int]
+    turning: list[int]
+    whole: float
+    bounds: Tensor
+    order: list[int]
+
+    def shared(self, spread: Tensor) -> tuple[Tensor, Tensor, int, bool]:
+        """How much of each number a part's phase takes with it (N, K), by a covariance (N + K, N + K); how the numbers change with a whole turn of all parts
+        (K,); which of them changes most; and whether that is a phase of all parts in common."""
+        own = spread[: len(self.phases), : len(self.phases)]
+        pull = torch.linalg.solve(own, spread[: len(self.phases), len(self.phases) :])
+        shift = self.whole * pull.sum(0)
+        most = int((shift.abs() / (self.bounds[:, 1] - self.bounds[:, 0])).argmax())
+        return pull, shift, most, bool((shift[most].abs() / self.whole - 1).abs() < COMMON)
+
+    def points(self, free: Fitted) -> tuple[Tensor, Tensor] | None:
+        """Values of theta (C, P) at the counts of turns that suit the phases of a fit, inside the bounds, with their probabilities (C,); None
+        where there are none."""
+        spread = _by_the_rows(free, self.phases, self.turning)[1]
+        if not bool(torch.isfinite(spread).all()):
+            return None
+        pull, shift, most, common = self.shared(spread)
+        deg, own = free.theta[self.phases], spread[: len(self.phases), : len(self.phases)]
+        counts, distance = _counts(deg / self.whole, own / self.whole**2, self.order, common)
+        found = free.theta[self.turning] + (self.whole * counts - deg) @ pull
+        low, high = self.bounds.unbind(1)
+        if common:
+            found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
+        inside = ((found >= low) & (found <= high)).all(1)
+        if not bool(inside.any()):
+            return None
+        theta = free.theta.repeat(int(inside.sum()), 1)
+        theta[:, self.turning] = found[inside]
+        return theta, torch.softmax(-0.5 * distance[inside], 0)
+
+    def stepped(self, free: Fitted) -> Fitted | None:
+        """A fit from where the slopes of another point, or a part of the way there, with all phases within half a turn: what changes the
+        turn within a part is whole turns of other parts away, where no descent comes to. None where the rows tell too little."""
+        values, spread = _by_the_rows(free, self.phases, self.turning)
+        if not bool(torch.isfinite(spread).all()):
+            return None
+        _, shift, most, common = self.shared(spread)
+        step = values - free.theta[[*self.phases, *self.turning]]
+        of_phases, of_turning = step[: len(self.phases)], step[len(self.phases) :]
+        if common:  # what all parts have in common stays where it is
+            of_phases = of_phases - of_turning[most] * torch.sign(shift[most])
+            of_turning[most] = 0.0
+        low, high = self.bounds.unbind(1)
+        stepped = free
+        for part in PARTS_OF_A_STEP:
+            theta = free.theta.clone()
+            deg = theta[self.phases] + part * of_phases
+            theta[self.phases] = deg - self.whole * (deg / self.whole).round()
+            moved = theta[self.turning] + part * of_turning
+            theta[self.turning] = torch.minimum(torch.maximum(moved, low), high)
+            posterior = free.posterior
+            stepped = fit(free.hypothesis, posterior, posterior.coordinates(theta[None]), turns=1, most=1)
+            if self.told(stepped) > self.told(free):
+                break
+        return stepped
+
+    def told(self, at: Fitted) -> float:
+        """Log density at a fit but for the prior of the phases, of which any is as good here."""
+        return at.peak + 0.5 * float(at.g[self.phases].square().sum())
 
 
 def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[Tensor, Tensor]:

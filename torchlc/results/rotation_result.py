@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "torchlc-rotation/1"
+WITHIN_SD = 5.0
+"""Standard deviations that the period's bounds in a scene are from its value at least: one in a million lies beyond."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,8 @@ class RotationResult:
         return lines
 
     def scene(self, number: int = 0) -> Scene:
-        """The scene of a mode, ready for a fit or a diagnosis: rotation and materials at its numbers, free near them."""
+        """The scene of a mode, ready for a fit or a diagnosis: rotation and materials at its numbers, free near them, the period within
+        WITHIN_SD standard deviations of all counts of turns that are possible."""
         return self._scene(self.search.modes[number])
 
     def _scene(self, mode: RotationMode) -> Scene:
@@ -226,6 +229,7 @@ class RotationResult:
         for key in ("period", "phase", "period_rate", "nutation", "polhode_phase"):
             if key in attitude:
                 attitude[key] = _at(attitude[key], numbers[key], key, numbers)
+        attitude["period"] = _wider(attitude["period"], WITHIN_SD * mode.sd.get("period", 0.0))
         if "inertia" in attitude:
             attitude["inertia"] = tuple(
                 _at(one, numbers[f"inertia_{axis}"])
@@ -316,6 +320,14 @@ def _at(number: Any, value: float, key: str = "", numbers: Mapping[str, float] |
     return number.model_copy(
         update={"value": min(max(value, low), high), **({"values": nights} if nights else {})}
     )
+
+
+def _wider(number: Any, reach: float) -> Any:
+    """A number of a scene whose bounds are at least ``reach`` from its value."""
+    if not isinstance(number, Free) or number.low is None or number.high is None or number.values:
+        return number
+    low = min(number.low, max(number.value - reach, 0.5 * number.value))  # no period is negative
+    return number.model_copy(update={"low": low, "high": max(number.high, number.value + reach)})
 
 
 def _of_night(numbers: Mapping[str, float], key: str, night: str) -> float:

@@ -18,6 +18,7 @@ from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
+from torchlc.diagnosis.result import materials
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
 from torchlc.effects import effect_class
@@ -551,3 +552,28 @@ def test_beside_one_number_that_describes_all_no_two_are_begun_together(ball, cl
     assert search.foremost.added == ("zero_point_drift",) and search.as_quoted
     search.jointly(clean)
     assert any(len(one.added) == 2 for one in search.visited) is not clean
+
+
+def test_materials_are_those_of_all_that_may_be_so(tmp_path) -> None:
+    """Two fits that are some twenty standard deviations apart, with probabilities 0.8 and 0.2: quantiles of the two together, by scipy's of each."""
+    text = BALL.replace("albedo = 0.5", "albedo = { value = 0.5, low = 0.0, high = 1.0 }")
+    (tmp_path / "scene.toml").write_text(text)
+    curve = torchlc.simulate(
+        tmp_path / "scene.toml", start="2026-03-15T19:00:00", hours=5.0, cadence=150, noise=ERROR, seed=3
+    )
+    search = searched(torchlc.load(tmp_path / "scene.toml", curve.write(tmp_path / "recording.ecsv")))
+    at = search.visited[Hypothesis()]
+    (column,) = [k for k, name in enumerate(at.names) if name == "paint.albedo"]
+    moved = at.g.clone()
+    moved[column] += 20 * at.covariance[column, column].sqrt()
+    other = replace(at, g=moved)
+    (found,) = materials([(at, 0.8), (other, 0.2)]).values()
+    sd = float(at.covariance[column, column].sqrt())
+
+    def albedo(g: float) -> float:
+        return float(stats.norm.cdf(g))  # of an albedo that is believed alike from 0 to 1
+
+    here, there = float(at.g[column]), float(moved[column])
+    assert found["median"] == pytest.approx(albedo(here + sd * stats.norm.ppf(0.5 / 0.8)), abs=0.2 * sd)
+    assert found["q05"] == pytest.approx(albedo(here + sd * stats.norm.ppf(0.05 / 0.8)), abs=0.2 * sd)
+    assert found["q95"] == pytest.approx(albedo(there + sd * stats.norm.ppf(0.75)), abs=0.2 * sd)

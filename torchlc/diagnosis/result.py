@@ -210,6 +210,15 @@ class Diagnosis:
         """What the approximations of the final model amount to, where that is worth telling."""
         return limits(self.final.model, self.final.theta)
 
+    def _possible(self) -> list[tuple[Fitted, float]]:
+        """The answer, and all else that may be so under its law of reflection, with their probabilities: an effect in the place of the named one
+        has other materials."""
+        search, law = self.search, self.final.hypothesis.law
+        alike = [one for one in search.ranked() if one.law == law and one != self.final.hypothesis]
+        odds = [search.log_odds(one) for one in (self.final.hypothesis, *alike)]
+        p = torch.softmax(torch.tensor(odds, dtype=torch.float64), 0).tolist()
+        return list(zip([self.final, *(search.visited[one] for one in alike)], p, strict=True))
+
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""
         return dict(self.content)
@@ -236,7 +245,10 @@ class Diagnosis:
                 "candidates": self.candidates(),
                 "where": None if self.where is None else as_json(self.where, time, stations),
                 "improvement": self.improvement(),
-                "materials": {"before": materials(self.baseline), "after": materials(self.final)},
+                "materials": {
+                    "before": materials([(self.baseline, 1.0)]),
+                    "after": materials(self._possible()),
+                },
                 "remaining": self.remaining(),
                 "doubt": self.doubt,
                 "limits": self.limits,
@@ -483,18 +495,22 @@ def _names(entry: str) -> dict[str, str | None]:
 
 
 @on_cpu
-def materials(at: Fitted) -> dict[str, dict[str, float]]:
-    """Median, sd and 90 % interval of every free material parameter, from the draws of its evidence."""
-    parameters = at.model.parameter_set
-    names = [i for i, free in enumerate(parameters.free) if free.origin.role == "materials"]
-    if not names:
-        return {}
-    theta = at.draws(DRAWS)
+def materials(fits: Sequence[tuple[Fitted, float]]) -> dict[str, dict[str, float]]:
+    """Median, sd and 90 % interval of every free material parameter of the first of some fits, over the draws of the evidence of all,
+    as many of each as its probability says."""
+    first = fits[0][0].model.parameter_set
+    names = [free.name for free in first.free if free.origin.role == "materials"]
+    total = sum(p for _, p in fits)
+    drawn = []
+    for at, p in fits:
+        count = round(DRAWS * p / total)
+        columns = [at.names.index(name) for name in names if name in at.names]
+        if count and len(columns) == len(names):
+            drawn.append(at.draws(count)[:, columns])
     found = {}
-    for i in names:
-        column = theta[:, i]
+    for name, column in zip(names, torch.cat(drawn).T, strict=True):
         q05, q50, q95 = torch.quantile(column, torch.tensor([0.05, 0.5, 0.95], dtype=column.dtype)).tolist()
-        found[parameters.names[i]] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
+        found[name] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
     return found
 
 

@@ -90,7 +90,7 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
 
 
 def _substances(after: Mapping[str, Any], diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Each material with its values in the final model."""
+    """Each material with its values over all that may be so."""
     titles = {free.name: titled(free) for free in diagnosis.model.parameter_set.free}
     by_owner: dict[str, list[str]] = {}
     for name, row in after.items():

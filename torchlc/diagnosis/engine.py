@@ -410,16 +410,19 @@ class Search(Promises):
             near = [one for one in self.ranked()[: 2 * MOST_LOOKED] if self.log_odds(one) >= top - NEAR]
             linear = any(self.visited[one].posterior.slow for one in near)
             made = {one: self.visited[one] for one in near if self.visited[one].evidence is not None}
-            for one in near:
+            for one in sorted(
+                near, key=self.correlated
+            ):  # of these the draws are few, and others may stand in for them
                 if not self.clock.left(0.95):
                     return
                 at = self.visited[one]
                 if one not in made and not at.missed:
-                    # how the rows err where nothing is missing is an answer itself, and cheap
-                    same = (other for other, at in made.items() if one.added and at.evidence is not None)
+                    same = (other for other, at in made.items() if at.evidence is not None)
                     beside = next((made[other] for other in same if other.under(*one.noise) == one), None)
                     draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
-                    made[one] = self.weighed(at, draws, linear, beside)
+                    # how the rows err where nothing is missing is an answer itself, and cheap
+                    moving = beside is None or not one.added
+                    made[one] = self.weighed(at, draws, linear, beside, moving)
             self.visited.update(made)
 
     def nominal_sizes(self) -> None:

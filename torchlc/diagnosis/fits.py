@@ -327,24 +327,32 @@ class Fits:
         parameters = self.bench.likelihood(fewer).model.parameter_set
         self.refit(fewer, carried(parameters, at.theta[None], at.names), at, **options)
 
-    def weighed(self, at: Fitted, draws: int, linear: bool = False, beside: Fitted | None = None) -> Fitted:
-        """A fit with its evidence by ``draws``, of its ``linear`` form if so asked. Where the same set has its evidence under another noise,
-        ``beside``, and weights are not to be trusted, or take long for rows that err together, Laplace's method misses as much of this one: the
-        shape of what is not noise is the same."""
-        if beside is not None and at.noise.processes:
-            return replace(at, missed=beside.log_z - beside.laplace_of_all)
+    def weighed(
+        self,
+        at: Fitted,
+        draws: int,
+        linear: bool = False,
+        beside: Fitted | None = None,
+        moving: bool = True,
+    ) -> Fitted:
+        """A fit with its evidence by ``draws``, of its ``linear`` form if so asked, which may be ``moving``. Where weights are not to be trusted, and the same
+        set has its evidence under another noise, ``beside``, Laplace's method misses as much of this one: the shape of what is not noise is
+        the same. Rows that err together take long: of these no draw is made then unless others would move."""
+        missed = 0.0 if beside is None else beside.log_z - beside.laplace_of_all
+        if beside is not None and not moving and at.noise.processes:
+            return replace(at, missed=missed)
 
         def evidence() -> list[Evidence]:
             seed = at.hypothesis.seed + self.seed
-            found = integrated(at, draws, seed, linear, moving=beside is None).evidence
+            found = integrated(at, draws, seed, linear, moving=moving).evidence
             return [] if found is None else [found]
 
         place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
-        form = (" of its linear form" if linear else "") + (" as it stands" if beside is not None else "")
+        form = (" of its linear form" if linear else "") + ("" if moving else " as it stands")
         found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}{form}", Evidence, evidence)
         at.model.forget()
         if beside is not None and not (found and found[0].trusted):
-            return replace(at, missed=beside.log_z - beside.laplace_of_all)
+            return replace(at, missed=missed)
         return replace(at, evidence=found[0]) if found else at
 
 

@@ -417,8 +417,8 @@ class Search(Promises):
                     return
                 at = self.visited[one]
                 if one not in made and not at.missed:
-                    same = (other for other, at in made.items() if at.evidence is not None)
-                    beside = next((made[other] for other in same if other.under(*one.noise) == one), None)
+                    same = (two for other, two in made.items() if other.under(*one.noise) == one)
+                    beside = next((two for two in same if two.evidence is not None), None)
                     draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
                     # how the rows err where nothing is missing is an answer itself, and cheap
                     moving = beside is None or not one.added

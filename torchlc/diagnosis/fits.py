@@ -101,6 +101,10 @@ class Fits:
         """What was visited with exactly these effects, best first."""
         return self.ranked(one for one in self.visited if set(one.plain) == set(added))
 
+    def likely(self, odds: Sequence[tuple[tuple[str, ...], float]]) -> list[tuple[Fitted, float]]:
+        """The best fit of each of some sets of effects with its probability; without those that were judged by their linear form alone."""
+        return [(self.visited[found[0]], p) for entries, p in odds if (found := self.exactly(*entries))]
+
     def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
         for one in (hypothesis, hypothesis.under(*self.robust)):

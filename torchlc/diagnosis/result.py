@@ -213,11 +213,11 @@ class Diagnosis:
     def _possible(self) -> list[tuple[Fitted, float]]:
         """The answer, and all else that may be so under its law of reflection, with their probabilities: an effect in the place of the named one
         has other materials."""
-        search, law = self.search, self.final.hypothesis.law
-        alike = [one for one in search.ranked() if one.law == law and one != self.final.hypothesis]
-        odds = [search.log_odds(one) for one in (self.final.hypothesis, *alike)]
-        p = torch.softmax(torch.tensor(odds, dtype=torch.float64), 0).tolist()
-        return list(zip([self.final, *(search.visited[one] for one in alike)], p, strict=True))
+        odds, final = self.odds, self.final
+        every = [((), odds.nothing + odds.noise + odds.unknown), *odds.sets]
+        alike = [(at, p) for at, p in self.search.likely(every) if at.hypothesis.law == final.hypothesis.law]
+        # the answer's own fit may have been weighed once more
+        return [(final, 0.0), *((final if at.hypothesis == final.hypothesis else at, p) for at, p in alike)]
 
     def to_json(self) -> dict[str, Any]:
         """The content of diagnosis.json, without NaN."""

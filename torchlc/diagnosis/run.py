@@ -220,9 +220,9 @@ def fitted_bare(search: Search, final: Fitted) -> Fitted:
 def _next(search: Search, odds: Probabilities, clock: Clock):
     """Candidate nights for the sets that the data leave possible, and the advice in a sentence."""
     every = sorted([((), odds.nothing + odds.noise), *odds.sets], key=lambda one: -one[1])
-    possible = [(entries, p) for entries, p in every if p >= LEAST_P][:MOST_SETS]
+    possible = [(entries, p) for entries, p in every if p >= LEAST_P and search.exactly(*entries)][:MOST_SETS]
     if len(possible) < 2 or possible[0][1] >= TOLD or odds.spare <= 0 or not clock.left():
         return [], ""
-    options = next_nights([(search.best(*entries), p) for entries, p in possible], search.seed)
+    options = next_nights(search.likely(possible), search.seed)
     names = [" with ".join(entries) or "nothing missing" for entries, _ in possible]
     return options, sentence(options, names, search.bench.scene.orbit.known)

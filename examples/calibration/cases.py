@@ -116,11 +116,11 @@ SUBSET = (
 Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says of it
 
 
-def compose(name: str, number: int, rng: Rng) -> Composed:
-    """A case by its name."""
-    at = kinds(number)
+def compose(name: str, number: int, rng: Rng, from_their_priors: bool = False) -> Composed:
+    """A case by its name, of surfaces as spacecraft have them or drawn from their priors."""
+    at = kinds(number, from_their_priors)
     if name.startswith("nominal-"):
-        setup, concealed, said = compose(name.removeprefix("nominal-"), number, rng)
+        setup, concealed, said = compose(name.removeprefix("nominal-"), number, rng, from_their_priors)
         accepted = [said["verdict"], *(["noise_model"] if said["verdict"] == "adequate" else [])]
         return as_brought(setup, rng), concealed, {"accepted": accepted, **said, "nominal": True}
     if name.startswith("control_"):

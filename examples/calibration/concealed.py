@@ -19,6 +19,7 @@ from circumstances import (
     draw,
     draw_log,
     found,
+    from_priors,
     geo,
     leo,
     meo,
@@ -140,29 +141,47 @@ Recipe = tuple[
 ]  # kind of object, effect, first size, limits
 
 
-def kinds(number: int) -> dict[str, Kind]:
-    """Observable circumstances by name; ``number`` is the catalogue number to print in the elements."""
+SHARPER = {"sharp_box": (80.0, 300.0), "fast": (100.0, 1000.0)}
+"""n of surfaces drawn from their priors, where what is concealed needs a narrow lobe."""
+
+
+def kinds(number: int, from_their_priors: bool = False) -> dict[str, Kind]:
+    """Observable circumstances by name; ``number`` is the catalogue number to print in the elements. Surfaces are such as
+    spacecraft have, or all that their priors in the scene allow."""
+
+    def there(kind: str, make: Kind, shadow: bool = False) -> Kind:
+        def one(rng: Rng) -> Setup:
+            setup = make(rng)
+            if not from_their_priors or kind == "parked":  # whose polish is what it is drawn for
+                return setup
+            return from_priors(setup, rng, SHARPER.get(kind, (3.0, 3000.0)))
+
+        return lambda rng: found(lambda: one(rng), shadow)
+
+    def near_shadow(rng: Rng) -> Setup:
+        return geo(rng, number, True, False, 360)
+
+    plain = there("geo", lambda rng: geo(rng, number))
+    eclipse = there("eclipse", near_shadow, shadow=True)
     return {
-        "geo": lambda rng: found(lambda: geo(rng, number)),
-        "geo_free": lambda rng: found(lambda: geo(rng, number, known=False)),
-        "eclipse": lambda rng: found(lambda: geo(rng, number, True, False, 360), shadow=True),
-        "fixed_lobe": lambda rng: fixed_lobe(found(lambda: geo(rng, number))),
-        "fixed": lambda rng: fixed_materials(found(lambda: geo(rng, number))),
-        "known": lambda rng: known(found(lambda: geo(rng, number)), rng),
-        "eclipse_known": lambda rng: known(
-            found(lambda: geo(rng, number, True, False, 360), shadow=True), rng
+        "geo": plain,
+        "geo_free": there("geo_free", lambda rng: geo(rng, number, known=False)),
+        "eclipse": eclipse,
+        "fixed_lobe": lambda rng: fixed_lobe(plain(rng)),
+        "fixed": lambda rng: fixed_materials(plain(rng)),
+        "known": lambda rng: known(plain(rng), rng),
+        "eclipse_known": lambda rng: known(eclipse(rng), rng),
+        "meo": there("meo", lambda rng: meo(rng, number)),
+        "box": there("box", lambda rng: tumbler(rng, number)),
+        "sharp_box": there("sharp_box", lambda rng: tumbler(rng, number, sharp=(80.0, 250.0))),
+        "fast": there(
+            "fast", lambda rng: tumbler(rng, number, rate=draw(rng, 4.0, 8.0), sharp=(150.0, 500.0))
         ),
-        "meo": lambda rng: found(lambda: meo(rng, number)),
-        "box": lambda rng: found(lambda: tumbler(rng, number)),
-        "sharp_box": lambda rng: found(lambda: tumbler(rng, number, sharp=(80.0, 250.0))),
-        "fast": lambda rng: found(
-            lambda: tumbler(rng, number, rate=draw(rng, 4.0, 8.0), sharp=(150.0, 500.0))
-        ),
-        "whirling": lambda rng: found(lambda: tumbler(rng, number, rate=draw(rng, 20.0, 40.0))),
-        "wing": lambda rng: found(lambda: tumbler(rng, number, wing=True)),
-        "parked": lambda rng: found(lambda: parked(rng, number)),
-        "rocket": lambda rng: found(lambda: rocket(rng, number)),
-        "leo": lambda rng: found(lambda: leo(rng, number)),
+        "whirling": there("whirling", lambda rng: tumbler(rng, number, rate=draw(rng, 20.0, 40.0))),
+        "wing": there("wing", lambda rng: tumbler(rng, number, wing=True)),
+        "parked": there("parked", lambda rng: parked(rng, number)),
+        "rocket": there("rocket", lambda rng: rocket(rng, number)),
+        "leo": there("leo", lambda rng: leo(rng, number)),
     }
 
 

@@ -1,13 +1,14 @@
 """Concealed-effect cases.
 
-    python examples/calibration/make_injections.py OUT [--seed 1] [--only TEXT] [--subset]
+    python examples/calibration/make_injections.py OUT [--seed 1] [--only TEXT] [--subset] [--from-priors]
 
 Each case is a folder with scene.toml (what the model may assume), recording.ecsv (what the brute-force
 reference saw, noise included) and answer.json (what was concealed). Geometry, materials, priors and noise are
 drawn at random per case, from the seed and the case's name. An effect's size is set by its gain, the square
 root of the chi2 that is left when the baseline (materials under their priors) is refitted to the noiseless
 truth: near 3, 6 and 20. An effect without a size is sized by what makes it matter: a wing's distance, an
-exposure, a polish.
+exposure, a polish. Surfaces are such as spacecraft have; with --from-priors they are all that the scene's priors allow, as
+they must be where intervals and probabilities are held to what they promise.
 
 In answer.json, ``family`` lists the sets of effects that are right answers: the truth, and each single rival
 (of two effects also either alone) that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by
@@ -163,6 +164,7 @@ class Observed(NamedTuple):
     recorded: sky.Array
     bad: sky.Array
     quoted: sky.Array
+    from_their_priors: bool
 
     def write(self, folder: Path) -> None:
         """scene.toml and recording.ecsv."""
@@ -179,10 +181,11 @@ class Observed(NamedTuple):
         )
 
 
-def observed(name: str, number: int, seed: int) -> Observed:
+def observed(name: str, number: int, seed: int, from_their_priors: bool = False) -> Observed:
     """The case of that name; ``number`` is that of its elements."""
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    return seen(compose(name, number, rng), seed, rng)
+    composed = compose(name, number, rng, from_their_priors)
+    return seen(composed, seed, rng)._replace(from_their_priors=from_their_priors)
 
 
 def seen(composed: Composed, seed: int, rng: Rng) -> Observed:
@@ -199,12 +202,12 @@ def seen(composed: Composed, seed: int, rng: Rng) -> Observed:
     brought = bool(said.get("nominal"))
     bad = mishaps(len(mag), rng) if brought else np.zeros(len(mag))
     quoted = np.round(error * error_factor(rng), 4) if brought else error
-    return Observed(setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted)
+    return Observed(setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted, False)
 
 
-def write_case(name: str, folder: Path, number: int, seed: int) -> str:
+def write_case(name: str, folder: Path, number: int, seed: int, from_their_priors: bool = False) -> str:
     """Makes one case; returns a line about it."""
-    return write_observed(name, folder, seed, observed(name, number, seed))
+    return write_observed(name, folder, seed, observed(name, number, seed, from_their_priors))
 
 
 def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Composed) -> str:
@@ -214,7 +217,7 @@ def write_composed(name: str, folder: Path, seed: int, rng: Rng, composed: Compo
 
 def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
     """Writes the three files of a case with what its answer needs to know; returns a line about it."""
-    setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted = case
+    setup, concealed, said, physics, curve, mag, error, recorded, bad, quoted, from_their_priors = case
     brought = bool(said.get("nominal"))
     plain, plain_mag = truth_of(setup, {}, seed=seed)
     as_in_scene = setup.true_tree is None and setup.true_materials is None
@@ -278,6 +281,7 @@ def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
         "largest_raw_change_mag": round(float(np.abs(mag - plain_mag).max()), 4),
         "rivals_chi2": {k: round(v, 2) for k, v in list(competing.items())[:8]},
         "materials": setup.true_materials or setup.materials,
+        "materials_from_their_priors": from_their_priors,
         "materials_baseline_refit": {
             f"{m}.{k}": round(float(np.exp(v)) if k == "n" else float(v), 5)
             for (m, k, _), v in zip(baseline.free, start[1], strict=True)
@@ -311,11 +315,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--subset", action="store_true", help="some twenty cases, one of nearly every kind")
+    parser.add_argument(
+        "--from-priors", action="store_true", help="surfaces drawn from their priors in the scene"
+    )
     options = parser.parse_args()
     for number, name in numbered():
         wanted = options.only in name and (name in SUBSET or not options.subset)
         if wanted and not (options.out / name / "answer.json").exists():
-            print(write_case(name, options.out / name, number, options.seed), flush=True)
+            print(write_case(name, options.out / name, number, options.seed, options.from_priors), flush=True)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,16 @@ def run(case: Path, quick: bool) -> dict[str, Any]:
         "case": case.name,
         "truth": {
             key: answer.get(key)
-            for key in ("kind", "verdict", "verdicts_accepted", "effects", "family", "gain", "chi2")
+            for key in (
+                "kind",
+                "verdict",
+                "verdicts_accepted",
+                "effects",
+                "family",
+                "gain",
+                "chi2",
+                "materials_from_their_priors",
+            )
         },
         "verdict": content["verdict"],
         "named": content["named"],

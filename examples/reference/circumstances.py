@@ -7,6 +7,7 @@ true materials, the stamps of the rows and the station.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -105,6 +106,21 @@ def _materials(
             "r_diff": draw(rng, 0.03, 0.1),
         }
     return out
+
+
+def from_priors(setup: Setup, rng: np.random.Generator, n: tuple[float, float] = (3.0, 3000.0)) -> Setup:
+    """The setup with surfaces of which the scene knows nothing drawn from its own priors, in which n lies between ``n``: only
+    then must 90 % intervals hold 90 % of them. Surfaces known to a few per cent are as they were."""
+    tree, materials = deepcopy(setup.tree), deepcopy(setup.materials)
+    for name, entry in tree["materials"].items():
+        if "low" in entry["n"] and "sigma" not in entry["n"]:
+            entry["n"] |= {"value": round(float(np.sqrt(n[0] * n[1])), 2), "low": n[0], "high": n[1]}
+            materials[name] = {
+                "n": draw_log(rng, *n),
+                "r_spec": draw(rng, 0.0, 1.0),
+                "r_diff": draw(rng, 0.0, 1.0),
+            }
+    return replace(setup, tree=tree, materials=materials)
 
 
 def geo(

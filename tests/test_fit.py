@@ -20,7 +20,7 @@ from torchlc.inference.sampler import log_density
 from torchlc.noise.outliers import Mixture
 from torchlc.noise.red_noise import Matern32
 from torchlc.stages.noise import Noise
-from torchlc.tensors.least_squares import minimise
+from torchlc.tensors.least_squares import differences, minimise
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))
@@ -412,3 +412,13 @@ def test_nothing_free_is_evaluated_and_not_sampled(tmp_path):
     assert result.posterior is None
     assert result.to_json()["chi2"] == pytest.approx(expected, rel=1e-10)
     assert result.to_json()["dof"] == len(recording)
+
+
+def test_slopes_where_nothing_is_free() -> None:
+    """A scene whose every number is known has residuals, and no slopes."""
+
+    def residual(y: torch.Tensor) -> torch.Tensor:
+        return torch.arange(4.0, dtype=torch.float64).expand(len(y), 4)
+
+    none = torch.zeros(2, 0, dtype=torch.float64)
+    assert differences(residual, none, none[0], none[0]).shape == (2, 4, 0)

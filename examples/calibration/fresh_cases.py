@@ -74,7 +74,13 @@ def main() -> None:
             except RuntimeError as error:  # the effect cannot have its size there, or nothing is seen
                 print(f"{key}: not made: {error}", flush=True)
                 continue
-        row = {**run(folder, quick=False), "case": key}
+        try:
+            row = {**run(folder, quick=False), "case": key}
+        except (
+            Exception
+        ) as error:  # one that cannot be diagnosed is a fault to be told, and no end of the others
+            print(f"{key}: no verdict: {error!r}", flush=True)
+            continue
         with options.results.open("a") as file:
             file.write(json.dumps(row) + "\n")
         print(

@@ -159,7 +159,7 @@ class _Slopes:
         points = y[:, None]
         if self.first:
             points = torch.cat([points, self._moved(y, self.first)], 1)
-        there = self.residual(points.reshape(-1, y.shape[-1])).reshape(*points.shape[:2], -1)
+        there = self.residual(points.flatten(0, 1)).unflatten(0, points.shape[:2])
         at = there[:, 0]
         jacobian = at.new_zeros(*at.shape, y.shape[-1])
         return at, self._filled(jacobian, y, there[:, 1:] - at[:, None], self.first)
@@ -183,7 +183,7 @@ class _Slopes:
         if not groups:
             return jacobian
         points = self._moved(y, groups)
-        there = self.residual(points.reshape(-1, y.shape[-1])).reshape(*points.shape[:2], -1)
+        there = self.residual(points.flatten(0, 1)).unflatten(0, points.shape[:2])
         return self._filled(jacobian, y, there - at[:, None], groups)
 
     def follow(self, jacobian: Tensor, ahead: Tensor, step: Tensor, change: Tensor) -> Tensor:

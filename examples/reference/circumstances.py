@@ -115,11 +115,10 @@ def from_priors(setup: Setup, rng: np.random.Generator, n: tuple[float, float] =
     for name, entry in tree["materials"].items():
         if "low" in entry["n"] and "sigma" not in entry["n"]:
             entry["n"] |= {"value": round(float(np.sqrt(n[0] * n[1])), 2), "low": n[0], "high": n[1]}
-            materials[name] = {
-                "n": draw_log(rng, *n),
-                "r_spec": draw(rng, 0.0, 1.0),
-                "r_diff": draw(rng, 0.0, 1.0),
-            }
+            r_spec, r_diff = (draw(rng, 0.0, 1.0) for _ in "sd")
+            if r_spec + r_diff > 1.0:  # even over what a surface can send back
+                r_spec, r_diff = round(1.0 - r_spec, 4), round(1.0 - r_diff, 4)
+            materials[name] = {"n": draw_log(rng, *n), "r_spec": r_spec, "r_diff": r_diff}
     return replace(setup, tree=tree, materials=materials)
 
 

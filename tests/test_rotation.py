@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
@@ -16,12 +17,13 @@ from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.facet_light import FacetLight
-from torchlc.inference.rotation.modes import RotationMode, verdict
-from torchlc.inference.rotation.passes import RATE_A_DAY, Rows
+from torchlc.inference.rotation.modes import RotationMode, RotationSearch, verdict
+from torchlc.inference.rotation.passes import RATE_A_DAY, Rows, rows_of
 from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
 from torchlc.inference.rotation.refine import Local
 from torchlc.inference.rotation.search import _changed
-from torchlc.results.rotation_result import _wider
+from torchlc.lightcurve.model import LightCurve
+from torchlc.results.rotation_result import RotationResult, _wider
 from torchlc.scene import Free, Scene
 
 PERIOD_S, POLE, PHASE = 61.7, (143.0, 36.0), 77.0
@@ -320,6 +322,40 @@ def test_a_free_rotation_is_not_told_from_a_pass_that_holds_no_second_cycle() ->
     decided, words = verdict([mode], 100, 1, 62.0)
     assert not decided and words.startswith("cannot tell")
     assert verdict([mode], 100, 1, 200.0)[0]
+    # at 8 deg the periods are 30 and 30.6 s: 200 s later they are an eighth of a turn out of step, and other paint may shine so too
+    near = replace(mode, numbers={**numbers, "nutation": 8.0})
+    decided, words = verdict([near], 100, 1, 200.0)
+    assert not decided and "out of step" in words
+    assert verdict([near], 100, 1, 600.0)[0]
+    assert verdict([near], 100, 2, 200.0, all_s=86400.0)[0], "two passes whose turns between are counted"
+
+
+def test_a_synodic_turn_is_the_bisectors_way_round_the_body(files: tuple[Path, list[Path]]) -> None:
+    """The body is turned row by row by scipy, and the turns of the bisector of Sun and observer about it are counted: forwards and
+    backwards, where it is as much longer as it is shorter here."""
+    recording = torchlc.load(files[0], files[1][0])[1]
+    scene = Scene.from_toml(text(TRUE))
+    rows = rows_of(LightCurve(scene, recording))
+    bisector = (rows.to_sun + rows.to_observer).numpy()
+    lon, lat = np.radians(POLE)
+    pole = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    turns = []
+    for sense in (1, -1):
+        angle = 2 * np.pi * rows.seconds.numpy() / PERIOD_S
+        upright, _ = Rotation.align_vectors([[0, 0, 1.0]], [sense * pole])
+        seen = Rotation.from_rotvec(-angle[:, None] * [0, 0, 1.0]).apply(upright.apply(bisector))
+        rate = np.polyfit(rows.seconds.numpy(), np.unwrap(np.arctan2(seen[:, 1], seen[:, 0])), 1)[0]
+        way = np.degrees([np.arctan2(*(sense * pole)[1::-1]), np.arcsin(sense * pole[2])])
+        numbers = {"pole_lon": way[0], "pole_lat": way[1], "period": PERIOD_S / 3600, "phase": 0.0}
+        mode = RotationMode(
+            numbers, {}, 1.0, (), 1.0, None, torch.zeros(0), scene, periods=((PERIOD_S, 0.1),)
+        )
+        search = RotationSearch(
+            [mode], len(bisector), 1, 1, 1, (1.0, 2.0), angle, angle, (bisector, angle), True, True, "", recording
+        )  # fmt: skip
+        turns.append(RotationResult(search).told(mode)["passes"][0]["synodic_s"])
+        assert turns[-1] == pytest.approx(2 * np.pi / abs(rate), rel=1e-5)
+    assert abs(turns[0] - turns[1]) > 1e-3, "the bisector moves"
 
 
 def test_passes_of_unlike_turns_years_apart_are_not_searched_for_a_free_rotation() -> None:

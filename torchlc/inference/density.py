@@ -39,6 +39,8 @@ MOST_TIMED_S = 60.0
 """CPU seconds of a first geometry, with the tables that all share, beyond which no second is timed for what each takes alone."""
 DEAR_S = 4e-3
 """CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
+AFFORDED_S = 0.03
+"""CPU seconds of one geometry of few facets from which on it is saved like any other: a refit takes some hundred of them."""
 BAD_ROW = 0.5
 """Probability above which a row is taken as, and told to be, an outlier."""
 
@@ -59,8 +61,9 @@ class Posterior:
     @property
     def seconds_each(self) -> float:
         """CPU seconds that a new geometry takes, as far as fits and probes have to save them: 0 where it is fixed, or of so few facets
-        that a search affords them all."""
-        return 0.0 if self.model.evaluator.gridded else self.geometry_seconds
+        that a search affords them all, unless what light does between them takes AFFORDED_S."""
+        afforded = self.model.evaluator.gridded and self.geometry_seconds < AFFORDED_S
+        return 0.0 if afforded else self.geometry_seconds
 
     @cached_property
     def geometry_seconds(self) -> float:

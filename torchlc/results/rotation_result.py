@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +17,12 @@ from torchlc.files.writing import PER_PASS_FILE, OutputDirectory, without_nan
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.attitude import epochs_seconds, since_nearest
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch
-from torchlc.inference.rotation.passes import rows_of
+from torchlc.inference.rotation.passes import Rows, rows_of
+from torchlc.inference.rotation.pole_grid import frame_of
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Free, Scene
 from torchlc.scene.parts import Attitude
+from torchlc.tensors.vectors import unit
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -90,7 +93,10 @@ class RotationResult:
             "chi2": mode.chi2,
             "above_best": mode.above,
             "rms_mag": mode.rms,
-            "passes": [{"period_s": period, "period_sd_s": sd_} for period, sd_ in mode.periods],
+            "passes": [
+                {"period_s": period, "period_sd_s": sd_, "synodic_s": light}
+                for (period, sd_), light in zip(mode.periods, self._synodic(mode), strict=True)
+            ],
             "per_night": list(mode.apart),
             "nights": [
                 {
@@ -116,6 +122,27 @@ class RotationResult:
             ],
             "mirror": mode.mirror,
         }
+
+    @cached_property
+    def _rows(self) -> Rows:
+        return rows_of(LightCurve(self.modes[0].scene, self.search.recording))
+
+    def _synodic(self, mode: RotationMode) -> list[float | None]:
+        """Turns, s, of each pass against the bisector of Sun and observer, whose direction the light follows; none of a free rotation."""
+        if mode.tumbling:
+            return [None] * len(mode.periods)
+        rows = self._rows
+        frame = frame_of(torch.tensor(_unit(*equatorial(mode)), dtype=torch.float64))
+        x, y, _ = (unit(rows.to_sun + rows.to_observer) @ frame.T).unbind(-1)
+        azimuth = torch.atan2(y, x)
+        found: list[float | None] = []
+        for number, (period, _) in enumerate(mode.periods):
+            here = rows.of(number)
+            moved = np.unwrap(azimuth[here].numpy()) / (2 * math.pi)
+            seconds = (rows.seconds[here] - rows.middle[number]).numpy()
+            along = float(seconds @ (moved - moved.mean()) / max(seconds @ seconds, 1e-12))
+            found.append(1 / abs(1 / period - along))
+        return found
 
     def to_json(self) -> dict[str, Any]:
         search = self.search
@@ -278,7 +305,7 @@ class RotationResult:
         modes = np.array([_unit(*equatorial(mode)) for mode in search.modes])
         write("poles.png", lambda: figures.poles(*search.pole_map, modes))
         model = LightCurve(best.scene, search.recording)
-        rows = rows_of(model)
+        rows = self._rows
         with torch.no_grad():
             predicted = model(best.theta).numpy()[rows.index.numpy()]
         seconds, number = rows.seconds.numpy(), rows.number.numpy()

@@ -34,6 +34,8 @@ core."""
 LEAST_STARTS, MOST_STARTS = 24, 200
 STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
+OTHER = 0.1
+"""Relative difference from which on two turns are no longer one, a synodic and a sidereal one say, but multiples."""
 AXIS = (0.0, 0.0, 1.0)
 """Of the spin, in the body."""
 
@@ -41,7 +43,8 @@ AXIS = (0.0, 0.0, 1.0)
 @dataclass(frozen=True)
 class Turns:
     """``poles`` (D, 3) of the grid and the ``states`` that it gave, the ``best`` solutions first, whether the axis may be tilted against
-    the body's, ``symmetry``, how many turns within one look alike, degrees of freedom, and what has to be said."""
+    the body's, ``symmetry``, how many turns within one look alike, degrees of freedom, and what has to be said. Where the best are
+    those of a body whose sides shine unlike, ``of_one_paint`` are those of the scene's own materials."""
 
     poles: Tensor
     states: list[GridState]
@@ -50,6 +53,17 @@ class Turns:
     symmetry: int
     dof: int
     told: list[str]
+    of_one_paint: Turns | None = None
+
+    @property
+    def kinds(self) -> list[Turns]:
+        """Itself, and those of one paint beside them: the model, which has the scene's materials, is fitted to both."""
+        return [self] if self.of_one_paint is None else [self, self.of_one_paint]
+
+    def other_turn(self, period_s: float) -> float | None:
+        """The turn, s, that sides of unlike paint explain better than any of one paint, where it is another than ``period_s``."""
+        found = 1 / self.best[0].frequency
+        return None if self.of_one_paint is None or abs(found / period_s - 1) < OTHER else found
 
     @property
     def leaves_structure(self) -> bool:
@@ -181,4 +195,4 @@ def _unlike(problem: Problem, plain: Turns, given: bool, count: int, course: Cou
         f"chi-square {unlike[0].chi2:.0f} where the scene's materials leave {steady:.0f}; give such faces materials of "
         "their own (sectors and face_materials of a cylinder, face_materials of a box)"
     )
-    return replace(plain, best=unlike, symmetry=1, tilted=given, told=[told])
+    return replace(plain, best=unlike, symmetry=1, tilted=given, told=[told], of_one_paint=plain)

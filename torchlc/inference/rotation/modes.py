@@ -25,6 +25,9 @@ ALIKE_DEG = 12.0
 LEAST_CYCLES = 2.0
 """Of the longer period of a free rotation that a pass has to hold for the light to have repeated: less is one stretch without
 a second to hold it against."""
+LEAST_BEAT = 0.25
+"""Turn by which the two periods of a free rotation must fall out of step over the rows: light that repeats as a whole is also that of
+a body of other paint about one axis."""
 NOISY = 1.3
 """Rms over the noise of successive rows up to which a rotation fits rows without errors."""
 
@@ -188,20 +191,29 @@ def fits_the_rows(chi2: float, rms: float, dof: int, noise: float | None) -> boo
 
 
 def verdict(
-    modes: Sequence[RotationMode], dof: int, passes: int, longest_s: float, noise: float | None = None
+    modes: Sequence[RotationMode],
+    dof: int,
+    passes: int,
+    longest_s: float,
+    noise: float | None = None,
+    *,
+    all_s: float | None = None,
 ) -> tuple[bool, str]:
     """Whether the data decide, and what they say. ``longest_s``: of the longest pass; ``noise``: that of successive rows, mag, where
-    errors are not given."""
+    errors are not given; ``all_s``: from the first row to the last, where there are several passes."""
     best = modes[0]
     fits = fits_the_rows(best.chi2, best.rms, dof, noise)
     poles = [mode for mode in modes if mode.probability > 0.01]
     period = f"one turn in {best.period_s:.6g} s" + (" in the longest pass" if "period" in best.apart else "")
-    slowest_s = 0.0
+    slowest_s = beat = 0.0
     if best.tumbling:
         rates = best.rates
         assert rates is not None
         way_s = 1 / float(rates.polhode)
-        slowest_s = max(best.period_s, way_s)
+        slowest_s, fastest_s = max(best.period_s, way_s), min(best.period_s, way_s)
+        counted = best.possible == 1 and not best.apart
+        beat = (all_s if all_s is not None and counted else longest_s) / slowest_s
+        beat *= abs(slowest_s / fastest_s - round(slowest_s / fastest_s))
         period = (
             f"not about one axis: the long axis turns about the angular momentum in {best.period_s:.6g} s, and the latter "
             f"about the body in {way_s:.6g} s"
@@ -220,6 +232,11 @@ def verdict(
         return False, (
             f"cannot tell: {period}, fits, but the longest pass, of {longest_s:.4g} s, does not hold {LEAST_CYCLES:g} of the longer of "
             "these: a body of another shape or paint that turns about one axis may shine alike"
+        )
+    if best.tumbling and beat < LEAST_BEAT:
+        return False, (
+            f"cannot tell: {period}, fits, but over the rows these fall out of step by {beat:.2g} of a turn only: light that repeats as a "
+            "whole is also that of a body of another paint that turns about one axis"
         )
     if len(poles) > 1:
         return False, (

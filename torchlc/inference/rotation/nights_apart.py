@@ -77,14 +77,15 @@ def _apart(
     explained = any(problem.fits(one) for one in found)
     fits: list[Candidate] = []
     sharp: list[Local] = []
-    tried = leading(turns.best, APART if explained else LOCALS)
-    for number, local in enumerate(tried):
+    most = APART if explained else LOCALS
+    tried = [(local, kind.tilted) for kind in turns.kinds for local in leading(kind.best, most)]
+    for number, (local, tilted) in enumerate(tried):
         enough = False
         for periods in (False, True):
             if (not periods and not alike(local)) or (enough and not explained):
                 continue
             trial = loose_trial(
-                problem.scene, problem.recording, problem.rows, local, periods=periods, tilted=turns.tilted
+                problem.scene, problem.recording, problem.rows, local, periods=periods, tilted=tilted
             )
             one = fitted(trial, problem.recording)
             if not math.isfinite(one.chi2):

@@ -58,7 +58,7 @@ def search_rotation(
     answer = settled(problem, turns, found, course)
     if not answer.modes:
         raise _nothing_found(problem, course.allowed)
-    decided, words = _verdict(problem, answer, course.allowed)
+    decided, words = _verdict(problem, turns, answer, course.allowed)
     warnings = [*problem.told, *turns.told, *told_of_tumbles, *told_of_fits, *answer.told]
     best = answer.modes[0]
     return RotationSearch(
@@ -150,10 +150,23 @@ def _dof(problem: Problem, answer: Settled) -> int:
     return len(problem.rows.flux) - len(answer.modes[0].theta)
 
 
-def _verdict(problem: Problem, answer: Settled, allowed: Allowed) -> tuple[bool, str]:
-    """Whether one mode is left, and in words; nothing is decided where the budget left a stage out."""
+def _verdict(problem: Problem, turns: Turns, answer: Settled, allowed: Allowed) -> tuple[bool, str]:
+    """Whether one mode is left, and in words; nothing is decided where the budget left a stage out, or where the multiple hangs on
+    the paint."""
     dof = _dof(problem, answer)
+    seconds = problem.rows.seconds
     decided, words = verdict(
-        answer.modes, dof, problem.rows.passes, problem.longest_pass_s, problem.noise_mag
+        answer.modes,
+        dof,
+        problem.rows.passes,
+        problem.longest_pass_s,
+        problem.noise_mag,
+        all_s=float(seconds.max() - seconds.min()),
     )
+    other = None if answer.modes[0].tumbling else turns.other_turn(answer.modes[0].period_s)
+    if decided and other is not None:
+        decided = False
+        words = (
+            f"cannot tell: {words} with the paint of the scene, in {other:.6g} s with sides that shine unlike"
+        )
     return (False, allowed.told(words)) if allowed.omitted else (decided, words)

@@ -41,7 +41,7 @@ def fits_of_turns(
     """The model fitted at the best turns and the counts between passes that may be right, and what there is to say. ``changing``: a
     change of the period is tried even where a steady turn explains the light."""
     always = changing or isinstance(problem.scene.attitude.period_rate, Free)
-    trials = _trials(problem, turns)
+    trials = [trial for kind in turns.kinds for trial in _trials(problem, kind)]
     told: list[str] = []
     if not trials:
         told.append(
@@ -141,7 +141,7 @@ def _trials(problem: Problem, turns: Turns) -> list[Trial]:
         changes = _joined(problem, turns, local, changing=True) if rows.passes > 1 else None
         for drifts in (False, True) if may_change else (False,):
             joined = changes if drifts and changes else _joined(problem, turns, local, changing=False)
-            if not drifts and may_change and joined.found and joined.found[0].distance > UNSTEADY:
+            if not drifts and joined.found and joined.found[0].distance > UNSTEADY:
                 continue  # no steady spin has these phases
             ways = _Ways(joined, changes, turns.symmetry, epoch)
             # of counts that are some of many, one fit tells what any leaves

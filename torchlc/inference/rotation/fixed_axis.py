@@ -4,7 +4,6 @@ structure the axis is tilted against the body's, and sides half a turn apart may
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from torchlc.inference.rotation.kinds import (
     tilted_bodies,
     unlike_sides,
 )
-from torchlc.inference.rotation.modes import CHANGED
+from torchlc.inference.rotation.modes import ALIKE_DEG, CHANGED, apart_deg
 from torchlc.inference.rotation.pole_grid import GridState
 from torchlc.inference.rotation.problem import Problem
 from torchlc.inference.rotation.refine import Local, Refiner
@@ -36,6 +35,8 @@ STRUCTURE = 1.25
 """Chi-square a degree of freedom above which a body is tried with its axes tilted, and then without an axis of its spin."""
 OTHER = 0.1
 """Relative difference from which on two turns are no longer one, a synodic and a sidereal one say, but multiples."""
+SAME_REGION = 0.01
+"""Relative difference of turns that a pole some degrees off makes over a pass."""
 AXIS = (0.0, 0.0, 1.0)
 """Of the spin, in the body."""
 
@@ -69,6 +70,16 @@ class Turns:
     def leaves_structure(self) -> bool:
         return self.best[0].chi2 / self.dof > STRUCTURE
 
+    def leading(self, most: int) -> list[Local]:
+        """The first of the solutions that are about as good as the first of all. Where that leaves structure, which the model may see
+        otherwise, one of each region of poles comes before a second."""
+        enough = 1.5 * self.best[0].chi2 + 200 if self.best else math.inf
+        first, more = [], []
+        for one in self.best:
+            known = self.leaves_structure and any(_near(one, other) for other in first)
+            (more if known else first).append(one)
+        return [*self.best[:1], *(one for one in [*first[1:], *more] if one.chi2 <= enough)][:most]
+
     def misfits(self) -> list[float]:
         """Of the grid at each of its poles."""
         known = {tuple(state.pole.tolist()): state.misfit for state in self.states}
@@ -93,12 +104,6 @@ def turns(problem: Problem, ranges: Sequence[tuple[float, float]], course: Cours
     return found
 
 
-def leading(solutions: Sequence[Local], most: int) -> list[Local]:
-    """The first solutions, as far as they are about as good as the first of all."""
-    enough = 1.5 * solutions[0].chi2 + 200 if solutions else math.inf
-    return [*solutions[:1], *itertools.takewhile(lambda one: one.chi2 <= enough, solutions[1:most])]
-
-
 def with_sides(problem: Problem, found: Turns, course: Course) -> Turns:
     """The turns, the best with the sides of each pass that join the passes best, where a pass alone does not tell them apart."""
     if problem.rows.passes < 2 or found.symmetry % 2 == 0 or found.tilted:
@@ -107,6 +112,13 @@ def with_sides(problem: Problem, found: Turns, course: Course) -> Turns:
     refiner = Refiner(problem.rows, problem.body, FLOOR)
     sides = sides_taken(problem.rows, refiner, found.best[0], found.symmetry, problem.wide)
     return replace(found, best=[*sides, *found.best[1:]])
+
+
+def _near(one: Local, other: Local) -> bool:
+    """Whether two solutions are of one region of poles and one turn."""
+    return (
+        apart_deg(one.pole, other.pole) < ALIKE_DEG and abs(one.frequency / other.frequency - 1) < SAME_REGION
+    )
 
 
 def _axis() -> Tensor:

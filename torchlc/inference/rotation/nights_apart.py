@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchlc.inference.rotation.course import Course
-from torchlc.inference.rotation.fixed_axis import Turns, leading
+from torchlc.inference.rotation.fixed_axis import Turns
 from torchlc.inference.rotation.model_fit import Candidate, alike, fitted, loose_trial, sharpened
 from torchlc.inference.rotation.modes import (
     CHANGED,
@@ -78,7 +78,7 @@ def _apart(
     fits: list[Candidate] = []
     sharp: list[Local] = []
     most = APART if explained else LOCALS
-    tried = [(local, kind.tilted) for kind in turns.kinds for local in leading(kind.best, most)]
+    tried = [(local, kind.tilted) for kind in turns.kinds for local in kind.leading(most)]
     for number, (local, tilted) in enumerate(tried):
         enough = False
         for periods in (False, True):

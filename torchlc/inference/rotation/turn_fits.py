@@ -11,7 +11,7 @@ import numpy as np
 
 from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
 from torchlc.inference.rotation.course import Course
-from torchlc.inference.rotation.fixed_axis import Turns, leading
+from torchlc.inference.rotation.fixed_axis import Turns
 from torchlc.inference.rotation.model_fit import (
     Candidate,
     Count,
@@ -137,7 +137,7 @@ def _trials(problem: Problem, turns: Turns) -> list[Trial]:
     may_change = isinstance(scene.attitude.period_rate, Free) or rows.passes > 2
     epoch = epoch_seconds(scene, recording)[1]
     trials: list[Trial] = []
-    for number, local in enumerate(leading(turns.best, LOCALS)):
+    for number, local in enumerate(turns.leading(LOCALS)):
         changes = _joined(problem, turns, local, changing=True) if rows.passes > 1 else None
         for drifts in (False, True) if may_change else (False,):
             joined = changes if drifts and changes else _joined(problem, turns, local, changing=False)

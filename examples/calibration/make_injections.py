@@ -10,9 +10,9 @@ truth: near 3, 6 and 20. An effect without a size is sized by what makes it matt
 exposure, a polish. Surfaces are such as spacecraft have; with --from-priors they are all that the scene's priors allow, as
 they must be where intervals and probabilities are held to what they promise.
 
-In answer.json, ``family`` lists the sets of effects that are right answers: the truth, and each single rival
-(of two effects also either alone) that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by
-linear projection at the refit of the baseline, so that rivals of large effects are only roughly judged).
+In answer.json, ``family`` lists the sets of effects that are right answers: the truth; each single rival of a single effect, and
+of several effects each part of the set, that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at
+the refit of the baseline, so that rivals of large effects are only roughly judged).
 ``intervals``: rows where the truth and the best refit without the effect differ by more than 2 sigma;
 ``effect_intervals``: the effect itself, at the true materials.
 """
@@ -33,105 +33,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 
 import observe
 import sky
-from body import DEFAULT_EFFECTS
 from cases import NOISE, OUTSIDE, SUBSET, Composed, compose, listed, names
 from circumstances import Setup
-from concealed import Concealed, Rng, instant
+from concealed import Concealed, Rng
 from gain import Baseline, truth_of
 from nominal import error_factor, loose_tangents, mishaps
+from rivals import ENOUGH, fewer, rivals
 from scene_files import toml
-
-# ------------------------------------------------------------------------------------------ rivals
-
-
-def probes(setup: Setup, taken: set[str]) -> Iterator[tuple[str, list[Concealed]]]:
-    """Small doses of every rival: members of a list may be mixed; an effect may come twice."""
-    moving = any("tracks" in c for c in setup.tree["components"])
-    spinning = "spin_rate" in setup.tree["attitude"]
-    mid = [instant(setup, s) for s in (0.15, 0.3, 0.5, 0.7, 0.85)]
-    several = len(setup.tree["components"]) > 1
-    yield "time_offset", [{"time_offset": {"s": 0.5}}]
-    yield "along_track_offset", [{"along_track_offset": {"deg": 0.02}}]
-    yield "attitude_offset", [{"attitude_offset": {axis: 0.1}} for axis in "xyz"]
-    if moving:
-        yield "panel_offset", [{"panel_offset": {"deg": 0.1}}]
-        yield "panel_cant", [{"panel_cant": {"deg": 0.1}}]
-    if spinning:
-        yield "spin_rate_offset", [{"spin_rate_offset": {"rev_per_hour": 1e-4}}]
-    yield "extinction_residual", [{"extinction_residual": {"mag_per_airmass": 0.01}}]
-    yield "zero_point_drift", [{"zero_point_drift": {"mag_per_hour": 0.01}}]
-    yield "background", [{"background": {"fraction": 0.02}}]
-    yield "saturation", [{"saturation": {"q": 0.02}}]
-    for when in mid:
-        yield "zero_point_step", [{"zero_point_step": {"mag": 0.02, "time": when}}]
-    for component in (c["name"] for c in setup.tree["components"]):
-        if several:
-            yield "color_term", [{"color_term": {"mag": 0.02, "component": component}}]
-        if component.startswith("panel"):
-            yield "back_transmission", [{"back_transmission": {"t_d": 0.01, "component": component}}]
-    for material in setup.materials:
-        yield "normal_dispersion", [{"normal_dispersion": {"deg": 2.0, "material": material}}]
-        for g in (1.5, 3.0):
-            yield "lobe_tail", [{"lobe_tail": {"g": g, "material": material}}]
-        for h in (0.03, 0.15):
-            yield "opposition_surge", [{"opposition_surge": {"b0": 0.1, "h": h, "material": material}}]
-        for n in (4.0, 30.0, 250.0, 2500.0, 50000.0):
-            second = {"weight": 0.03, "n": n, "material": material}
-            yield (
-                "second_material",
-                [
-                    {"second_material": {**second, "r_spec": 0.3, "r_diff": 0.0}},
-                    {"second_material": {**second, "r_spec": 0.0, "r_diff": 0.5}},
-                ],
-            )
-    plate = {"area": 0.05, "n": 30.0}
-    for k in range(60):
-        z = 1.0 - (2 * k + 1) / 60.0
-        way = {"lon": (k * 137.50776) % 360.0, "lat": float(np.rad2deg(np.arcsin(z)))}
-        yield (
-            "appendage",
-            [
-                {"appendage": {**plate, **way, "r_spec": 0.3, "r_diff": 0.0}},
-                {"appendage": {**plate, **way, "r_spec": 0.0, "r_diff": 0.5}},
-            ],
-        )
-    known = [e for e in (*DEFAULT_EFFECTS, "interreflection", "earthshine") if e not in taken]
-    for effect in known:
-        yield effect, [{effect: {}}]
-
-
-def rivals(
-    baseline: Baseline,
-    theta: sky.Array,
-    model: sky.Array,
-    target: sky.Array,
-    truth: set[str],
-    tangents: sky.Array,
-) -> dict[str, float]:
-    """Least chi2 that each effect leaves of target - model after its own and the linear refit of what is free."""
-    still = baseline.curve(theta, {})
-    change = baseline.projected((target - model) / baseline.sigma, tangents)
-    left: dict[str, float] = {}
-    taken = set(baseline.effects)
-    for effect, doses in probes(baseline.setup, taken):
-        if effect in taken or truth == {effect}:
-            continue
-        columns = []
-        for dose in doses:
-            curve = baseline.curve(theta, dose)
-            if not np.isfinite(curve).all():
-                continue
-            columns.append(baseline.projected((curve - still) / baseline.sigma, tangents))
-        if not columns:
-            continue
-        matrix = np.array(columns).T
-        whole = effect in DEFAULT_EFFECTS  # takes no dose
-        part = matrix[:, 0] if whole else matrix @ np.linalg.lstsq(matrix, change, rcond=1e-9)[0]
-        left[effect] = min(left.get(effect, np.inf), float(((change - part) ** 2).sum()))
-    return dict(sorted(left.items(), key=lambda item: item[1]))
-
-
-# ------------------------------------------------------------------------------------------ writing
 
 
 def shares(with_it: Any, without: Any, sigma_flux: sky.Array, rows: sky.Mask) -> list[dict[str, Any]]:
@@ -237,10 +145,12 @@ def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
     family, competing = [], {}
     if physics and said.get("note") != OUTSIDE:
         family = [sorted(physics), *said.get("family", [])]
+        if len(physics) > 1 and as_in_scene:
+            family += fewer(setup, physics, baseline, mag, seed)
         if len(physics) == 1 and (as_in_scene or brought):
             tangents = loose_tangents(setup, baseline, theta) if brought else baseline.tangents(theta)
             competing = rivals(baseline, theta, model, mag, set(physics), tangents)
-            family += [[effect] for effect, chi2 in competing.items() if chi2 < 4.0]
+            family += [[effect] for effect, chi2 in competing.items() if chi2 < ENOUGH]
     elif set(concealed) - set(physics):
         family = [sorted(concealed)]
     changed = np.abs(mag - model) > 2.0 * error

@@ -151,9 +151,10 @@ def evidence_tables() -> dict[str, str]:
     sys.path.insert(0, str(HERE / "evidence"))
     try:
         import overview
+        import tumbling
     finally:
         sys.path.pop(0)
-    return overview.tables()
+    return {**overview.tables(), **tumbling.tables()}
 
 
 BETTER = {

@@ -8,6 +8,8 @@ import statistics
 from pathlib import Path
 from typing import Any
 
+import tumbling
+
 DOCS = Path(__file__).resolve().parents[1]
 DIAGNOSES = "`python examples/calibration/real_recordings.py docs/real_data --only {}`"
 FAMILIES = "`python examples/calibration/mmt9_families.py docs/evidence`"
@@ -340,9 +342,10 @@ def overview() -> str:
             DIAGNOSES.format("mmt9"),
         ),
         *shared_families(),
+        *tumbling.rows(),
         (
-            "[Tumbling bodies](../tutorials/tumbling.md)",
-            "a made-up recording of known rotation",
+            "[A made-up tumbling body](../tutorials/tumbling.md)",
+            "its rotation, known",
             "pole and period, with their aliases",
             "as the page says",
             "yes",

@@ -249,9 +249,13 @@ class TestFiles:
 
     def test_a_folder_or_pipe_is_no_scene(self, tmp_path: Path):
         os.mkfifo(tmp_path / "pipe")
-        for name in (".", "pipe"):
-            with pytest.raises(InputError, match="not a regular file"):
-                load_scene(tmp_path / name)
+        with pytest.raises(InputError, match="not a regular file"):
+            load_scene(tmp_path / "pipe")
+        with pytest.raises(InputError, match="a folder; expected"):
+            load_scene(tmp_path)
+        (tmp_path / "curve.ecsv").touch()
+        with pytest.raises(InputError, match=r"Did you mean .*curve\.ecsv\?"):
+            load_scene(tmp_path)
         with pytest.raises(InputError, match="no such file"):
             load_scene(tmp_path / "none.toml")
         with pytest.raises(InputError, match="cannot be read"):

@@ -26,6 +26,10 @@ def readable_file(path: str | Path, expected: str) -> Path:
     try:
         if not path.exists():
             raise InputError(path, None, "no such file", expected)
+        if path.is_dir():
+            inside = [one for one in (path / "scene.toml", path / "curve.ecsv") if one.is_file()]
+            hint = f"Did you mean {inside[-1]}?" if len(inside) == 1 else ""
+            raise InputError(path, None, "a folder", expected, hint)
         if not path.is_file():
             raise InputError(path, None, "not a regular file", expected)
         path.open("rb").close()

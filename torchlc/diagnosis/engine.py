@@ -38,6 +38,8 @@ GROWN = 8
 """Effects that the best set of a size grows by, half as many for the others."""
 JOINT = 4
 """Sets of two, and of FEW_EFFECTS, that are fitted for what their probes promise together: half a second each."""
+MANY = 3
+"""Numbers of an effect, from which on it may sit in several places."""
 MOST_LOOKED = 6
 DRAWS = 500
 RIVALS_SHARE = 2
@@ -214,7 +216,8 @@ class Search(Promises):
         self.of_fewer_numbers(entries, grown)
 
     def exchange(self, whole: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]]) -> None:
-        """A set without each of its effects, and with another in the place of each."""
+        """A set without each of its effects, and with another in the place of each; one of MANY numbers is also begun anew beside the
+        others, for alone it took their light for its own."""
         at = self.visited[whole]
         for entry in whole.added:
             fewer = self.less(at, entry)
@@ -223,6 +226,15 @@ class Search(Promises):
                 self.shrunk(at, entry)
             if fewer in self.visited and self.clock.left(0.8):
                 self.grow(fewer, entries, grown, GROWN // 2, anew=False)
+                if fewer.added and quick and self.numbers(Hypothesis((entry,))) >= MANY:
+                    self.begun_anew(fewer, entry)
+
+    def begun_anew(self, fewer: Hypothesis, entry: str) -> None:
+        """A set from probes of one of its effects beside the others."""
+        beside = self.visited[fewer]
+        found = self.probe_all(beside, [entry])
+        if entry in found and self.affordable(entry, beside, found[entry]):
+            self.extend(beside, entry, found[entry])
 
     @property
     def ahead_of_foremost(self) -> float:

@@ -46,6 +46,8 @@ STARTS = 12
 """Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed."""
 PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
+ROOM = 2.0
+"""Standard deviations of its prior that a number of the nominal geometry is moved at most to begin a fit."""
 BEAM = 3
 """Sets of each size that grow, and modes of the noise level that the scene's own model is fitted from."""
 
@@ -260,9 +262,11 @@ class Fits:
         generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
         places = PLACES if columns and not posterior.dear else 1
         psi = effect_starts(parameters, entry, places, generator)
+        likely: Tensor | None = None
         if found is not None and len(found.psi) and columns:
-            likely = apart(self.bench, entry, found.psi[torch.argsort(found.scores, descending=True)])
-            psi[: len(likely)] = likely[:places]
+            order = torch.argsort(found.scores, descending=True)
+            likely = order[apart(self.bench, posterior, entry, found.psi[order])][:places]
+            psi[: len(likely)] = found.psi[likely]
         if found is not None and found.begin is not None:
             psi[0] = found.begin
         pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
@@ -270,11 +274,28 @@ class Fits:
             [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
+        if likely is not None and found is not None and not posterior.dear:
+            aside = self._made_room(at, found.moved[likely])
+            starts[: len(likely)] = carried(parameters, aside, at.names)
+            starts[: len(likely), columns] = psi[: len(likely)]
         new = self.refit(hypothesis, starts, at, turns=1, most=2)
         if self.counted(entry):
             new = self.from_counts(new, at)
         posterior.model.forget()
         return self.rescanned(entry, new)
+
+    def _made_room(self, at: Fitted, moved: Tensor) -> Tensor:
+        """Theta (G, P) of a fit with the nominal geometry where its linear form has it beside changes of the light (G, T): what the
+        geometry took up for want of an effect is what the effect is to explain."""
+        nominal = self.nominal_columns(at.posterior)
+        if not nominal:
+            return at.theta.repeat(len(moved), 1)
+        rows = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
+        tangent = at.tangent
+        off = torch.linalg.solve(tangent.T @ tangent, (rows @ tangent).T).T
+        g = at.g.repeat(len(moved), 1)
+        g[:, nominal] += off[:, nominal].clamp(-ROOM, ROOM)
+        return at.posterior.theta(g)
 
     def counted(self, entry: str) -> bool:
         """Whether an effect is tried from counts of turns between nights or curves, of which no probe tells."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
+from torchlc.diagnosis.mixtures import PLACES, Mixture, finer, spread_out
 from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
@@ -115,6 +117,9 @@ def probe(
     else:  # what begins at an instant is the same whenever that is
         begun = bench.base.context.seconds / 3600 > psi[:, [column]]
         moved = change(psi[:1]) * begun
+    mixture = _mixture(posterior, entry)
+    if mixture is not None and per is None and known is None:
+        psi, moved = _mixed(mixture, posterior, columns, theta, psi, change, at, seed)
     psi, moved = torch.cat([psi, sought]), torch.cat([moved, change(sought)])
     if per is not None:
         part = bench.base.row_index[per][0]
@@ -133,6 +138,42 @@ def probe(
         )
     aimed = torch.arange(len(psi)) >= len(psi) - len(sought)
     return Probe(entry, psi[usable], signatures, scores, aimed[usable], moved[usable], visible)
+
+
+def _mixed(
+    mixture: Mixture,
+    posterior: Posterior,
+    columns: Sequence[int],
+    theta: Tensor,
+    psi: Tensor,
+    change: Callable[[Tensor], Tensor],
+    at: Fitted,
+    seed: int,
+) -> tuple[Tensor, Tensor]:
+    """Values (G, k) and changes of the light (G, T) of a mixture, its sizes solved for, and more of them around the best places."""
+    where = mixture.where(len(columns))
+
+    def solved(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        values, moved = mixture.solved(values, change, lambda light: beyond(light, at), at.residual_rows)
+        _, found, usable, _ = _scored(moved, at, one_sided=True)
+        scores = moved.new_zeros(len(moved)).index_copy(0, torch.nonzero(usable)[:, 0], found)
+        return values, moved, scores
+
+    def whole(values: Tensor) -> Tensor:
+        many = theta.repeat(len(values), 1)
+        many[:, columns] = values
+        return posterior.coordinates(many)
+
+    def natural(g: Tensor) -> Tensor:
+        many = whole(psi[:1]).repeat(len(g), 1)
+        many[:, columns] = g
+        return posterior.theta(many)[:, columns]
+
+    psi, moved, scores = solved(psi)
+    if len(where) == 1 or not len(psi):
+        return psi, moved
+    more, light = finer(where, psi, scores, lambda values: whole(values)[:, columns], natural, solved, seed)
+    return torch.cat([psi, more]), torch.cat([moved, light])
 
 
 def beyond(moved: Tensor, at: Fitted) -> Tensor:
@@ -196,6 +237,9 @@ def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Ten
         return torch.stack([*sizes[:column], hours, *sizes[column + 1 :]], -1)
     dimensions = len(effect_columns(posterior.model.parameter_set, entry))
     count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
+    mixture = _mixture(posterior, entry)
+    if mixture is not None:
+        count = GRID if len(mixture.where(dimensions)) < 2 else PLACES
     if effect_class(entry).linear:
         count = min(count, LINEAR_GRID)
     return effect_starts(
@@ -277,12 +321,26 @@ def scanned_hours(bench: Workbench) -> Tensor:
     return middle
 
 
-def apart(bench: Workbench, entry: str, ranked: Tensor) -> Tensor:
-    """Probed values (G, k), best first; of an effect that was tried at every row, those that stand apart."""
-    column = scanned_column(entry)
-    if column is None or not len(ranked):
-        return ranked
-    return ranked[spaced(ranked[:, column], least_apart(bench), len(ranked))]
+def apart(bench: Workbench, posterior: Posterior, entry: str, ranked: Tensor) -> list[int]:
+    """Which of probed values (G, k), best first, to begin from: of an effect that was tried at every row, or whose light goes to one place
+    each, those that stand apart."""
+    column, mixture = scanned_column(entry), _mixture(posterior, entry)
+    if column is not None and len(ranked):
+        return spaced(ranked[:, column], least_apart(bench), len(ranked))
+    if mixture is not None and len(ranked):
+        parameters = posterior.model.parameter_set
+        columns = effect_columns(parameters, entry)
+        theta = parameters.start().repeat(len(ranked), 1)
+        theta[:, columns] = ranked
+        g = posterior.coordinates(theta)[:, columns]
+        return spread_out(g[:, mixture.where(len(columns))], len(ranked))
+    return list(range(len(ranked)))
+
+
+def _mixture(posterior: Posterior, entry: str) -> Mixture | None:
+    parameters = posterior.model.parameter_set
+    columns = effect_columns(parameters, entry)
+    return Mixture.of(entry, [parameters.free[one].origin.quantity for one in columns])
 
 
 def least_apart(bench: Workbench) -> float:

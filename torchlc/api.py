@@ -39,7 +39,8 @@ from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, fit_map
-from torchlc.inference.sampler import Posterior, sample
+from torchlc.inference.posterior_draws import Posterior
+from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind

@@ -24,7 +24,7 @@ from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
-from torchlc.inference.sampler import Posterior
+from torchlc.inference.posterior_draws import Posterior
 from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
 from torchlc.noise.error_law import MAG_PER_LN

@@ -20,10 +20,10 @@ import torch
 from astropy.table import MaskedColumn, Table
 
 from torchlc.digits import number_of
-from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import OutputDirectory, without_nan, write_whole
 from torchlc.geometry.orbit import airmass
 from torchlc.geometry.orbit.earth import after, in_scale
+from torchlc.geometry.orbit.sunlight import sunlit_fraction
 from torchlc.prediction.glints import Glint
 from torchlc.prediction.passes import AIR_KM, Orbiter, Pass, Span
 

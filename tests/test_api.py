@@ -13,10 +13,10 @@ from astropy.table import Table
 
 import torchlc
 from tests.small_case import write_case
-from torchlc.digits import number_of
+from torchlc.digits import number_of, stated
 from torchlc.errors import InputError
 from torchlc.inference.period import find_period
-from torchlc.results.fit_result import FitResult, stated
+from torchlc.results.fit_result import FitResult
 
 TRUTH = {"panel.n": 200.0, "panel.r_spec": 0.05, "panel.r_diff": 0.05}
 

@@ -45,7 +45,7 @@ from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
 from torchlc.readers import Recording, recording_of, too_few_rows
-from torchlc.readers.reader import LIMITS
+from torchlc.readers.column_limits import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene

@@ -86,7 +86,7 @@ def test_a_simulated_curve_is_a_recording(case: tuple[Path, Path], tmp_path: Pat
 
 
 def test_vectors_survive_simulation(tmp_path: Path):
-    from tests.bad_input_cases import VECTOR_RECORDING, VECTOR_SCENE
+    from tests.good_input import VECTOR_RECORDING, VECTOR_SCENE
 
     (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
     (tmp_path / "obs.csv").write_text(VECTOR_RECORDING)

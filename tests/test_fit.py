@@ -13,7 +13,7 @@ import torch
 from scipy import integrate, optimize, stats
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from torchlc.inference.ensemble import log_density
 from torchlc.inference.likelihood import Likelihood, magnitude_difference
 from torchlc.inference.optimiser import adam, fit_map

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import torchlc
-from tests.bad_input_cases import MESH_SCENE, RECORDING, SCENE
+from tests.good_input import MESH_SCENE, RECORDING, SCENE
 from tests.hostile_files import attack
 from torchlc.cli import run
 from torchlc.errors import InputError

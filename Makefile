@@ -31,7 +31,7 @@ format: .venv/develop
 	$(BIN)/ruff format .
 
 examples: .venv/develop
-	@set -e; for script in examples/*.py examples/paper; do echo "$$script" && $(BIN)/python "$$script" out; done
+	@set -e; for script in examples/*.py examples/fleets examples/paper; do echo "$$script" && $(BIN)/python "$$script" out; done
 
 verdicts: .venv/develop
 	$(BIN)/python examples/calibration/make_injections.py out/cases --seed 7 --subset

@@ -15,7 +15,7 @@ BODY, THERE = "hac_body03", ("self_shadowing", "near_field", "radiance_power", "
 """The laboratory's body, and the effects that its rendering is known to have."""
 NOT_THERE = ("finite_sun", "background", "radiance_threshold")
 """Effects that would be named for a penumbra, uniform ambient light and a threshold, none of which the laboratory's rendering has."""
-FLEETS = "`python examples/fleets.py docs/evidence {}`"
+FLEETS = "`python examples/fleets docs/evidence {}`"
 
 
 def read(path: str) -> Any:

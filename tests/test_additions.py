@@ -183,7 +183,9 @@ def test_the_listings_are_json():
 
 def test_the_pages_of_effects_are_made_from_the_class():
     """What the documentation's own builder writes of an effect that no file of it names."""
-    specification = importlib.util.spec_from_file_location("conf", ROOT / "docs" / "conf.py")
+    specification = importlib.util.spec_from_file_location(
+        "effect_library", ROOT / "docs" / "effects" / "effect_library.py"
+    )
     builder = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(builder)
     listing = {effect["name"]: effect for effect in effects_listing()}

@@ -7,7 +7,7 @@ PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
-CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf model fit output cli))
+CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf brdf_energy brdf_gradients brdf_module rough_surfaces model fit output cli))
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: demo test long lint format examples verdicts docs bench wheel minimum clean
@@ -31,7 +31,7 @@ format: .venv/develop
 	$(BIN)/ruff format .
 
 examples: .venv/develop
-	@set -e; for script in examples/*.py examples/paper; do echo "$$script" && $(BIN)/python "$$script" out; done
+	@set -e; for script in examples/*.py examples/fleets examples/paper; do echo "$$script" && $(BIN)/python "$$script" out; done
 
 verdicts: .venv/develop
 	$(BIN)/python examples/calibration/make_injections.py out/cases --seed 7 --subset

@@ -19,9 +19,11 @@ import numpy as np
 from benchmarks.cases import WALKERS, object_1
 from benchmarks.numpy_reference import Prepared
 from benchmarks.timing import Result
-from torchlc.inference import sampler as sample
+from torchlc.inference import chain, ensemble
 from torchlc.inference.exchange_move import Redraw
 from torchlc.inference.optimiser import fit_map
+from torchlc.inference.posterior_draws import Posterior
+from torchlc.inference.sampler import sample
 
 NUTS = "benchmarks.nuts"
 FLAT = 400
@@ -46,11 +48,11 @@ def posterior() -> Iterator[Result]:
     """64 walkers, to 50 autocorrelation times: the model's time, emcee's own, that of the file; then NUTS."""
     likelihood = object_1()
     fit = fit_map(likelihood)
-    density = Watch(sample.log_density(likelihood))
-    proposals, writing = Watch(Redraw.__call__), Watch(sample.write_chain)
+    density = Watch(ensemble.log_density(likelihood))
+    proposals, writing = Watch(Redraw.__call__), Watch(chain.write_chain)
     with tempfile.TemporaryDirectory() as folder, _replaced(density, proposals, writing):
         start = time.process_time()
-        found = sample.sample(fit, walkers=WALKERS, chain_file=Path(folder) / "chain.h5")
+        found = sample(fit, walkers=WALKERS, chain_file=Path(folder) / "chain.h5")
         seconds = time.process_time() - start
     own = _own(fit, found)
     run = seconds - writing.seconds
@@ -84,16 +86,16 @@ class _replaced:
 
     def __enter__(self) -> None:
         density, proposals, writing = self.parts
-        self.kept = sample.log_density, Redraw.__call__, sample.write_chain
-        sample.log_density = lambda likelihood: density
+        self.kept = ensemble.log_density, Redraw.__call__, chain.write_chain
+        ensemble.log_density = lambda likelihood: density
         Redraw.__call__ = lambda self, coords, random: proposals(self, coords, random)
-        sample.write_chain = writing
+        chain.write_chain = writing
 
     def __exit__(self, *_: object) -> None:
-        sample.log_density, Redraw.__call__, sample.write_chain = self.kept
+        ensemble.log_density, Redraw.__call__, chain.write_chain = self.kept
 
 
-def _own(fit: Any, found: sample.Posterior) -> float:
+def _own(fit: Any, found: Posterior) -> float:
     """CPU seconds that emcee takes for as many steps with a normal density of no cost, proposals apart."""
     likelihood = fit.likelihood
     parameters = likelihood.model.parameter_set
@@ -106,7 +108,7 @@ def _own(fit: Any, found: sample.Posterior) -> float:
 
     proposals = Watch(Redraw.__call__)
     kept, Redraw.__call__ = Redraw.__call__, lambda self, coords, random: proposals(self, coords, random)
-    sampler = emcee.EnsembleSampler(WALKERS, x.shape[1], flat, moves=sample.moves(fit), vectorize=True)
+    sampler = emcee.EnsembleSampler(WALKERS, x.shape[1], flat, moves=ensemble.moves(fit), vectorize=True)
     begin = emcee.State(
         x[:: max(1, len(x) // WALKERS)][:WALKERS], random_state=np.random.RandomState(0).get_state()
     )

@@ -33,10 +33,11 @@ def pages() -> list[Path]:
 
 
 def main() -> None:
-    sys.path.insert(0, str(HERE))
+    sys.path[:0] = [str(HERE), str(HERE / "effects")]
     import conf
+    from effect_library import library
 
-    conf.write_library()
+    (HERE / "effects" / "library.md").write_text(library(), encoding="utf-8")
     for page in pages():
         before = page.read_text(encoding="utf-8")
         after = filled(before, conf.myst_substitutions)

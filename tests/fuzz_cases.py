@@ -11,7 +11,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tests.bad_input_cases import (
+from tests.good_input import (
     ALTAZ_RECORDING,
     ALTAZ_SCENE,
     ECSV,

@@ -25,7 +25,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.bad_input_cases import ECSV, MESH_SCENE, RECORDING, RECORDING_CASES, SCENE, SCENE_CASES
+from tests.bad_recordings import RECORDING_CASES
+from tests.bad_scenes import SCENE_CASES
+from tests.good_input import ECSV, MESH_SCENE, RECORDING, SCENE
 from torchlc.cli import run
 
 LONGEST_S = 30.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 
 NAME = "box & wing <script>alert(1)</script> $\\frac$"
 """A hostile name: markup, a formula."""

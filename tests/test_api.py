@@ -13,10 +13,10 @@ from astropy.table import Table
 
 import torchlc
 from tests.small_case import write_case
-from torchlc.digits import number_of
+from torchlc.digits import number_of, stated
 from torchlc.errors import InputError
 from torchlc.inference.period import find_period
-from torchlc.results.fit_result import FitResult, stated
+from torchlc.results.fit_result import FitResult
 
 TRUTH = {"panel.n": 200.0, "panel.r_spec": 0.05, "panel.r_diff": 0.05}
 
@@ -86,7 +86,7 @@ def test_a_simulated_curve_is_a_recording(case: tuple[Path, Path], tmp_path: Pat
 
 
 def test_vectors_survive_simulation(tmp_path: Path):
-    from tests.bad_input_cases import VECTOR_RECORDING, VECTOR_SCENE
+    from tests.good_input import VECTOR_RECORDING, VECTOR_SCENE
 
     (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
     (tmp_path / "obs.csv").write_text(VECTOR_RECORDING)

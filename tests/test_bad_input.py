@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.bad_input_cases import (
+from tests.bad_input_cases import CASES
+from tests.good_input import (
     ALTAZ_RECORDING,
     ALTAZ_SCENE,
-    CASES,
     ECSV,
     RECORDING,
     SCENE,
     VECTOR_RECORDING,
     VECTOR_SCENE,
-    Case,
 )
+from tests.input_cases import Case
 from torchlc import effects
 from torchlc.errors import InputError
 from torchlc.readers import load_recording

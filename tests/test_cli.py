@@ -17,8 +17,9 @@ import pytest
 from astropy.table import Table
 
 import torchlc
-from tests.bad_input_cases import CASES, Case
+from tests.bad_input_cases import CASES
 from tests.command_line import TLE
+from tests.input_cases import Case
 from torchlc.cli import run
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.result import completed_scene

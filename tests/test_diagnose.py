@@ -15,7 +15,7 @@ import torch
 from scipy import special
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Battery, gate, log_tail, runs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torchlc.pairs.facet_pairs import EMPTY, _deduplicated
+from torchlc.pairs.slots import EMPTY, deduplicated
 
 
 def test_equal_pairs_of_a_row_are_one_with_their_weights_added() -> None:
@@ -17,7 +17,7 @@ def test_equal_pairs_of_a_row_are_one_with_their_weights_added() -> None:
     listed[0] = 0.5  # the first angle alone does not tell them apart
     weight = torch.rand(slots, rows, dtype=torch.float64, generator=generator)
     weight *= torch.rand(slots, rows, generator=generator) > 0.3
-    *angles, merged = _deduplicated((*(column[kinds] for column in listed), weight))
+    *angles, merged = deduplicated((*(column[kinds] for column in listed), weight))
     for row in range(rows):
         expected: dict[tuple[float, ...], float] = {}
         for slot in range(slots):

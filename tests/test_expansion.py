@@ -12,9 +12,10 @@ import torch
 from tests.effects.passes import BODY, CELLS, TUMBLING, WINGS, orbiting, rows
 from tests.test_gradients import FREE_FOIL, SIZED, check, tumbling
 from torchlc.inference.budget import Budget
+from torchlc.inference.exact_weights import reweighted
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, fit_map
-from torchlc.inference.sampler import reweighted, sample
+from torchlc.inference.sampler import sample
 from torchlc.lightcurve.evaluators.expansion import MOST_MAG, UnsuitableError
 from torchlc.lightcurve.model import LightCurve
 

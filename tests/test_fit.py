@@ -13,10 +13,11 @@ import torch
 from scipy import integrate, optimize, stats
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
+from torchlc.inference.ensemble import log_density
 from torchlc.inference.likelihood import Likelihood, magnitude_difference
-from torchlc.inference.optimiser import adam, fit_map, laplace, polish
-from torchlc.inference.sampler import log_density
+from torchlc.inference.optimiser import adam, fit_map
+from torchlc.inference.polish import laplace, polish
 from torchlc.noise.outliers import Mixture
 from torchlc.noise.red_noise import Matern32
 from torchlc.stages.noise import Noise

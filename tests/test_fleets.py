@@ -18,8 +18,9 @@ from torchlc.errors import InputError
 from torchlc.files.numbers import Free
 from torchlc.inference.density import Posterior
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.optimiser import fit_map, whitener
+from torchlc.inference.optimiser import fit_map
 from torchlc.inference.posterior import fitted_at
+from torchlc.inference.whitening import whitener
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.draw import draw
 from torchlc.noise.object_scatter import Shared

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from tests.bad_input_cases import BODY, MESH_SCENE, RECORDING, SCENE
 from tests.fuzz import in_process, whole_process
 from tests.fuzz_cases import BESIDE, QUICK, WHOLE, Case, cases
+from tests.good_input import BODY, MESH_SCENE, RECORDING, SCENE
 from torchlc.cli import run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")

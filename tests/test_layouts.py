@@ -11,7 +11,7 @@ import pytest
 from astropy.table import Table
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from torchlc.errors import InputError
 from torchlc.readers import Recording, load_recording
 from torchlc.scene import Scene, load_scene

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
-from examples import fleets
-from tests.effects.passes import BODY, MATERIALS, magnitudes, orbiting, rows
+EXAMPLES = Path(__file__).parents[1] / "examples" / "fleets"
+sys.path.insert(0, str(EXAMPLES))
+
+import modes  # noqa: E402
+import observers  # noqa: E402
+
+from tests.effects.passes import BODY, MATERIALS, magnitudes, orbiting, rows  # noqa: E402
 
 DIFFUSE = (0.15, 0.6)
 """Reflectance of the body in either mode: 0.8 mag apart, more or less with the share of the lobe."""
@@ -20,7 +27,7 @@ OBJECTS, SCATTER = 12, 0.05
 def test_the_density_of_a_mixture_of_passes_is_that_of_products_of_normal_densities():
     random = np.random.default_rng(1)
     delta, group = random.normal(size=(2, 9)), np.array([0, 0, 1, 2, 2, 2, 2, 1, 0])
-    found = fleets.log_mixture(delta, group, 0.3, (0.5, 2.0))
+    found = modes.log_mixture(delta, group, 0.3, (0.5, 2.0))
     for mode, (share, sigma) in enumerate(((0.3, 0.5), (0.7, 2.0))):
         expected = [share * norm.pdf(delta[mode, group == k], scale=sigma).prod() for k in range(3)]
         np.testing.assert_allclose(np.exp(found[mode]), expected, rtol=1e-12)
@@ -35,9 +42,9 @@ def test_the_nearest_rows_are_those_of_other_members():
     expected = []
     for row in range(80):
         others = member != member[row]
-        near = cKDTree(scaled[others]).query(scaled[row], fleets.NEIGHBOURS)[1]
+        near = cKDTree(scaled[others]).query(scaled[row], observers.NEIGHBOURS)[1]
         expected.append(bright[others][near].mean())
-    np.testing.assert_allclose(fleets.of_neighbours(columns, bright, member), expected, rtol=1e-12)
+    np.testing.assert_allclose(observers.of_neighbours(columns, bright, member), expected, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +76,7 @@ def passes():
 
 @pytest.fixture(scope="module")
 def told(passes):
-    return fleets.modes(*passes[:2], folds=2)
+    return modes.modes(*passes[:2], folds=2)
 
 
 def test_each_pass_is_told_its_mode_and_each_mode_its_surface(passes, told):

@@ -20,7 +20,7 @@ from torchlc.inference.optimiser import fit_map
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve, module_key
 from torchlc.readers import load_recording
-from torchlc.results.fit_result import variable_names
+from torchlc.results.inference_data import variable_names
 from torchlc.scene import Scene
 from torchlc.scene.writer import toml_key, toml_value
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from tests.observers_night import EXPORTS, table
 from tests.small_case import write_case
 from torchlc.campaigns.manifest import read_manifest

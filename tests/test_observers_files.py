@@ -16,7 +16,7 @@ import pandas
 import pytest
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE, STATION
+from tests.good_input import SCENE, STATION
 from tests.observers_night import AIJ, ERROR, EXPORTS, JD, MAG, holds, table
 from torchlc.errors import InputError
 from torchlc.naming import Replaced

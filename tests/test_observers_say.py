@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from tests.observers_night import ERROR, EXPORTS, JD, MAG, holds, table
 from torchlc.errors import InputError
 from torchlc.scene import Scene

@@ -10,7 +10,7 @@ import pytest
 from astropy.coordinates import get_body_barycentric
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE, VECTOR_SCENE
+from tests.good_input import SCENE, VECTOR_SCENE
 from tests.observers_night import ERROR, JD, MAG, holds
 from torchlc.errors import InputError
 from torchlc.scene import Scene

@@ -14,7 +14,7 @@ from astropy.utils import iers
 from sgp4.api import WGS72, Satrec
 
 import torchlc
-from tests.bad_input_cases import SCENE, TLE
+from tests.good_input import SCENE, TLE
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import make_track
 from torchlc.geometry.orbit.elements import ElementSet

@@ -15,7 +15,8 @@ from tests.effects.cases import seen_from, still
 from torchlc.effects import registry
 from torchlc.errors import InputError
 from torchlc.lightcurve.assembly import assemble
-from torchlc.parameters import PRIORS, Free, ParameterSet, Prior, prior_of
+from torchlc.parameters import Free, ParameterSet, Prior
+from torchlc.parameters.prior import PRIORS, prior_of
 
 BOUNDS = [(-90.0, 90.0), (-30.0, 75.0), (80.0, 90.0), (-89.0, -88.0)]
 EVERY = [

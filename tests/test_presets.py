@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.bad_input_cases import TETRAHEDRON
+from tests.good_input import TETRAHEDRON
 from torchlc.cli import run
 from torchlc.cli.scaffold import PRESETS, new_scene
 from torchlc.effects import names

@@ -13,7 +13,7 @@ from astropy.time import Time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.bad_input_cases import (
+from tests.good_input import (
     ALTAZ_RECORDING,
     ALTAZ_SCENE,
     ECSV,

@@ -13,9 +13,7 @@ from astropy.time import Time, TimeDelta
 from astropy.utils import iers
 from astropy.utils.masked import Masked
 
-from tests.bad_input_cases import (
-    RECORDING,
-)
+from tests.good_input import RECORDING
 from torchlc.errors import InputError
 from torchlc.readers import Recording, load_recording
 

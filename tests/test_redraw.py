@@ -14,10 +14,10 @@ import torch
 from scipy import stats
 
 import torchlc
+from torchlc.inference.ensemble import log_density
 from torchlc.inference.evolution_move import CarriedEvolution
 from torchlc.inference.exchange_move import CutNormal, Redraw
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.sampler import log_density
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "paper"))
 

@@ -15,7 +15,9 @@ sys.path.insert(0, str(ROOT / "examples" / "reference"))
 import body  # noqa: E402
 import bounces  # noqa: E402
 import bruteforce as reference  # noqa: E402
+import detector  # noqa: E402
 import earth  # noqa: E402
+import face_light  # noqa: E402
 import observe  # noqa: E402
 import sampling  # noqa: E402
 import sky  # noqa: E402
@@ -183,7 +185,7 @@ def light_of(
     )
     weight = np.full((1, samples), 1.0 / samples)
     poses = [None] * len(parts)
-    return reference.face_light(faces, parts, poses, one, effects, source, weight, target, q)[0]
+    return face_light.face_light(faces, parts, poses, one, effects, source, weight, target, q)[0]
 
 
 ATTITUDE = """
@@ -389,7 +391,7 @@ def test_practice_recordings_are_reproduced(case: str) -> None:
             "lat": np.rad2deg(np.arcsin(z)),
             **effects["appendage"]["material"],
         }
-    model = reference.photometry(
+    model = detector.photometry(
         reference.simulate(one, t, exptime, station, effects, samples=2048), one, effects
     )
     sigma = np.hypot(error, effects.get("jitter", {}).get("mag", 0.0))

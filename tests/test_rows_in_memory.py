@@ -12,7 +12,7 @@ import pytest
 from astropy.table import Table
 from astropy.time import Time
 
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from tests.observers_night import AIJ, ERROR, JD, MAG
 from tests.test_layouts import same
 from torchlc.errors import InputError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import torchlc
-from tests.bad_input_cases import SCENE
+from tests.good_input import SCENE
 from tests.small_case import write_case
 from torchlc.api import usable
 from torchlc.errors import InputError

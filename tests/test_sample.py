@@ -31,9 +31,11 @@ from tests.small_case import write_case
 from torchlc.cli import run
 from torchlc.errors import InputError
 from torchlc.inference.chain import read_chain
+from torchlc.inference.ensemble import moves
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import fit_map
-from torchlc.inference.sampler import Posterior, moves, sample
+from torchlc.inference.posterior_draws import Posterior
+from torchlc.inference.sampler import sample
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "examples" / "paper"))

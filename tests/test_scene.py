@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
-from tests.bad_input_cases import BODY, MESH_SCENE, SCENE, TETRAHEDRON
+from tests.good_input import BODY, MESH_SCENE, SCENE, TETRAHEDRON
 from torchlc.api import simulate
 from torchlc.errors import InputError
 from torchlc.files.numbers import CONTROLS

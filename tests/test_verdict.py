@@ -18,9 +18,9 @@ from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
-from torchlc.diagnosis.result import materials
 from torchlc.diagnosis.run import _gate
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.diagnosis.values import materials
 from torchlc.effects import effect_class
 from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished

@@ -39,12 +39,13 @@ from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, fit_map
-from torchlc.inference.sampler import Posterior, sample
+from torchlc.inference.posterior_draws import Posterior
+from torchlc.inference.sampler import sample
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
 from torchlc.readers import Recording, recording_of, too_few_rows
-from torchlc.readers.reader import LIMITS
+from torchlc.readers.column_limits import LIMITS
 from torchlc.results.fit_result import FitResult
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene, Station, load_scene

@@ -22,7 +22,8 @@ EXAMPLES = Path(__file__).parents[1]
 sys.path[:0] = [str(EXAMPLES / "reference"), str(EXAMPLES / "paper")]
 
 from body import Scene  # noqa: E402
-from bruteforce import photometry, simulate  # noqa: E402
+from bruteforce import simulate  # noqa: E402
+from detector import photometry  # noqa: E402
 from observe import errors, noise, stamps, usable, write_recording  # noqa: E402
 from setting import GAP_OBJECT_1, TABLE_3, free_materials, object_1  # noqa: E402
 

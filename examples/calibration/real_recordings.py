@@ -21,8 +21,8 @@ import numpy as np
 import torch
 
 import torchlc
-from torchlc.diagnosis.result import effect_parameters
 from torchlc.diagnosis.run import diagnose
+from torchlc.diagnosis.values import effect_parameters
 from torchlc.inference.density import Fitted
 from torchlc.terminal import quiet_libraries
 

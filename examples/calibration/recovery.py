@@ -25,7 +25,8 @@ import torch
 
 import torchlc
 from torchlc.inference.optimiser import fit_map
-from torchlc.inference.sampler import Posterior, sample
+from torchlc.inference.posterior_draws import Posterior
+from torchlc.inference.sampler import sample
 from torchlc.terminal import quiet_libraries
 
 HERE = Path(__file__).parent

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import sky
 from body import Scene
-from bruteforce import photometry, simulate
+from bruteforce import simulate
+from detector import photometry
 from observe import stamps, usable
 from scene_files import Tree, box, free_material, tight_material, tle, toml, wings
 

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import sky
-from bruteforce import Curve, photometry, scene_effects, simulate
+from bruteforce import scene_effects, simulate
 from circumstances import QUICK, Setup
+from curve import Curve
+from detector import photometry
 from observe import errors
 
 GONE_DARK = 1e6

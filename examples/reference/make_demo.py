@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from body import Scene
-from bruteforce import photometry, scene_effects, simulate
+from bruteforce import scene_effects, simulate
+from detector import photometry
 from observe import errors, noise, stamps, usable, write_recording
 
 DEMO = Path(__file__).parents[2] / "torchlc" / "demo"

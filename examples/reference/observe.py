@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bruteforce import Curve, Effects
+from curve import Curve, Effects
 from sky import Array, Mask, iso, seconds
 
 HEADER = """# %ECSV 1.0

@@ -19,7 +19,7 @@ import torch
 import torchlc
 from torchlc.api import usable
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.optimiser import polish
+from torchlc.inference.polish import polish
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording

@@ -14,8 +14,8 @@ from tests.effects.cases import AU_KM, unit
 from tests.effects.passes import LOW_PASS, TUMBLING, orbiting, rows
 from tests.paper_orbits import LOW, ORBIT_1, ORBIT_2, recording, tle_scene
 from torchlc.api import simulate
-from torchlc.effects.earth_shadow import softened_fraction, sunlit_fraction, wright_omega
 from torchlc.geometry.orbit import make_track
+from torchlc.geometry.orbit.sunlight import softened_fraction, sunlit_fraction, wright_omega
 from torchlc.lightcurve.model import LightCurve
 
 FREE = """

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchlc.campaigns.manifest import Job
+from torchlc.digits import stated
 from torchlc.errors import BusyError, InputError, TorchlcError
 from torchlc.files.reading import changed, readable_file, sha256_of
 from torchlc.files.writing import OutputDirectory, read_manifest
@@ -150,8 +151,6 @@ def _outcome(
 
 def _fitted(content: Mapping[str, Any]) -> dict[str, Any]:
     """What the summary keeps of fit.json."""
-    from torchlc.results.fit_result import stated
-
     parameters = content["parameters"]
     informed = [f"{name} = {stated(row)}" for name, row in parameters.items() if row["informed"]]
     more = [f"and {len(informed) - MOST_TOLD} more"] if len(informed) > MOST_TOLD else []

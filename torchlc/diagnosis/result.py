@@ -17,10 +17,12 @@ from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.counts import Counted
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.gate import Gate
-from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, effect_columns
+from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.plan import Option
 from torchlc.diagnosis.probabilities import TOLD, Probabilities
 from torchlc.diagnosis.proof import Unseen, difference
+from torchlc.diagnosis.tried import candidates, sets
+from torchlc.diagnosis.values import effect_parameters, materials
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.effects import with_title
@@ -33,7 +35,6 @@ from torchlc.scene import Scene
 from torchlc.stages.effect import Effect
 from torchlc.stages.entry import Entry
 from torchlc.stages.light import View
-from torchlc.tensors.moving import on_cpu
 
 if TYPE_CHECKING:
     import pandas
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from torchlc.figures.curves import Comparison
 
 SCHEMA = "torchlc-diagnosis/2"
-DRAWS = 4000
-MOST_SETS = 12
 CURVE_POINTS = 64
 
 
@@ -299,57 +298,8 @@ class Diagnosis:
         }
 
     def candidates(self) -> list[dict[str, Any]]:
-        """Every effect tried, best first: refitted ones by evidence, kinds of noise among them, the rest by score.
-
-        Gains are over the scene's own model with the errors as quoted.
-        """
-        search, rows = self.search, []
-        plain = search.visited[Hypothesis()].log_z
-
-        def best(added: tuple[str, ...]) -> Fitted | None:
-            chosen = [one for one in search.visited if one.plain == added and (one.noise or not one.added)]
-            chosen += [one for one in search.visited if one.plain == added and not one.noise and one.added]
-            return search.visited[search.ranked(chosen)[0]] if chosen else None
-
-        for entry, found in search.probes.items():
-            at = best((entry,))
-            rows.append(
-                {
-                    **_names(entry if at is None else at.hypothesis.added[0]),
-                    "score": found.score,
-                    "p": self.gate.marginal.get(f"signature {entry}"),
-                    "probability": self.odds.effects.get(Entry.parse(entry).name, 0.0),
-                    "delta_log_evidence": None if at is None else at.log_z - plain,
-                    "heldout_delta_log_likelihood": self._foreseen(at),
-                    "parameters": {} if at is None else effect_parameters(at, entry, self.turns(at)),
-                    "chi2_after": None if at is None else at.chi2,
-                }
-            )
-        for hypothesis in search.visited:
-            if (
-                hypothesis.added
-                or hypothesis.law
-                or len(hypothesis.noise) != 1
-                or hypothesis.noise == (SCALE,)
-            ):
-                continue
-            at = search.visited[hypothesis]
-            rows.append(
-                {
-                    **_names(hypothesis.noise[0]),
-                    "score": None,
-                    "p": None,
-                    "probability": self.odds.kinds.get(hypothesis.noise[0], 0.0),
-                    "delta_log_evidence": at.log_z - plain,
-                    "heldout_delta_log_likelihood": self._foreseen(at),
-                    "parameters": {},
-                    "chi2_after": at.chi2,
-                }
-            )
-        untried = [row for row in rows if row["delta_log_evidence"] is None]
-        tried = [row for row in rows if row["delta_log_evidence"] is not None]
-        tried.sort(key=lambda row: -row["delta_log_evidence"])
-        return [*tried, *sorted(untried, key=lambda row: -row["score"])]
+        """Every effect tried, best first: refitted ones by evidence, kinds of noise among them, the rest by score."""
+        return candidates(self.search, self.odds, self.gate, self._foreseen, self.turns)
 
     def _foreseen(self, at: Fitted | None) -> float | None:
         """What a model gains over the scene's own, errors as quoted, in log density of unseen rows, where it was asked."""
@@ -361,28 +311,8 @@ class Diagnosis:
         return self.proof[name].total - self.proof["as quoted"].total
 
     def sets(self) -> list[dict[str, Any]]:
-        """The sets beside the final one, best first, with the odds against each; of sets of the same names the best."""
-        known = {frozenset(self.final.hypothesis.names)}
-        rows = []
-        for one in self.search.ranked():
-            members = frozenset(one.names)
-            if members in known or len(one.added) < 2:
-                continue
-            known.add(members)
-            at = self.search.visited[one]
-            behind = self.search.log_odds(self.final.hypothesis) - self.search.log_odds(one)
-            rows.append(
-                {
-                    "effects": list(one.plain),
-                    "delta_log_evidence": at.log_z - self.final.log_z,
-                    "heldout_delta_log_likelihood": None,
-                    "chi2_after": at.chi2,
-                    "why_not": f"odds of {math.exp(min(behind, 30.0)):.2g} to 1 against it"
-                    if behind > 0
-                    else "no more probable than the answer, noise and targets taken together",
-                }
-            )
-        return rows[:MOST_SETS]
+        """The sets beside the final one, best first, with the odds against each."""
+        return sets(self.search, self.final)
 
     def improvement(self) -> dict[str, Any]:
         before, after = self.baseline, self.final
@@ -487,50 +417,6 @@ def completed_scene(scene: Scene, effects: Sequence[Effect]) -> Scene:
         "parameters": scene.model.parameters | divided,
     }
     return scene.model_copy(update={"model": scene.model.model_copy(update=update)})
-
-
-def _names(entry: str) -> dict[str, str | None]:
-    parsed = Entry.parse(entry)
-    return {"effect": parsed.name, "target": parsed.target, "per": parsed.per}
-
-
-@on_cpu
-def materials(fits: Sequence[tuple[Fitted, float]]) -> dict[str, dict[str, float]]:
-    """Median, sd and 90 % interval of every free material parameter of the first of some fits, over the draws of the evidence of all,
-    as many of each as its probability says."""
-    first = fits[0][0].model.parameter_set
-    names = [free.name for free in first.free if free.origin.role == "materials"]
-    total = sum(p for _, p in fits)
-    drawn = []
-    for at, p in fits:
-        count = round(DRAWS * p / total)
-        columns = [at.names.index(name) for name in names if name in at.names]
-        if count and len(columns) == len(names):
-            drawn.append(at.draws(count)[:, columns])
-    found = {}
-    for name, column in zip(names, torch.cat(drawn).T, strict=True):
-        q05, q50, q95 = torch.quantile(column, torch.tensor([0.05, 0.5, 0.95], dtype=column.dtype)).tolist()
-        found[name] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
-    return found
-
-
-def effect_parameters(at: Fitted, entry: str, turns: Counted) -> dict[str, dict[str, Any]]:
-    """Value, sd and unit of the parameters of one effect entry; the sd is over all counts of ``turns`` that fit."""
-    parameters = at.model.parameter_set
-    columns = effect_columns(parameters, entry)
-    if not columns:
-        return {}
-    sd = at.draws(DRAWS)[:, columns].std(0)
-    return {
-        parameters.free[column].origin.short: {
-            "median": float(at.theta[column]),
-            "sd": math.hypot(
-                float(sd[place]), turns.spread(parameters.names[column], float(at.theta[column]))
-            ),
-            "unit": parameters.free[column].unit,
-        }
-        for place, column in enumerate(columns)
-    }
 
 
 def _rms(value: Tensor) -> float:

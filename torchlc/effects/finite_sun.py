@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 
 from torchlc.effects.sun_distance import AU_KM
+from torchlc.geometry.orbit.shadow import SUN_RADIUS_KM
+from torchlc.geometry.orbit.sunlight import LIMB_DARKENING
 from torchlc.stages.effect import Context, Effect
 from torchlc.stages.light import Disc
 from torchlc.stages.showing import MIRROR, PANEL_GLINT, Shown
-
-SUN_RADIUS_KM = 695_700.0
-LIMB_DARKENING = 0.6
-
 
 RULES: dict[tuple[int, ...], float] = {
     (5,): 0.7,

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchlc.brdf.base import Brdf, Incidence
 from torchlc.pairs.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
 from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
-from torchlc.pairs.facet_pairs import joined, slotted
+from torchlc.pairs.slots import joined, slotted
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Context, Effect, Scatter
 from torchlc.stages.light import Surface, View

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import stat
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 BACKEND_NAME = "mcmc"
 ORIGIN, SEAL, BLOCKS = "torchlc_origin", "torchlc_seal", "torchlc_blocks"
 """Attributes with what decides the chain (JSON) and the hash of all but the steps; dataset with the steps' hashes."""
+WRITE_EVERY_S = 30.0
 BLOCK_STEPS = 100
 """Steps hashed together: 150 kB of a chain of 32 walkers over 6 parameters."""
 STATE_PARTS = 5
@@ -268,3 +270,44 @@ def _parts(value: Any) -> list[bytes]:
 
 def _hash_of_json(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+class ChainFile:
+    """Where a chain is put on disk, whole, each time it has grown by a quarter or WRITE_EVERY_S have passed, and at its end."""
+
+    def __init__(self, path: Path, origin: Mapping[str, Any], write: Write) -> None:
+        self.path, self.origin, self.write = path, origin, write
+        self._length, self._clock = 0, time.monotonic()
+
+    def resumed(self, sampler: emcee.EnsembleSampler) -> emcee.State | None:
+        """The last state of the chain on disk, with which the sampler's backend is filled; None if there is none."""
+        stored = read_chain(self.path)
+        if stored is None:
+            return None
+        check_origin(self.path, stored, self.origin)
+        backend = sampler.backend
+        backend.reset(*stored.steps.shape[1:])
+        backend.grow(len(stored.steps), None)
+        backend.chain[:] = stored.steps
+        backend.log_prob[:] = stored.log_prob
+        backend.accepted[:] = stored.accepted
+        backend.iteration = len(stored.steps)
+        backend.random_state = stored.random_state
+        last: Any = backend.get_last_sample()
+        if not np.allclose(sampler.log_prob_fn(last.coords), last.log_prob, rtol=1e-6, atol=1e-6):
+            raise InputError(
+                self.path,
+                None,
+                "densities that this version of torchlc does not give for its last step",
+                "the chain of this version",
+                ANEW,
+            )
+        self._length = backend.iteration
+        return last
+
+    def keep(self, chain: emcee.backends.Backend, *, finished: bool) -> None:
+        """Write the chain if it is due."""
+        grown = chain.iteration >= self._length + max(200, self._length // 4)
+        if grown or finished or time.monotonic() > self._clock + WRITE_EVERY_S:
+            write_chain(self.path, chain, self.origin, self.write)
+            self._length, self._clock = chain.iteration, time.monotonic()

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchlc.inference.evidence import TAILS, Evidence, StudentMixture
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.normal_scores import FARTHEST, NormalScores
-from torchlc.inference.optimiser import noise_columns, whitener
+from torchlc.inference.whitening import noise_columns, whitener
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals
 from torchlc.stages.noise import Law, Normal

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from torchlc.inference.likelihood import Likelihood
-from torchlc.inference.optimiser import noise_columns
 from torchlc.inference.reflectances import about, linear_columns, linear_light
+from torchlc.inference.whitening import noise_columns
 from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.tensors.normal_tail import hazard, log_ndtr
 

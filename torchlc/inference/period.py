@@ -10,25 +10,22 @@ like sides shows two maxima a turn: its period is twice what the periodogram pre
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from torchlc.digits import number_of
 from torchlc.errors import InputError
-from torchlc.noise.error_law import MAG_PER_LN
+from torchlc.inference.periodogram import Alias, Candidate, Periodogram, spoken
+from torchlc.inference.slow_changes import MIN_ROWS, Detrended
 from torchlc.readers import Recording
 
 if TYPE_CHECKING:
-    from astropy.table import Table
     from astropy.timeseries import LombScargle
-    from matplotlib.axes import Axes
 
-SCHEMA = "torchlc-period/1"
 OVERSAMPLING = 4
 MOST_FREQUENCIES = 2_000_000
 FEW_FREQUENCIES, BLOCK = 2000, 100_000
@@ -50,9 +47,6 @@ DAILY = (
     (-2, "two turns a day fewer"),
 )
 DAY_S = 86400.0
-MIN_ROWS = 8
-LOWEST_DEG = 3.0
-"""Elevation below which the airmass counts as that there: 1/sin grows without end."""
 EQUAL = 0.8
 """Share of a peak's power from which a frequency beyond Nyquist is listed: uneven steps tell it apart below."""
 SAME = 0.01
@@ -60,130 +54,6 @@ SAME = 0.01
 of the higher.
 """
 MOST_COUNTS = 3
-
-
-@dataclass(frozen=True)
-class Alias:
-    """Another period that explains the recording about as well: ``power`` there, and how the two are
-    related.
-    """
-
-    period_s: float
-    power: float
-    relation: str
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A peak of the periodogram: the period with its formal error, s; ``power`` the share of the variance
-    that a sinusoid explains; the false-alarm probability of the highest peak of noise; half of the range of
-    the sinusoid; ``sidereal_within_s`` bounds how far the sidereal period is from this synodic one if the light repeats once a turn
-    (m times that for m like sides), None where the recording has no vectors.
-    """
-
-    period_s: float
-    period_sd_s: float
-    power: float
-    false_alarm_probability: float
-    amplitude: float
-    aliases: Sequence[Alias] = field(default_factory=tuple)
-    sidereal_within_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Periodogram:
-    """The search: candidates best first, with the range of periods (s) that was looked at; ``sampling_s`` is the median
-    step between rows, ``trend_per_hour`` the slope in time that was taken off, by curve, in ``unit``."""
-
-    candidates: Sequence[Candidate]
-    rows: int
-    span_s: float
-    searched_s: tuple[float, float]
-    unit: str
-    warnings: Sequence[str]
-    sampling_s: float = math.nan
-    trend_per_hour: Mapping[str, float] = field(default_factory=dict)
-    measured: str = "synodic"
-
-    def to_table(self) -> Table:
-        """One row a candidate, best first: period_s, period_sd_s, power, false_alarm_probability, amplitude."""
-        from astropy.table import Table
-
-        names = ("period_s", "period_sd_s", "power", "false_alarm_probability", "amplitude")
-        return Table({name: [getattr(one, name) for one in self.candidates] for name in names})
-
-    def plot(self, recording: Recording, axes: Axes | None = None) -> Axes:
-        """``recording`` folded with the best period, brighter up."""
-        if axes is None:
-            import matplotlib.pyplot as plt
-
-            axes = plt.subplots()[1]
-        best = self.candidates[0].period_s
-        phase, values = phase_curve(recording, best)
-        axes.plot(phase, values, ".")
-        axes.set(xlabel=f"phase of {spoken(best)}", ylabel="mag about the mean of its curve")
-        axes.invert_yaxis()
-        return axes
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
-
-    def to_json(self) -> dict[str, Any]:
-        from torchlc.files.writing import without_nan
-
-        told = [vars(one) | {"aliases": [vars(alias) for alias in one.aliases]} for one in self.candidates]
-        return without_nan(
-            {
-                "schema": SCHEMA,
-                "rows": self.rows,
-                "span_s": self.span_s,
-                "searched_s": list(self.searched_s),
-                "amplitude_unit": self.unit,
-                "measured": self.measured,
-                "sampling_s": self.sampling_s,
-                "trend_per_hour": dict(self.trend_per_hour),
-                "candidates": told,
-                "notes": self.notes(),
-                "warnings": list(self.warnings),
-            }
-        )
-
-    def __repr__(self) -> str:
-        low, high = (spoken(seconds) for seconds in self.searched_s)
-        lines = [
-            f"Periodogram: {number_of(self.rows, 'row')} over {spoken(self.span_s)}, periods from {low} to {high}"
-        ]
-        for one in self.candidates:
-            size = f"amplitude {one.amplitude:.3g} {self.unit}".rstrip()
-            lines.append(
-                f"  {spoken(one.period_s)} ({one.period_s:.6g} ± {one.period_sd_s:.2g} s): {size}, "
-                f"power {one.power:.3f}, false alarm {one.false_alarm_probability:.1g}"
-            )
-            lines += [
-                f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases
-            ]
-        return "\n".join(
-            [*lines, *(f"  {text}" for text in self.notes()), *(f"  ! {text}" for text in self.warnings)]
-        )
-
-    def notes(self) -> list[str]:
-        """What was measured, and what was taken off before."""
-        known = [one.sidereal_within_s for one in self.candidates[:1] if one.sidereal_within_s is not None]
-        told = [
-            "periods are synodic, as the light shows them; the sidereal period of the first differs by at most "
-            f"{known[0]:.2g} s if it is a whole turn (the bisector of Sun and observer turned; m times that for m like sides)"
-            if known
-            else "periods are synodic, as the light shows them; without vectors of Sun and observer in the recording the "
-            "difference to the sidereal period is not known"
-        ]
-        if self.candidates:
-            period = self.candidates[0].period_s
-            told.append(
-                f"light alone does not tell a period from a part of a turn: a body with two like sides turns once in {spoken(2 * period)}, "
-                "not in half of that"
-            )
-        slopes = [f"{slope:+.3g} {self.unit}/h ({curve})" for curve, slope in self.trend_per_hour.items()]
-        return [*told, f"taken off before: a trend of {', '.join(slopes[:4])}"]
 
 
 def find_period(
@@ -208,7 +78,7 @@ def find_period(
     if span <= 0:
         raise InputError(recording.source, "column time", "all rows at one time", "a stretch of time")
     low, high, warnings = _search_range(recording, seconds, span, shortest_s, longest_s)
-    about = _Detrended(recording, rows)
+    about = Detrended(recording, rows)
     search, unit = about.search(None), about.unit
     highest = low + MOST_FREQUENCIES / (OVERSAMPLING * span)
     if high > highest:
@@ -297,14 +167,6 @@ def _bisector_turns(recording: Recording, rows: np.ndarray) -> float | None:
     return float((2 * np.arcsin(np.minimum(apart / 2, 1.0))).sum()) / (2 * math.pi)
 
 
-def spoken(seconds: float) -> str:
-    """A length of time in the unit a person would take."""
-    for name, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.6g} {name}"
-    return f"{seconds:.6g} s"
-
-
 def _search_range(
     recording: Recording, seconds: np.ndarray, span: float, shortest: float | None, longest: float | None
 ) -> tuple[float, float, list[str]]:
@@ -328,81 +190,6 @@ def _search_range(
     if recording.exptime is not None and (smeared := float(np.median(recording.exptime))) > 0.5 / high:
         warnings.append(f"exposures of {smeared:.3g} s wash out periods below about {spoken(2 * smeared)}")
     return low, high, warnings
-
-
-class _Detrended:
-    """Rows of a recording as magnitudes, or flux over its curve's mean, about what changes slowly.
-
-    ``trend_per_hour`` holds the slopes in time, by curve.
-    """
-
-    def __init__(self, recording: Recording, rows: np.ndarray) -> None:
-        self.unit = "mag" if recording.kind == "mag" else ""
-        self.seconds = recording.seconds[rows]
-        self.values = recording.observed[rows].copy()
-        self.error = None if recording.error is None else recording.error[rows].copy()
-        self.curve, self.ids = recording.curve[rows], recording.curve_ids
-        self.trend_per_hour: dict[str, float] = {}
-        distance = _distances(recording, rows)
-        for one in np.unique(self.curve):
-            here = self.curve == one
-            if recording.kind == "flux":
-                self.values[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2)
-                scale = abs(float(self.values[here].mean())) or 1.0
-                self.values[here] = self.values[here] / scale - 1.0
-                if self.error is not None:
-                    self.error[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2) / scale
-            else:
-                self.values[here] -= 5 * np.log10(distance[here] / distance[here].mean())
-                self.values[here] -= self.values[here].mean()
-        self.slow = _slow_columns(recording, rows)
-
-    def search(self, frequency: float | None) -> LombScargle:
-        """The periodogram about the trend, which is fitted beside two harmonics of ``frequency`` if that is given."""
-        from astropy.timeseries import LombScargle
-
-        slow = self.slow
-        design = slow
-        if frequency is not None:
-            angle = 2 * np.pi * frequency * self.seconds[:, None] * np.array([1.0, 2.0])
-            design = np.concatenate([slow, np.cos(angle), np.sin(angle)], axis=1)
-        weight = np.ones(len(self.values)) if self.error is None else 1 / self.error
-        size = np.linalg.norm(design * weight[:, None], axis=0)
-        size[size == 0] = 1.0
-        found = np.linalg.lstsq(design * weight[:, None] / size, self.values * weight, rcond=1e-9)[0] / size
-        trend = slow @ found[: slow.shape[1]]
-        for number in np.unique(self.curve):
-            here = self.curve == number
-            hours = self.seconds[here] / 3600
-            slope = np.polyfit(hours, trend[here], 1)[0] if np.ptp(hours) > 0 else 0.0
-            self.trend_per_hour[self.ids[number]] = float(slope)
-        return LombScargle(self.seconds, self.values - trend, self.error)
-
-
-def _distances(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """What brightness falls with the square of, (N,): range times the Sun's distance where they are known, else 1."""
-    known = [one[rows] for one in (recording.sun, recording.obs) if one is not None]
-    return np.prod([np.linalg.norm(one, axis=1) for one in known], axis=0) if known else np.ones(len(rows))
-
-
-def _slow_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Design (N, K) of what changes slowly: an offset and a slope in time for each curve of at least MIN_ROWS rows, phase
-    angle and airmass for all."""
-    curve, hours = recording.curve[rows], recording.seconds[rows] / 3600
-    columns = []
-    for one in np.unique(curve):
-        here = (curve == one).astype(float)
-        columns.append(here)
-        if here.sum() >= MIN_ROWS:
-            columns.append(here * (hours - hours[here > 0].mean()))
-    if recording.sun is not None and recording.obs is not None:
-        units = [
-            one[rows] / np.linalg.norm(one[rows], axis=1)[:, None] for one in (recording.sun, recording.obs)
-        ]
-        columns.append(np.arccos(np.clip((units[0] * units[1]).sum(1), -1, 1)))
-    if recording.alt is not None:
-        columns.append(1 / np.sin(np.radians(np.maximum(recording.alt[rows], LOWEST_DEG))))
-    return np.stack(columns, axis=1)
 
 
 def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span: float) -> list[list[float]]:
@@ -483,14 +270,3 @@ def _candidate(
         aliases=[Alias(1 / other, one, text) for (text, other), one in zip(kept, powers, strict=True)],
     )
     return made, [other for _, other in kept]
-
-
-def phase_curve(recording: Recording, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Phase in [0, 1) and the values about each curve's mean, (T,) each, sorted by phase."""
-    search = _Detrended(recording, np.arange(len(recording))).search(1 / period_s)
-    phase = (recording.seconds / period_s) % 1.0
-    order = np.argsort(phase)
-    values = np.asarray(search.y)
-    return phase[order], (
-        values if recording.kind == "mag" else -MAG_PER_LN * np.log1p(np.maximum(values, -0.99))
-    )[order]

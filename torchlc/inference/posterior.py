@@ -26,10 +26,10 @@ from torchlc.inference.density import (
 )
 from torchlc.inference.evidence import StudentMixture, importance
 from torchlc.inference.normal_scores import FARTHEST
-from torchlc.inference.optimiser import second_differences
 from torchlc.inference.reflectances import linear_columns
 from torchlc.inference.starts import regressed
 from torchlc.noise import Noise, Residuals
+from torchlc.tensors.differences import second_differences
 from torchlc.tensors.least_squares import Colours, differences, minimise
 
 LEAST_PRECISION = 0.3

@@ -14,7 +14,8 @@ from torchlc.brdf.base import Brdf
 from torchlc.errors import InputError
 from torchlc.lightcurve.given import cut, from_population, given_number
 from torchlc.naming import Origin
-from torchlc.parameters import Free, ParameterSet, Prior, Quantity, prior_of
+from torchlc.parameters import Free, ParameterSet, Prior, Quantity
+from torchlc.parameters.prior import prior_of
 from torchlc.scene import Free as SceneFree
 from torchlc.scene import Number, Scene
 from torchlc.stages.effect import Effect

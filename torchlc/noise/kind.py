@@ -15,7 +15,8 @@ from typing import ClassVar
 import torch
 
 from torchlc.noise.correlated import too_many, why_not_beside
-from torchlc.parameters import Quantity, prior_of
+from torchlc.parameters import Quantity
+from torchlc.parameters.prior import prior_of
 from torchlc.stages.effect import Context, Effect
 
 Values = Mapping[str, float]

@@ -20,7 +20,7 @@ from torchlc.occlusion.batched_rows import picked, rowwise
 from torchlc.occlusion.lines import blocked, planes
 from torchlc.occlusion.outline import Joints, cuts, outline
 from torchlc.occlusion.polygon_union import covered_area
-from torchlc.pairs.facet_pairs import ANGLES, EMPTY
+from torchlc.pairs.slots import ANGLES, EMPTY
 from torchlc.shapes import Part, tracking_pose
 from torchlc.shapes.part import like
 from torchlc.shapes.plate import Plate

@@ -15,7 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.pairs.facet_pairs import EMPTY, cover_of, packed, tabulated
+from torchlc.pairs.facet_pairs import packed, tabulated
+from torchlc.pairs.planes import cover_of
+from torchlc.pairs.slots import EMPTY
 from torchlc.shapes.curved import Plane
 from torchlc.stages.instants import Columns
 from torchlc.stages.light import Patch, Surface, View

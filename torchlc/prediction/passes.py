@@ -6,6 +6,7 @@ the grid, S stations, R rows of one pass.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ from torchlc.geometry.orbit.earth import (
     station_itrs,
     sun_of_earth,
 )
+from torchlc.geometry.orbit.elements import along_track_error_deg
 from torchlc.scene import Station
 
 COARSE_S = 30.0
@@ -360,3 +362,12 @@ def no_station(source: Any) -> InputError:
     return InputError(
         source, "stations", "none", "the place of the observer", "Give --station ID,LAT,LON,HEIGHT."
     )
+
+
+def along_track_sd_s(orbiter: Orbiter) -> float:
+    """How far ahead or behind on its way an object may be, s: the geometric mean of the likely least and largest error
+    of elements of this age; 0 for an ephemeris."""
+    if orbiter.age_days is None:
+        return 0.0
+    low, high = along_track_error_deg(orbiter.age_days)
+    return math.radians(math.sqrt(low * high)) / orbiter.places.mean_motion

@@ -5,27 +5,27 @@ Letters: R rows of a pass, Q quantiles of :data:`~torchlc.prediction.brightness.
 
 from __future__ import annotations
 
-import hashlib
 import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from astropy.table import MaskedColumn, Table
+from astropy.table import Table
 
 from torchlc.digits import number_of
-from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import OutputDirectory, without_nan, write_whole
 from torchlc.geometry.orbit import airmass
 from torchlc.geometry.orbit.earth import after, in_scale
+from torchlc.geometry.orbit.sunlight import sunlit_fraction
+from torchlc.prediction.calendar import Event, calendar
+from torchlc.prediction.ecsv import masked_column, write_table
 from torchlc.prediction.glints import Glint
-from torchlc.prediction.passes import AIR_KM, Orbiter, Pass, Span
+from torchlc.prediction.passes import AIR_KM, Orbiter, Pass, Span, along_track_sd_s
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,6 @@ SCHEMA = "torchlc-prediction/1"
 QUANTILES = ("mag_q025", "mag_q16", "mag", "mag_q84", "mag_q975")
 """Columns of the 95 % interval, the 68 % interval and the median; small magnitudes are bright."""
 MOST_PANELS = 12
-DIGITS = ".7g"
 PREDICTION_FILES = ("prediction.json", "prediction.ecsv", "passes.ecsv", "passes.ics", "passes.png")
 
 
@@ -148,8 +147,8 @@ class Prediction:
         light["extinction_mag"] = self.extinction * air
         light["apparent_mag"] = mag[2] + self.extinction * air
         units = {"elevation_deg": "deg", "azimuth_deg": "deg", "range_km": "km", "phase_angle_deg": "deg"}
-        columns |= {key: _column(values, units.get(key)) for key, values in geometry.items()}
-        columns |= {key: _column(values, "mag") for key, values in light.items()}
+        columns |= {key: masked_column(values, units.get(key)) for key, values in geometry.items()}
+        columns |= {key: masked_column(values, "mag") for key, values in light.items()}
         return Table(columns, meta={**self._told(), "time_scale": "utc"})
 
     def _eclipse(self, paths: Sequence[Pass], index: np.ndarray) -> np.ndarray:
@@ -172,7 +171,7 @@ class Prediction:
         columns |= {key: np.array([one[key] or "" for one in told], dtype=str) for key in texts}
         for key, unit in units.items():
             values = np.array([math.nan if one[key] is None else one[key] for one in told], dtype=float)
-            columns[key] = _column(values, unit)
+            columns[key] = masked_column(values, unit)
         for word in ("events", "glints"):
             columns[word] = np.array([self._sentence(one, word) for one in self.passes], dtype=str)
         return Table(columns, meta=self._told())
@@ -293,20 +292,11 @@ class Prediction:
 
     def to_ics(self) -> str:
         """The passes that can be seen as a calendar (RFC 5545), an event each."""
-        lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//torchlc//prediction//EN", "CALSCALE:GREGORIAN"]
-        for one in self.passes:
-            if one.visible:
-                lines += self._event(one)
-        lines.append("END:VCALENDAR")
-        return "".join(f"{part}\r\n" for line in lines for part in _folded(line))
+        return calendar(self._event(one) for one in self.passes if one.visible)
 
-    def _event(self, one: PredictedPass) -> list[str]:
+    def _event(self, one: PredictedPass) -> Event:
         path = one.path
         name, station = self._name(one), self._station(one)
-        begin, end = (_stamp(str(self.iso(at))) for at in (path.begin, path.end))
-        key = hashlib.sha256(
-            f"{name} {self.orbiters[path.orbiter].number} {station} {begin}".encode()
-        ).hexdigest()
         bright, faint = one.brightest[0], one.brightest[-1]
         told = [
             f"Brightest {one.brightest[2]:.1f} mag ({_mag(bright)} to {_mag(faint)} at 95 %)",
@@ -316,17 +306,16 @@ class Prediction:
             *(f"Glint: {self._glint_words(glint)}" for glint in one.glints),
             f"Times within {along_track_sd_s(self.orbiters[path.orbiter]):.0f} s",
         ]
-        return [
-            "BEGIN:VEVENT",
-            f"UID:{key[:32]}@torchlc",
-            f"DTSTAMP:{_stamp(str(self.iso(0.0)))}",
-            f"DTSTART:{begin}",
-            f"DTEND:{end}",
-            f"SUMMARY:{_escaped(f'{name}, {one.brightest[2]:.1f} mag')}",
-            f"LOCATION:{_escaped(station)}",
-            f"DESCRIPTION:{_escaped(chr(10).join(told))}",
-            "END:VEVENT",
-        ]
+        return Event(
+            name=name,
+            number=self.orbiters[path.orbiter].number,
+            place=station,
+            made=str(self.iso(0.0)),
+            begin=str(self.iso(path.begin)),
+            end=str(self.iso(path.end)),
+            summary=f"{name}, {one.brightest[2]:.1f} mag",
+            lines=told,
+        )
 
     # ------------------------------------------------------------------ pictures and files
 
@@ -362,8 +351,8 @@ class Prediction:
         """Every file of a prediction, the figure last; no figure where nothing is to be seen."""
         directory.clear(PREDICTION_FILES)
         directory.write_json("prediction.json", self.to_json())
-        directory.write("prediction.ecsv", lambda path: _write(self.to_table(), path))
-        directory.write("passes.ecsv", lambda path: _write(self.passes_table(), path))
+        directory.write("prediction.ecsv", lambda path: write_table(self.to_table(), path))
+        directory.write("passes.ecsv", lambda path: write_table(self.passes_table(), path))
         directory.write_bytes("passes.ics", self.to_ics().encode())
         panels = self.panels()
         if panels:
@@ -425,73 +414,5 @@ class Prediction:
         return f"<pre>{html.escape(repr(self))}</pre>"
 
 
-def along_track_sd_s(orbiter: Orbiter) -> float:
-    """How far ahead or behind on its way an object may be, s: the geometric mean of the likely least and largest error
-    of elements of this age; 0 for an ephemeris."""
-    if orbiter.age_days is None:
-        return 0.0
-    from torchlc.geometry.orbit.elements import along_track_error_deg
-
-    low, high = along_track_error_deg(orbiter.age_days)
-    return math.radians(math.sqrt(low * high)) / orbiter.places.mean_motion
-
-
-def _column(values: np.ndarray, unit: str | None) -> Any:
-    """A column whose unknown cells are masked."""
-    hidden = ~np.isfinite(values)
-    column: Any = MaskedColumn(np.where(hidden, 0.0, values), mask=hidden, unit=unit, format=DIGITS)
-    return column
-
-
-def _write(table: Table, path: Path) -> None:
-    """The table as ECSV. Astropy writes the head; its body, cell by cell through masked arrays, takes 30 s of CPU time for the
-    rows of 1,000 objects, and this one 2 s.
-    """
-    head, empty = StringIO(), cast(Table, table[:0])
-    empty.write(head, format="ascii.ecsv")
-    cells = []
-    for name in table.colnames:
-        column: Any = table[name]
-        hidden = (
-            np.ma.getmaskarray(column) if isinstance(column, MaskedColumn) else np.zeros(len(column), bool)
-        )
-        values = np.asarray(column).tolist()
-        write = _quoted if isinstance(values[0] if values else "", str) else f"{{:{DIGITS}}}".format
-        cells.append(
-            ['""' if unknown else write(value) for value, unknown in zip(values, hidden, strict=True)]
-        )
-    with path.open("w", encoding="utf-8") as stream:
-        stream.write(head.getvalue())
-        stream.writelines(f"{' '.join(row)}\n" for row in zip(*cells, strict=True))
-
-
-def _quoted(text: str) -> str:
-    """A cell of a table whose columns are parted by blanks."""
-    plain = bool(text) and not any(letter.isspace() or letter in '"#' for letter in text)
-    return text if plain else '"' + text.replace('"', '""') + '"'
-
-
 def _mag(value: float) -> str:
     return f"{value:.1f}" if math.isfinite(value) else "invisible"
-
-
-def _stamp(iso: str) -> str:
-    """ISO UTC as a calendar writes it, to the second."""
-    return f"{iso[:19].replace('-', '').replace(':', '')}Z"
-
-
-def _escaped(text: str) -> str:
-    for plain, written in (("\\", "\\\\"), (";", "\\;"), (",", "\\,"), ("\r", ""), ("\n", "\\n")):
-        text = text.replace(plain, written)
-    return "".join(letter for letter in text if letter.isprintable())
-
-
-def _folded(line: str, most: int = 75) -> list[str]:
-    """A line of a calendar in pieces of at most 75 octets, the later ones after a blank; no character is cut."""
-    pieces, piece = [], ""
-    for letter in line:
-        if len((piece + letter).encode()) > most:
-            pieces.append(piece)
-            piece = " "
-        piece += letter
-    return [*pieces, piece]

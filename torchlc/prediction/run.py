@@ -21,8 +21,8 @@ from torchlc.lightcurve.model import LightCurve
 from torchlc.prediction import brightness
 from torchlc.prediction.brightness import Posterior
 from torchlc.prediction.glints import Glint, facet_angles, find_glints, lobe_widths_deg
-from torchlc.prediction.passes import Orbiter, Pass, Span, find_passes, make_span
-from torchlc.prediction.result import PredictedPass, Prediction, along_track_sd_s
+from torchlc.prediction.passes import Orbiter, Pass, Span, along_track_sd_s, find_passes, make_span
+from torchlc.prediction.result import PredictedPass, Prediction
 from torchlc.readers.table import MAX_ROWS
 from torchlc.scene import Scene, Station, value_of
 from torchlc.scene.timestamps import UnreadableTime, instant

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torchlc.digits import number_of
-from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.errors import InputError
+from torchlc.geometry.orbit.sunlight import sunlit_fraction
 from torchlc.inference.identifiability import bare_model
 from torchlc.lightcurve.model import LightCurve
 from torchlc.occlusion.areas import projected_areas, shown_fractions

@@ -15,7 +15,7 @@ from astropy.time import Time, TimeDelta
 from torchlc.errors import InputError, MissingExtraError
 from torchlc.readers import declared
 from torchlc.readers.astropy_tables import PLAIN_KINDS, described
-from torchlc.readers.reader import LIMITS
+from torchlc.readers.column_limits import LIMITS
 from torchlc.readers.roles import LABELS, VECTORS, assigned
 from torchlc.readers.table import METADATA, Header
 

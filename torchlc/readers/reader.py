@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,13 +11,15 @@ from astropy.time import Time
 from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.readers import declared, groups
+from torchlc.readers.column_limits import check_flux_errors, check_limits
 from torchlc.readers.copies import copies
-from torchlc.readers.empty_slots import empty_slots
+from torchlc.readers.empty_slots import empty_slots, rows_of_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
+from torchlc.readers.markers import MARKERS, brightness_markers, error_markers, suspected_marker
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
-from torchlc.readers.stations import remedy
+from torchlc.readers.stations import station_numbers
 from torchlc.readers.table import (
     BEYOND_MAG,
     MAX_ROWS,
@@ -28,7 +29,6 @@ from torchlc.readers.table import (
     read_columns,
     read_flags,
     read_numbers,
-    row_place,
     too_long,
 )
 from torchlc.readers.time_cells import TimeReader
@@ -38,42 +38,8 @@ from torchlc.scene.reading import Reading
 if TYPE_CHECKING:
     from torchlc.scene import Scene
 
-NO_STATION = "unknown"
 SHORTEST_KM = 1e-6
 """Of a vector to Sun or observer: a millimetre is no distance between bodies."""
-ABOVE_0 = 5e-324
-LEAST_FLUX_ERROR = 1e-60
-"""In whatever unit: the square of a weight, 1 / error^2, is then still a number. A source of 30 mag is 4e-35 W / m2 / Hz."""
-LEAST_ERROR, LARGEST_ERROR = 1e-12, 1e12
-"""Of an error, of the size of what it belongs to (1 for magnitudes): beyond it, it is no measured error, and
-weights of its inverse square lose the other rows.
-"""
-MARKERS = np.array(
-    [
-        float(f"-{whole}.{share}")
-        for whole in ("99", "999", "9999")
-        for share in ("0", "9", "99", "999", "9999")
-    ]
-)
-"""-99, -99.9 ... -9999.9999: what stands for a missing value where nothing negative can be."""
-CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
-"""0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
-FAR_MAG = 5.0
-"""From all others: less is a glint, a sunset or a cloud."""
-ASIDE = 100
-"""Of so many rows one may be as far out, at either end, without being like those that somebody chose."""
-LIMITS = {
-    "mag": (-BEYOND_MAG, BEYOND_MAG),
-    "flux": (-1e30, 1e30),
-    "mag_err": (LEAST_ERROR, BEYOND_MAG),
-    "flux_err": (LEAST_FLUX_ERROR, 1e30),
-    "exptime": (0.0, 86400.0),
-    "alt": (-90.0, 90.0),
-    "az": (-360.0, 720.0),
-    "height": (ABOVE_0, 1e9),
-}
-LIMITS |= {f"{prefix}_{axis}": (-1e15, 1e15) for prefix in VECTORS.values() for axis in "xyz"}
-"""What a column may hold, in our units: beyond it a cell is a mistake or a marker for a missing value."""
 
 
 def read_measurements(
@@ -162,9 +128,11 @@ class _Reader:
         self._drop_markers()
         self._drop_non_finite()
         self._to_observer()
-        self._suspect_markers()
-        self._check_limits()
-        self._check_errors()
+        if self.kind == "mag" and (suspect := suspected_marker(self.columns["mag"], self.rows)):
+            self.warnings.append(suspect)
+        check_limits(self.source, self.kind, self.columns, self.rows)
+        if self.kind == "flux":
+            check_flux_errors(self.source, self.columns, self.rows, self._curve_codes())
         self._sort()
         first_time = cast(Time, self._time()[:1])
         self._keep(~groups.repeats(self.columns), "duplicate")
@@ -184,7 +152,7 @@ class _Reader:
     def _assembled(self, first_time: Time) -> Measurements:
         columns, time = self.columns, self._time()
         days = columns["time"].sum(-1)
-        station, station_ids = self._stations()
+        station, station_ids = station_numbers(self.header, self.scene, self.columns, self.labels, self.rows)
         curve, curve_ids = self._curves(station, station_ids)
         if self.scene is not None and self.scene.stations:
             longitude = np.array([place.longitude for place in self.scene.stations])
@@ -318,8 +286,11 @@ class _Reader:
         left open instead.
         """
         limit = self.columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
-        marked, beyond = self._brightness_markers()
-        missing, far = self._error_markers()
+        marked, beyond = brightness_markers(self.kind, self.columns)
+        missing, far, absent = error_markers(self.kind, self.columns)
+        if absent:
+            self.warnings.append(absent)
+            del self.columns[f"{self.kind}_err"]
         error, exptime = self.columns.get(f"{self.kind}_err"), self.columns.get("exptime")
         if error is not None:
             error[limit & (missing | far)] = np.nan
@@ -331,61 +302,6 @@ class _Reader:
             marked |= missing & ~limit
         self._keep(~beyond, f"beyond {BEYOND_MAG:g} mag")
         self._keep(~marked[~beyond], "marked as missing")
-
-    def _brightness_markers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (T,) whose flux is a marker for a missing value, and rows whose magnitude is beyond all that shine."""
-        value, none = self.columns[self.kind], np.zeros(len(self.rows), dtype=bool)
-        if self.kind == "mag":
-            return none, np.isfinite(value) & (np.abs(value) > BEYOND_MAG)
-        missing = np.isin(value, MARKERS)
-        # in a file of fluxes about 0, -99 may be one
-        return (none if ((value < 0) & ~missing).any() else missing), none.copy()
-
-    def _error_markers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (T,) whose error, which is never negative, is a marker for a missing value, and rows whose error in mag is beyond all
-        sense. A column of which all says as little as one that is blank, and is taken away."""
-        name = f"{self.kind}_err"
-        none = np.zeros(len(self.rows), dtype=bool)
-        error = self.columns.get(name)
-        if error is None:
-            return none, none
-        missing = np.isin(error, MARKERS)
-        far = np.abs(error) > BEYOND_MAG if self.kind == "mag" else none
-        told = np.isfinite(error)
-        if told.any() and (missing | far)[told].all():
-            self.warnings.append(
-                f"{name} is {error[told][0]:g} in all rows, a marker for a missing value: taken as absent"
-            )
-            del self.columns[name]
-        return missing, far
-
-    def _suspect_markers(self) -> None:
-        """A warning of magnitudes that may stand for no measurement: a number that somebody chose, far from nearly all others.
-
-        One in a hundred of the others is left aside at either end: a wild row beside the markers must not hide them.
-        """
-        if self.kind != "mag":
-            return
-        values = self.columns["mag"]
-        different = np.unique(values)
-        chosen = [value for value in different.tolist() if CHOSEN.fullmatch(f"{value:.10g}")]
-        likely = np.isin(values, chosen)
-        others = values[~likely]
-        if not chosen or not len(others):
-            return
-        others.sort()
-        aside = len(others) // ASIDE
-        apart = np.maximum(others[aside] - values, values - others[-1 - aside])
-        far = likely & (apart > FAR_MAG)
-        if far.any():
-            first = row_place(int(self.rows[far][0]), "mag")
-            more = np.count_nonzero(far) - 1
-            also = f", and so {'is' if more == 1 else 'are'} {number_of(more, 'more row')}" if more else ""
-            self.warnings.append(
-                f"{first}: {values[far][0]:g} mag is {apart[far][0]:.1f} mag from {'nearly ' if aside else ''}all others"
-                f"{also}: if it stands for a "
-                "missing measurement, leave it blank or out. It is taken as measured"
-            )
 
     def _drop_non_finite(self) -> None:
         """Rows with a blank or infinite number go; an upper limit without an error takes the median of its curve."""
@@ -399,38 +315,6 @@ class _Reader:
                 finite &= np.isfinite(column).reshape(len(finite), -1).all(-1)
         self._keep(finite, "non-finite")
 
-    def _check_limits(self) -> None:
-        for name, (low, high) in LIMITS.items():
-            column = self.columns.get(name)
-            if column is None:
-                continue
-            bad = np.flatnonzero(
-                (column < low) | (column > high) | (column <= 0 if low == ABOVE_0 else False)
-            )
-            if bad.size:
-                expected = f"> 0 and at most {high:g}" if low == ABOVE_0 else f"{low:g} to {high:g}"
-                if name in ("mag_err", "flux_err"):
-                    expected = f"> 0: {low:g} to {high:g}{' mag' if name == 'mag_err' else ''}"
-                place = row_place(int(self.rows[bad[0]]), name)
-                hint = "Leave a missing value blank." if name == self.kind else None
-                if name == f"{self.kind}_err":
-                    hint = "Leave an error blank that is not known: its row is left out, and without any errors they are fitted"
-                raise InputError(self.source, place, f"{column[bad[0]]:g}", expected, hint)
-
-    def _check_errors(self) -> None:
-        """Errors of a flux that are nothing, or everything, beside the fluxes of its curve, which has a unit of its own."""
-        error = self.columns.get("flux_err")
-        if error is None or self.kind != "flux":
-            return
-        sizes = groups.medians(np.abs(self.columns["flux"]), self._curve_codes())
-        sizes[sizes == 0] = 1.0
-        bad = np.flatnonzero((error < LEAST_ERROR * sizes) | (error > LARGEST_ERROR * sizes))
-        if bad.size:
-            size = sizes[bad[0]]
-            expected = f"{LEAST_ERROR * size:.1g} to {LARGEST_ERROR * size:.1g}, for fluxes of {size:.3g}"
-            place = row_place(int(self.rows[bad[0]]), "flux_err")
-            raise InputError(self.source, place, f"{error[bad[0]]:g}", expected)
-
     def _sort(self) -> None:
         order = groups.time_order(self.columns["time"])
         if order is not None:
@@ -439,16 +323,12 @@ class _Reader:
             self.warnings.append("the rows were not in order of time and have been sorted")
 
     def _add_non_detections(self) -> None:
-        """Upper limits of slots in which the object was in the frame and not found, where the recording leaves them out.
-
-        Other columns of such a row are those on the straight line between the rows beside it: at the longest gap, 5 s, a
-        position in a low orbit is 30 m off, 0.003 deg at 500 km. An error is the median of the curve's.
-        """
+        """Upper limits of slots in which the object was in the frame and not found, where the recording leaves them out."""
         wanted = self.reading.non_detections
         if not (self.header.skips_non_detections if wanted is None else wanted):
             return
         days, columns = self.columns["time"], self.columns
-        station, station_ids = self._stations()
+        station, station_ids = station_numbers(self.header, self.scene, self.columns, self.labels, self.rows)
         curve, curve_ids = self._curves(station, station_ids)
         limit = columns.get("upper_limit", np.zeros(len(self.rows), dtype=bool))
         slots = empty_slots(
@@ -468,25 +348,12 @@ class _Reader:
         self.warnings += slots.notes
         if not len(slots.limit):
             return
-        before, after, share = slots.before, slots.after, slots.share
-        if len(self.rows) + len(before) > MAX_ROWS:
+        if len(self.rows) + len(slots.before) > MAX_ROWS:
             raise too_long(self.source)
         columns.setdefault("upper_limit", limit)
-        added = {name: column[before] for name, column in columns.items()}
-        for name, column in columns.items():
-            if column.dtype.kind == "f" and name != "time":
-                added[name] = (1 - share) * column[before] + share * column[after]
-        if "az" in columns:
-            added["alt"], added["az"] = groups.between_directions(columns, before, after, share)
-        step = (days[after] - days[before]).sum(-1)
-        added["time"] = days[before] + np.stack([0 * step, share * step], -1)
-        added[self.kind] = slots.limit
-        added["upper_limit"] = np.ones(len(before), dtype=bool)
-        if f"{self.kind}_err" in columns:
-            measured = np.where(limit, np.nan, columns[f"{self.kind}_err"])
-            added[f"{self.kind}_err"] = groups.medians(measured, curve)[before]
+        added = rows_of_slots(slots, columns, self.kind, curve)
         self.columns = {name: np.concatenate([column, added[name]]) for name, column in columns.items()}
-        self.rows = np.concatenate([self.rows, self.rows[before]])
+        self.rows = np.concatenate([self.rows, self.rows[slots.before]])
         order = groups.time_order(self.columns["time"])
         if order is not None:
             self.columns = {name: column[order] for name, column in self.columns.items()}
@@ -495,30 +362,6 @@ class _Reader:
     def _time(self) -> Time:
         days = self.columns["time"]
         return cast(Time, Time(days[:, 0], days[:, 1], format="jd", scale=self.times.scale))
-
-    def _stations(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Station of each row as an index into the scene's stations, else into those that the file names."""
-        codes = self.columns.get("station")
-        known = () if self.scene is None else tuple(station.id for station in self.scene.stations)
-        if codes is None:
-            if len(known) > 1:
-                raise declared.missing(
-                    self.header, "station", f"a column station: the scene has {len(known)}"
-                )
-            return np.zeros(len(self.rows), dtype=np.int64), known or (NO_STATION,)
-        named = self.labels["station"].ids
-        if not known:
-            return codes, named
-        numbers = np.zeros(len(named), dtype=np.int64)
-        for code in np.unique(codes):
-            name = named[code]
-            if name in known:
-                numbers[code] = known.index(name)
-            elif name or len(known) > 1:
-                place = row_place(int(self.rows[np.flatnonzero(codes == code)[0]]), "station")
-                expected = f"a station of the scene: {', '.join(known)}"[:200]
-                raise InputError(self.source, place, repr(name[:40]), expected, remedy(name, known))
-        return numbers[codes], known
 
     def _curves(self, station: np.ndarray, station_ids: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
         """The ``curve`` column, else one curve for each station and band."""

@@ -13,7 +13,7 @@ import numpy as np
 from torchlc.digits import decimals, number_of, rounded, stated
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
-from torchlc.inference.sampler import GOOD_RHAT
+from torchlc.inference.posterior_draws import GOOD_RHAT
 from torchlc.materials.known import OTHER
 from torchlc.noise.kind import NoiseKind
 from torchlc.parameters import Free

@@ -1,34 +1,28 @@
-"""What the verbs give back: objects that print their conclusion, plot themselves and turn into tables,
-ArviZ data and JSON.
-"""
+"""What a fit gives back: it prints its conclusion, plots itself and turns into tables, ArviZ data and JSON."""
 
 from __future__ import annotations
 
 import html
-import math
-import unicodedata
-import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from torchlc.digits import number_of, stated
-from torchlc.files.libraries import arviz_library
 from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
-from torchlc.inference.sampler import Posterior
+from torchlc.inference.posterior_draws import Posterior
 from torchlc.lightcurve.model import LightCurve
 from torchlc.materials.known import match
-from torchlc.noise.error_law import MAG_PER_LN
 from torchlc.readers import Recording, left_out
+from torchlc.results.inference_data import inference_data, without_cluster
+from torchlc.results.parameter_values import noise_levels, parameter_values, thinned
+from torchlc.results.residual_rms import rms_mag, rms_relative
 from torchlc.results.tables import parameter_table
 from torchlc.scene import Scene
 from torchlc.stages.light import View
@@ -44,7 +38,6 @@ if TYPE_CHECKING:
     from torchlc.figures.draws import Draws
 
 FIT_SCHEMA = "torchlc-fit/1"
-NOISE_DRAWS = 400
 MOST_CORNER = 10
 """Parameters of a corner plot: more panels than 10 x 10 cannot be read on a page."""
 BAND_DRAWS = 200
@@ -140,7 +133,7 @@ class FitResult:
         if self.posterior is None:
             return None
         with torch.no_grad():
-            many = self.likelihood.residuals(_thinned(self.posterior.flat, BAND_DRAWS)).prediction.numpy()
+            many = self.likelihood.residuals(thinned(self.posterior.flat, BAND_DRAWS)).prediction.numpy()
         return np.quantile(many, [0.05, 0.5, 0.95], axis=0)
 
     @cached_property
@@ -193,59 +186,8 @@ class FitResult:
         """Everything known of each free parameter, by name, as in fit.json; noise levels where they were
         fitted.
         """
-        found: dict[str, dict[str, Any]] = {}
-        if self.posterior is not None:
-            draws = self.posterior.flat
-            quantiles = torch.quantile(_thinned(draws, 100_000), draws.new_tensor([0.05, 0.5, 0.95]), dim=0)
-            rhat, ess = self.posterior.rhat, self.posterior.ess
-            for i, entry in enumerate(self.model.parameter_set.free):
-                found[entry.name] = {
-                    "map": float(self.fit.theta[i]),
-                    "median": float(quantiles[1, i]),
-                    "sd": float(draws[:, i].std()),
-                    "q05": float(quantiles[0, i]),
-                    "q95": float(quantiles[2, i]),
-                    "rhat": float(rhat[i]),
-                    "ess": float(ess[i]),
-                    "unit": entry.unit,
-                    "informed": self.insight.informed[entry.name],
-                }
-        return found | self._noise_levels()
-
-    def _noise_levels(self) -> dict[str, dict[str, Any]]:
-        """Of curves without errors: given the residuals of a draw, N s^2 / S of each curve follows the
-        inverse chi-square.
-        """
-        likelihood = self.likelihood
-        if not likelihood.fitted_errors:
-            return {}
-        with torch.no_grad():
-            best = likelihood.fitted_levels(likelihood.residuals(self.fit.theta).delta)
-            theta = self.fit.theta[None] if self.posterior is None else self.posterior.flat
-            theta = (
-                _thinned(theta, NOISE_DRAWS).expand(NOISE_DRAWS, -1)
-                if len(theta) < 2
-                else _thinned(theta, NOISE_DRAWS)
-            )
-            squares = likelihood.squares(likelihood.residuals(theta).delta)
-        freedom = (likelihood.count - (1 if likelihood.gains else 0)).clamp(min=1.0)
-        generator = np.random.default_rng(self.seed)
-        drawn = np.sqrt(squares.numpy() / generator.chisquare(freedom.numpy(), squares.shape))
-        unit = "mag" if likelihood.kind == "mag" else ""
-        return {
-            f"noise[{curve}]": {
-                "map": float(best[i]),
-                "median": float(np.median(drawn[:, i])),
-                "sd": float(drawn[:, i].std()),
-                "q05": float(np.quantile(drawn[:, i], 0.05)),
-                "q95": float(np.quantile(drawn[:, i], 0.95)),
-                "rhat": None,
-                "ess": None,
-                "unit": unit,
-                "informed": True,
-            }
-            for i, curve in enumerate(self.recording.curve_ids)
-        }
+        values = {} if self.posterior is None else parameter_values(self.fit, self.posterior, self.insight)
+        return values | noise_levels(self.fit, self.posterior, self.seed)
 
     def gains(self) -> dict[str, float]:
         """Scale of each curve of relative flux at the maximum a posteriori."""
@@ -253,35 +195,17 @@ class FitResult:
             gain = self.likelihood.residuals(self.fit.theta).gain
         return {} if gain is None else dict(zip(self.recording.curve_ids, gain.tolist(), strict=True))
 
-    def _ratio(self) -> np.ndarray:
-        """Observed over predicted flux of the measured rows, (M,); inf where the model is dark."""
-        measured = ~self.recording.upper_limit
-        if self.recording.kind == "mag":
-            return 10 ** (-0.4 * self.delta[measured])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return self.recording.observed[measured] / self.prediction[measured]
-
     @property
     def rms_mag(self) -> float:
         """Root mean square residual, mag, over measured rows in which both fluxes are positive."""
-        if self.recording.kind == "mag":
-            return _rms(self.delta[~self.recording.upper_limit])
-        ratio = self._ratio()
-        return _rms(MAG_PER_LN * np.log(ratio[np.isfinite(ratio) & (ratio > 0)]))
+        return rms_mag(self.recording, self.prediction)
 
     @property
     def rms_relative(self) -> float:
         """Root mean square residual of flux over the model (magnitudes), or over the mean of its curve
         (relative flux).
         """
-        measured = ~self.recording.upper_limit
-        if self.recording.kind == "mag":
-            return _rms(self._ratio() - 1)
-        curve = self.recording.curve
-        mean = {
-            c: self.recording.observed[(curve == c) & measured].mean() for c in np.unique(curve[measured])
-        }
-        return _rms(self.delta[measured] / np.array([mean[c] for c in curve[measured]]))
+        return rms_relative(self.recording, self.prediction)
 
     def mean_shares(self) -> dict[str, dict[str, float]]:
         """Mean share of each component over the rows with light."""
@@ -369,34 +293,22 @@ class FitResult:
         """
         if self.posterior is None:
             raise ValueError("nothing was free: there is no posterior")
-        arviz = arviz_library()
-        names = variable_names(self.posterior.names)
-        posterior = {name: self.posterior.theta[..., i].numpy() for i, name in enumerate(names)}
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "More chains", UserWarning)  # walkers, of a short chain
-            data = arviz.from_dict(
-                posterior=posterior,
-                sample_stats={"lp": self.posterior.log_prob.numpy()},
-                observed_data={self.recording.kind: self.recording.observed},
-                constant_data={"seconds": self.recording.seconds},
-                coords={"row": np.arange(len(self.recording))},
-                dims={self.recording.kind: ["row"], "seconds": ["row"]},
-                attrs={
-                    "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
-                    "seed": self.seed,
-                    "scene": self.fitted_scene.to_toml(),
-                },
-            )
-        for variable, name in names.items():
-            data["posterior"][variable].attrs["parameter"] = name
-        return data
+        return inference_data(
+            self.posterior,
+            self.recording,
+            attributes={
+                "torchlc": str(self.provenance.get("versions", {}).get("torchlc", "")),
+                "seed": self.seed,
+                "scene": self.fitted_scene.to_toml(),
+            },
+        )
 
     def write_into(self, directory: OutputDirectory) -> None:
         """fit.json and posterior.nc: the numbers, for which nothing has to be drawn."""
         directory.write_json("fit.json", self.to_json())
         if self.posterior is not None:
             data = self.to_arviz()
-            with _without_cluster():
+            with without_cluster():
                 directory.write("posterior.nc", lambda path: data.to_netcdf(str(path), engine="h5netcdf"))
 
     # ------------------------------------------------------------------ pictures
@@ -478,41 +390,8 @@ class FitResult:
         return f"<p>{html.escape(self.headline())}</p><table>{rows}</table><ul>{warned}</ul>"
 
 
-def _without_cluster() -> AbstractContextManager[Any]:
-    """Work done here: xarray asks dask for its scheduler when it writes, and the client of a cluster may have gone."""
-    try:
-        import dask.config
-    except ImportError:
-        return nullcontext()
-    return dask.config.set(scheduler="synchronous")
-
-
 def _notebook_figure(size: tuple[float, float]) -> Figure:
     """A figure that a notebook shows."""
     import matplotlib.pyplot as plt
 
     return plt.figure(figsize=size)
-
-
-def variable_names(names: Sequence[str]) -> dict[str, str]:
-    """Names of netCDF variables for parameters, all different also where signs are composed (Unicode's NFC, which
-    netCDF applies), and the parameters' own."""
-    variables: dict[str, str] = {}
-    composed: set[str] = set()
-    for name in names:
-        variable, copy = name.replace("/", "|"), 2
-        while unicodedata.normalize("NFC", variable) in composed:
-            variable, copy = f"{name.replace('/', '|')} ({copy})", copy + 1
-        composed.add(unicodedata.normalize("NFC", variable))
-        variables[variable] = name
-    return variables
-
-
-def _thinned(draws: Tensor, most: int) -> Tensor:
-    """At most that many of the draws (N, P), evenly spaced."""
-    return draws[:: max(1, math.ceil(len(draws) / most))]
-
-
-def _rms(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan

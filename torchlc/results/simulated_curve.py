@@ -17,8 +17,8 @@ from astropy.table import MaskedColumn, Table
 from torch import Tensor
 
 from torchlc.digits import number_of
-from torchlc.effects.earth_shadow import sunlit_fraction
 from torchlc.files.writing import without_nan, write_whole
+from torchlc.geometry.orbit.sunlight import sunlit_fraction
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.draw import draw

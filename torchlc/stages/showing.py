@@ -1,6 +1,6 @@
 """How the page of an effect shows it: a scene in which it matters, numbers, and the coordinate that belongs to it.
 
-``docs/effects/make_figures.py`` holds the scenes by these names, and makes figure, sizes and costs from them.
+``docs/effects/settings.py`` holds the scenes by these names; ``make_figures.py`` beside it makes figure, sizes and costs from them.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from torchlc.files.numbers import value_of
 from torchlc.geometry.orbit.earth import icrs_from_ecliptic
 from torchlc.geometry.rotation.attitude import epochs_seconds
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
-from torchlc.inference.optimiser import laplace, polish
+from torchlc.inference.polish import laplace, polish
 from torchlc.inference.rotation.connect import Connection, differences
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.passes import Rows

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-FILE = Path(__file__).with_name("tumbling.json")
+from stored import read, table
+
 COMMAND = "`python examples/rotation/real_tracks.py docs/evidence`"
 PUBLISHED = {
     "10025, 2016": (11.85, 11.815, 1),
@@ -20,13 +19,8 @@ PUBLISHED = {
 SHOWN = 4
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in (head, *rows)]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
-
-
 def _read() -> dict[str, Any]:
-    return json.loads(FILE.read_text(encoding="utf-8"))
+    return read("evidence/tumbling.json")
 
 
 def _turns(mode: dict[str, Any]) -> str:
@@ -61,7 +55,7 @@ def searches() -> str:
         "search", "rows", "turns looked at, s", "answer", "turn of its modes, s", "pole RA Dec, deg", "rms left, mag",
         "noise, mag", "over it", "CPU s",
     )  # fmt: skip
-    return _table(head, rows)
+    return table([head, *rows])
 
 
 def periods() -> str:
@@ -82,16 +76,14 @@ def periods() -> str:
                 _span([one / times for one in light if one is not None]),
             )
         )
-    return _table(
-        (
-            "track",
-            "published, s",
-            "between glints, s",
-            "turn of the modes, s",
-            "light against the bisector, s",
-        ),
-        rows,
+    head = (
+        "track",
+        "published, s",
+        "between glints, s",
+        "turn of the modes, s",
+        "light against the bisector, s",
     )
+    return table([head, *rows])
 
 
 def _span(values: list[float]) -> str:
@@ -114,10 +106,10 @@ def unseen() -> str:
         for name, found in _read().items()
         for one in found["unseen"]
     ]
-    return _table(("search", "pass left out", "predicted, mag rms", "fitted, mag rms", "times"), rows)
+    return table([("search", "pass left out", "predicted, mag rms", "fitted, mag rms", "times"), *rows])
 
 
-def rows() -> list[tuple[str, ...]]:
+def tumbling_bodies() -> list[tuple[str, ...]]:
     """Rows of the overview: one for each body."""
     known = _read()
 
@@ -146,5 +138,5 @@ def rows() -> list[tuple[str, ...]]:
     ]
 
 
-def tables() -> dict[str, str]:
+def tumbling_tables() -> dict[str, str]:
     return {"tumbling_searches": searches(), "tumbling_periods": periods(), "tumbling_unseen": unseen()}

@@ -162,6 +162,14 @@ def test_a_spent_budget_says_what_it_left_out(ball) -> None:
     assert any(line.startswith("next: a longer --budget") for line in lines(content, {}, []))
 
 
+def test_tables_are_made_once_whichever_noise_asks_first(ball) -> None:
+    bench = Workbench(*ball)
+    first = bench.likelihood(Hypothesis().under("outliers")).model
+    tables = first.tables()
+    for noise in ((), ("jitter",), ("red_noise",)):
+        assert bench.likelihood(Hypothesis().under(*noise)).model.tables() is tables
+
+
 def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:
     """Whatever is moved, all of it is there; and a clean recording is told as clean."""
     search = searched(ball, "zero_point_drift")

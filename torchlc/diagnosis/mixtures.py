@@ -23,6 +23,8 @@ APART_SD = 0.7
 
 PLACES = 600
 """Places that are tried where more than one number says where the light goes: of direction and exponent one in 20 by 20 deg and a factor of 10."""
+LINE_PLACES = 96
+"""Places where an exponent alone says it: one in 15 %."""
 FINER_PLACES, FINER, FINER_SD = 6, 12, (0.3, 0.12)
 """Of these the best, around each of which so many more are tried, in rounds of so many standard deviations of the prior."""
 

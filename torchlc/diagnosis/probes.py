@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
 from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
-from torchlc.diagnosis.mixtures import PLACES, Mixture, finer, spread_out
+from torchlc.diagnosis.mixtures import LINE_PLACES, PLACES, Mixture, finer, spread_out
 from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
@@ -239,7 +239,7 @@ def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Ten
     count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
     mixture = _mixture(posterior, entry)
     if mixture is not None:
-        count = GRID if len(mixture.where(dimensions)) < 2 else PLACES
+        count = LINE_PLACES if len(mixture.where(dimensions)) < 2 else PLACES
     if effect_class(entry).linear:
         count = min(count, LINEAR_GRID)
     return effect_starts(

@@ -183,8 +183,9 @@ class Prediction:
         return "; ".join(self._glint_words(glint) for glint in one.glints)
 
     def _glint_words(self, glint: Glint) -> str:
+        edge = f", closest when {glint.edge}" if glint.edge else ""
         return (
-            f"{glint.component}/{glint.face} {str(self.iso(glint.seconds))[11:19]} ± {glint.time_sd_s:.0f} s, "
+            f"{glint.component}/{glint.face} {str(self.iso(glint.seconds))[11:19]} ± {glint.time_sd_s:.0f} s{edge}, "
             f"{glint.degrees:.1f} deg from the mirror direction, probability {glint.probability:.0%}"
         )
 
@@ -283,6 +284,7 @@ class Prediction:
                     "lobe_width_deg": glint.width_deg,
                     "duration_s": glint.duration_s,
                     "probability": glint.probability,
+                    "closest_when": glint.edge or None,
                 }
                 for glint in one.glints
             ],

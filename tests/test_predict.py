@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 import warnings
 from pathlib import Path
@@ -454,6 +455,28 @@ def test_many_objects_come_brightest_first_and_as_each_alone(tmp_path):
     path.write_text("\n".join(text[3 * number : 3 * number + 3]))
     named = torchlc.predict(scene(), elements=path, **NIGHT).headline()
     assert named.startswith(f"{text[3 * number].strip()}, like {model}: ")
+
+
+def test_objects_of_one_name_are_told_apart_by_their_numbers(tmp_path):
+    """In the printed table, the headline, the calendar and the figure; a long name leaves room for the number."""
+    path = catalogue(tmp_path, 6)
+    text = path.read_text()
+    numbers = [line.split()[1] for line in text.splitlines() if line.startswith("2 ")]
+    for name in ("SL-16 R/B", "SL-16 R/B of the Zenit-2 kind"):
+        shared = re.sub(r"SHELL [0-4]", name, text)
+        path.write_text(shared)
+        found = torchlc.predict(scene(), elements=path, **NIGHT)
+        seen = {found.orbiters[one.path.orbiter].number for one in found.passes if one.visible}
+        assert len(seen) > 2
+        rows = found.lines(most=1000)[1:]
+        for row, one in zip(rows, found.passes, strict=True):
+            number = found.orbiters[one.path.orbiter].number
+            cell = row[31:55].strip()
+            assert cell == ("SHELL 5" if number == numbers[5] else f"{name[: 24 - 6].strip()} {number}")
+        first = found.orbiters[found.passes[0].path.orbiter]
+        assert first.name == name and f"{name} {first.number}, " in found.headline()
+        assert f"SUMMARY:{name} {first.number}\\, " in found.to_ics().replace("\r\n ", "")
+        assert found.panels()[0].title == f"{name} {first.number} over weihai"
 
 
 def test_what_has_no_orbit_is_left_out_and_named(tmp_path):

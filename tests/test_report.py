@@ -159,6 +159,17 @@ def test_the_numbers_of_every_shape_and_every_attitude_have_words():
             assert "_" not in shape.keys.meaning(key)
 
 
+def test_fewer_rows_than_numbers_are_told_in_words(tmp_path: Path):
+    """Two rows and six free numbers: no page, headline or stored fit speaks of -4 degrees of freedom."""
+    scene, recording = write_case(tmp_path, rows=2)
+    result = torchlc.fit(scene, recording, steps=20, walkers=20, out=tmp_path / "out")
+    assert result.fit.dof < 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    for told in (page, result.headline(), repr(torchlc.load_fit(tmp_path / "out"))):
+        assert "with fewer measured rows than free numbers" in told
+        assert not re.search(r"-\d+ degree", told)
+
+
 def test_a_chain_too_short_to_judge_shows_no_nan(tmp_path: Path):
     """Three steps have no R-hat: the table says so in words."""
     result = torchlc.fit(*write_case(tmp_path, rows=9), steps=3)

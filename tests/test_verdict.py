@@ -13,14 +13,16 @@ from scipy import stats
 import torchlc
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
-from torchlc.diagnosis.run import _gate
+from torchlc.diagnosis.run import _gate, diagnose
 from torchlc.diagnosis.unseen import UNSEEN, unseen_share
 from torchlc.diagnosis.values import materials
+from torchlc.diagnosis.words import headline, lines
 from torchlc.effects import effect_class
 from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
@@ -134,11 +136,45 @@ def test_the_unseen_share_does_not_depend_on_where_the_fit_without_the_effect_st
     )  # two of 200 draws
 
 
+def test_what_had_no_time_is_not_told_to_be_missing_from_the_library(ball) -> None:
+    """A wave of the light that nothing examined explains. As long as the effects of the library were not looked at, it may be one of
+    them: no more is told than that, and the first line says so."""
+    hours = ball[1].seconds / 3600
+    search = searched(changed(ball, 0.15 * np.sin(2 * np.pi * hours / 0.7)))
+    null = search.visited[Hypothesis()]
+    search.strangers(coordinates(null.model, null.theta))
+    looked = probabilities(search, 1e-9)
+    assert looked.verdict == "unexplained" and looked.unknown > 0.9 and looked.unexamined == 0.0
+    search.tell_unexamined()
+    late = probabilities(search, 1e-9)
+    # two names of two: each is as likely as all others, beside what is in no library at one in twenty
+    assert late.unexamined / late.unknown == pytest.approx(2 / 0.05, rel=1e-6)
+    assert late.unexplained == pytest.approx(looked.unknown)
+    assert late.verdict == "unexplained" and late.told == pytest.approx(looked.told)
+
+
+def test_a_spent_budget_says_what_it_left_out(ball) -> None:
+    found = diagnose(*changed(ball, 0.15 * np.sin(2 * np.pi * ball[1].seconds / 2520)), budget=0.01)
+    content = found.to_json()
+    assert content["verdict"] == "unexplained" and content["unexamined"]
+    assert content["probabilities"]["not_examined"] > 0.5 > content["probabilities"]["not_in_library"]
+    assert "may be one of those for which there was no time" in headline(content)
+    assert any(line.startswith("next: a longer --budget") for line in lines(content, {}, []))
+
+
+def test_tables_are_made_once_whichever_noise_asks_first(ball) -> None:
+    bench = Workbench(*ball)
+    first = bench.likelihood(Hypothesis().under("outliers")).model
+    tables = first.tables()
+    for noise in ((), ("jitter",), ("red_noise",)):
+        assert bench.likelihood(Hypothesis().under(*noise)).model.tables() is tables
+
+
 def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:
     """Whatever is moved, all of it is there; and a clean recording is told as clean."""
     search = searched(ball, "zero_point_drift")
     found = probabilities(search, 0.5)
-    assert found.nothing + found.noise + found.unknown + found.some_effect == pytest.approx(1.0)
+    assert found.nothing + found.noise + found.unexplained + found.some_effect == pytest.approx(1.0)
     drift = search.visited[Hypothesis(("zero_point_drift",))]
     share = unseen_share(drift, search.visited[Hypothesis()], "zero_point_drift")
     assert share > 0.5 and found.nothing > 0.7

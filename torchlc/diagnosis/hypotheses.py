@@ -111,10 +111,8 @@ class Workbench:
 
     def _model(self, law: str, entries: Sequence[str]) -> LightCurve:
         base = self._base(law)
-        if not entries:
-            return LightCurve(base.scene, self.recording, assembly=base)
         own = [effect.entry for effect in base.effects]
-        assembly = assemble(base.scene, self.recording, [*own, *entries], base=base)
+        assembly = assemble(base.scene, self.recording, [*own, *entries], base=base) if entries else base
         model = LightCurve(base.scene, self.recording, assembly=assembly)
         for (other_law, _), other in self._likelihoods.items():
             if other_law == law and other.model.tables_key == model.tables_key:

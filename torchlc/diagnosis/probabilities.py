@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchlc.diagnosis.discrepancy import FAR
+from torchlc.diagnosis.discrepancy import FAR, ODDS
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.promises import LINEAR_NEAR
@@ -34,7 +34,7 @@ TOLD = 0.5
 class Probabilities:
     """Of ``nothing`` missing, of ``noise`` alone, of each effect of the library by name, and of something ``unknown`` alone;
     ``sets`` are the sets of entries, best first, with theirs, ``kinds`` those of the noise by name; ``leftover`` is that of
-    something unknown beside the best set. ``spare`` counts the rows that are more than the scene's own model has free numbers:
+    something unknown beside the best set; ``unexamined`` that of effects of the library for which there was no time. ``spare`` counts the rows that are more than the scene's own model has free numbers:
     with none to spare nothing can be told, and nothing is."""
 
     nothing: float
@@ -45,10 +45,16 @@ class Probabilities:
     kinds: Mapping[str, float]
     leftover: float
     spare: int
+    unexamined: float = 0.0
 
     @property
     def some_effect(self) -> float:
-        return max(1.0 - self.nothing - self.noise - self.unknown, 0.0)
+        return max(1.0 - self.nothing - self.noise - self.unexplained, 0.0)
+
+    @property
+    def unexplained(self) -> float:
+        """That none of what was examined is the cause."""
+        return self.unknown + self.unexamined
 
     @property
     def verdict(self) -> str:
@@ -57,7 +63,7 @@ class Probabilities:
             "adequate": self.nothing,
             "noise_model": self.noise,
             "missing_physics": self.some_effect,
-            "unexplained": self.unknown,
+            "unexplained": self.unexplained,
         }
         if self.spare <= 0:
             return "adequate"
@@ -105,7 +111,9 @@ class Probabilities:
         """Probability of the answer as it is told, its families included."""
         verdict = self.verdict
         if verdict != "missing_physics":
-            return {"adequate": self.nothing, "noise_model": self.noise, "unexplained": self.unknown}[verdict]
+            return {"adequate": self.nothing, "noise_model": self.noise, "unexplained": self.unexplained}[
+                verdict
+            ]
         allowed = [frozenset(family) for family in self.families]
         return sum(
             p
@@ -168,16 +176,26 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         for name in {Entry.parse(entry).name for entry in entries}:
             effects[name] = effects.get(name, 0.0) + p
     order = sorted(sets.items(), key=lambda item: -item[1])
+    late = unknown * share_of_unexamined(search)
     return Probabilities(
         nothing,
         noise,
-        unknown,
+        unknown - late,
         dict(sorted(effects.items(), key=lambda item: -item[1])),
         order,
         kinds,
         leftover,
         spare=search.visited[Hypothesis()].likelihood.degrees_of_freedom,
+        unexamined=late,
     )
+
+
+def share_of_unexamined(search: Search) -> float:
+    """Of what none of the examined effects explains, how much belongs to those that were not examined: they may explain it as well as
+    something unknown does, and are to it as their prior odds."""
+    late = [entry for entry in search.bench.entries if entry in search.unexamined]
+    odds = sum(math.exp(search.bench.log_odds(Hypothesis((entry,)))) for entry in late)
+    return odds / (odds + ODDS)
 
 
 def less_unseen(

@@ -213,7 +213,7 @@ class Diagnosis:
         """The answer, and all else that may be so under its law of reflection, with their probabilities: an effect in the place of the named one
         has other materials."""
         odds, final = self.odds, self.final
-        every = [((), odds.nothing + odds.noise + odds.unknown), *odds.sets]
+        every = [((), odds.nothing + odds.noise + odds.unexplained), *odds.sets]
         alike = [(at, p) for at, p in self.search.likely(every) if at.hypothesis.law == final.hypothesis.law]
         # the answer's own fit may have been weighed once more
         return [(final, 0.0), *((final if at.hypothesis == final.hypothesis else at, p) for at, p in alike)]
@@ -294,6 +294,7 @@ class Diagnosis:
             "noise_kinds": dict(odds.kinds),
             "effects": dict(odds.effects),
             "not_in_library": odds.unknown,
+            "not_examined": odds.unexamined,
             "something_beside": odds.leftover,
         }
 
@@ -359,7 +360,7 @@ class Diagnosis:
     def discrepancy(self) -> dict[str, Any] | None:
         """The shape of what no effect describes, in its best coordinate, with its probability; null where none is likely."""
         odd = self.search.strongest()
-        if odd is None or self.odds.unknown + self.odds.leftover < TOLD:
+        if odd is None or self.odds.unexplained + self.odds.leftover < TOLD:
             return None
         name = "time" if odd.coordinate not in self.coordinates else odd.coordinate
         value = self.coordinates[name]
@@ -384,7 +385,7 @@ class Diagnosis:
         left = f"rms {_rms(at.off_mag):.3f} mag"
         if not at.likelihood.fitted_errors and at.noise.normal and not at.noise.processes:
             left = f"chi-square {at.chi2:.0f} for {at.likelihood.degrees_of_freedom} degrees of freedom"
-        beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unknown
+        beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unexplained
         if beside < TOLD:
             note = f"nothing that the data show: {left}"
         else:

@@ -30,6 +30,12 @@ VERDICTS = {
     "noise_model": "The misfit is noise, not physics: {named}",
     "unexplained": "Something is missing, and no effect of the library explains it",
 }
+LATE = (
+    "Something is missing, and none of the effects that were examined explains it; it may be one of those for which there was "
+    "no time"
+)
+TOLD_LATE = 0.05
+"""Probability of effects that were not examined, from which on the first sentence says so."""
 
 
 def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
@@ -47,9 +53,9 @@ def headline(content: Mapping[str, Any]) -> str:
         return f"These data cannot tell whether anything is missing: {content['doubt']}."
     told = [_or(family) for family in content["families"]]
     noise = [with_title(name) for name in content["named"]]
-    verdict = VERDICTS[content["verdict"]].format(
-        named=_and(noise if content["verdict"] == "noise_model" else told)
-    )
+    late = content["probabilities"]["not_examined"]
+    words = LATE if content["verdict"] == "unexplained" and late > TOLD_LATE else VERDICTS[content["verdict"]]
+    verdict = words.format(named=_and(noise if content["verdict"] == "noise_model" else told))
     verdict = f"{verdict} (probability {probability(content['probabilities']['told'])})."
     if content["doubt"]:
         verdict = f"{verdict} {_first_upper(content['doubt'])}."
@@ -70,6 +76,8 @@ def odds(content: Mapping[str, Any]) -> str:
     told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
     told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
     told.append(("something that is not in the library", p["not_in_library"]))
+    if p["not_examined"] >= 0.005:
+        told.append(("an effect that was not examined", p["not_examined"]))
     among = ", among what was examined" if content["unexamined"] else ""
     return f"Probabilities{among}: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
 
@@ -119,6 +127,8 @@ def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Seque
     told.append(f"left: {content['remaining']['note']}")
     if content["next_observation"]:
         told.append(f"next: {content['next_observation']}")
+    if content["probabilities"]["not_examined"] > TOLD_LATE:
+        told.append(f"next: a longer --budget, or none: {len(content['unexamined'])} effects were not examined")
     if content["verdict"] == "missing_physics":
         effects = json.dumps(list(completed))
         told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -18,6 +19,7 @@ from matplotlib.figure import Figure
 
 from tests.small_case import write_case
 from tests.whole_processes import ENVIRONMENT, start
+from torchlc import terminal
 from torchlc.figures import saving
 
 NAME = "Ω é"
@@ -61,6 +63,27 @@ def test_a_fit_is_whole_wherever_it_runs(kind: str, case: tuple[str, str], tmp_p
     assert "could not be drawn" not in (out / "report.html").read_text()
     if kind == "terminal":
         assert json.loads(output)["chi2"] == json.loads((out / "fit.json").read_text())["chi2"]
+
+
+def test_a_terminal_of_ascii_is_told_signs_in_ascii(case: tuple[str, str]):
+    """Degrees in words; the letters of a name stay apart from each other, escaped."""
+    change = {"TERM": "dumb", "PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
+    arguments = ["-m", "torchlc", "predict", case[0], "--date", "2020-10-17", "--cadence", "600"]
+    output, error = start(arguments, change=change).communicate()
+    head, _, row = output.splitlines()[:3]
+    assert head.startswith("\\u03a9 \\xe9: 1 pass to be seen"), error
+    assert re.search(r" \d+ deg  ", row) and "\\xb0" not in output
+
+
+@pytest.mark.parametrize(
+    ("encoding", "written"),
+    [("ascii", "0.373 +- 0.032 -> \\u03a9 +- 5 deg"), ("latin-1", "0.373 ± 0.032 -> \\u03a9 ± 5°")],
+)
+def test_signs_are_spelled_where_an_encoding_lacks_them(encoding: str, written: str):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors=terminal.SPELLED)
+    stream.write("0.373 ± 0.032 → Ω ± 5°")
+    stream.flush()
+    assert stream.buffer.getvalue().decode(encoding) == written  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.long

@@ -271,6 +271,7 @@ def test_init_writes_a_scene_that_simulates(shape: str, tmp_path: Path, capsys: 
         (("9993", "9992"), [], "checksum"),
         (("1 ", "7 "), [], "no two-line elements"),
         (("", ""), ["--shape", "cubesatt"], "Did you mean 'cubesat'"),
+        (("", ""), ["--preset", "cubesatt"], "--shape, --preset"),
         (("", ""), ["--station", "weihai"], "--station"),
         (("", ""), ["--station", "weihai,95,0,0"], "latitude"),
         (("", ""), ["--date", "tomorrow"], "--date"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +178,23 @@ def test_a_trend_of_two_magnitudes_is_taken_off_and_told(tmp_path: Path, turns: 
     (slope,) = found.trend_per_hour.values()
     assert slope == pytest.approx(0.4, abs=0.01)
     assert any("trend of +0.4" in text or "trend of +0.39" in text for text in found.notes())
+
+
+@pytest.mark.parametrize(
+    ("bands", "said"),
+    [
+        (["V"], r"taken off before: a trend of \S+ mag/h$"),
+        (["V", "R"], r"taken off before: trends of \S+ mag/h \(V\), \S+ mag/h \(R\)$"),
+        (list("BGRIVU"), r"taken off before: trends of (\S+ mag/h \(\w\)(, | and )){4}2 more$"),
+    ],
+)
+def test_trends_are_told_by_the_names_that_a_person_gave(tmp_path: Path, bands: list[str], said: str):
+    """A lone curve needs no name, and a station that the file does not name is not part of one."""
+    generator = np.random.default_rng(3)
+    hours = np.sort(generator.uniform(0, 5, 60 * len(bands)))
+    mag = 10 + 0.4 * hours + 0.2 * np.sin(2 * np.pi * hours / 0.3) + 0.02 * generator.normal(size=len(hours))
+    column = np.array([bands[k % len(bands)] for k in range(len(hours))])
+    assert re.match(said, find_period(recording(tmp_path, hours, mag, band=column)).notes()[-1])
 
 
 def test_a_trend_over_two_nights_with_gaps(tmp_path: Path):

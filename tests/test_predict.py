@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 import warnings
 from pathlib import Path
@@ -243,6 +244,102 @@ effects = []
     assert abs(row - moment) < found.span.cadence_s
 
 
+BOX_WING = """
+[[components]]
+name = "body"
+shape = "box"
+size = [2.0, 2.0, 2.5]
+centre = [0, 0, 0]
+material = "m"
+[[components]]
+name = "wing"
+shape = "plate"
+size = [2.0, 6.0]
+centre = [0, 4.5, 0]
+u = [1, 0, 0]
+v = [0, 1, 0]
+tracks = { target = "sun", axis = [0, 1, 0] }
+material = "m"
+[materials.m]
+n = N
+r_spec = 0.3
+r_diff = 0.3
+[model]
+effects = []
+"""
+ANY_GLOSS = '{ value = 100.0, low = 1.0, high = 1e6, prior = "loguniform" }'
+
+
+def by_the_equinox(gloss: str, **given):
+    """The night of a geostationary box-wing in eclipse season: both faces are nearest to their glints in the umbra."""
+    tle = (
+        "1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999",
+        "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325",
+    )
+    roof = torchlc.scene.Station(id="roof", latitude=48.2, longitude=16.37, height=210.0)
+    parts = BOX_WING.replace("n = N", f"n = {gloss}")
+    return torchlc.predict(scene(tle, parts=parts), stations=[roof], date="2026-03-16", **given)
+
+
+@pytest.mark.parametrize("gloss", ["150.0", ANY_GLOSS])
+def test_nothing_glints_in_the_umbra(gloss):
+    """The closest approach lies in the dark, so that what is left ends at the umbra, and is told so: in JSON, table, calendar
+    and figure."""
+    found = by_the_equinox(gloss)
+    (one,) = found.passes
+    dark = {word: seconds for seconds, word in one.path.events if word.endswith(" umbra")}
+    begin, end = str(found.iso(dark["enters umbra"])), str(found.iso(dark["leaves umbra"]))
+    told = found.to_json()["passes"][0]["glints"]
+    assert {(glint["component"], glint["face"]) for glint in told} >= {("body", "+Z"), ("wing", "front")}
+    for glint in told:
+        assert not begin < glint["time"] < end
+        edge = "it enters the umbra" if glint["time"] < begin else "it leaves the umbra"
+        assert glint["closest_when"] == edge
+        # two widths of lobes of at most 5 deg
+        assert glint["degrees"] < 10
+    calendar = found.to_ics().replace("\r\n ", "").replace("\\,", ",")
+    for cells in (str(found.passes_table()["glints"][0]).split("; "), calendar.split("Glint: ")[1:]):
+        assert len(cells) == len(told)
+        for cell, glint in zip(cells, told, strict=True):
+            assert f"{glint['time'][11:19]} ± 5 s, closest when {glint['closest_when']}" in cell
+    (panel,) = found.panels()
+    first = found.span.seconds[one.path.index[0]]
+    marked = first + 60 * np.array(panel.glints)
+    assert not ((marked > dark["enters umbra"]) & (marked < dark["leaves umbra"])).any()
+
+
+def test_an_eclipse_between_two_rows_parts_them_too():
+    """At a step of 600 s rows are further apart than a short umbra is long: the same night, its umbra cut to one step."""
+    from dataclasses import replace
+
+    from torchlc.prediction.glints import lit_runs
+
+    path = by_the_equinox("150.0", cadence=600.0).passes[0].path
+    shining = replace(path, shadow=np.full(len(path.index), 2.0))
+    seconds = 600.0 * path.index
+    assert [run.rows for run in lit_runs(replace(shining, events=()), seconds)] == [slice(0, len(seconds))]
+    short = ((seconds[20] + 10.0, "enters umbra"), (seconds[20] + 200.0, "leaves umbra"))
+    runs = lit_runs(replace(shining, events=short), seconds)
+    assert [(run.rows.start, run.rows.stop) for run in runs] == [(0, 21), (21, len(seconds))]
+    assert [run.begins for run in runs] == ["the night begins", "it leaves the umbra"]
+    assert [run.ends for run in runs] == ["it enters the umbra", "the night ends"]
+
+
+def test_only_draws_with_a_sharp_lobe_in_reach_glint():
+    """n is log-uniform from 1 to 1e6 and a lobe 1/sqrt(n) wide: at an angle a, those count whose n lies between (1/5 deg)^2
+    and (2/a)^2. Their share and their median width are in closed form; 4000 draws, four standard deviations."""
+    found = by_the_equinox(ANY_GLOSS, draws=4000)
+    glints = found.passes[0].glints
+    assert glints
+    for glint in glints:
+        low, high = (1 / math.radians(5.0)) ** 2, (2 / math.radians(glint.degrees)) ** 2
+        share = math.log(high / low) / math.log(1e6)
+        assert glint.probability == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / 4000))
+        # log n of the median is off by 1.25 of its standard deviation over the root of their number; half of it is the width's
+        off = 2.5 * math.log(high / low) / math.sqrt(12 * 4000 * share)
+        assert glint.width_deg == pytest.approx(math.degrees((low * high) ** -0.25), rel=off)
+
+
 @pytest.mark.long
 def test_a_spinning_mirror_glints_every_turn():
     """A plate that spins about the axis of the sky: its normal crosses the bisector's meridian twice a turn, once with
@@ -358,6 +455,28 @@ def test_many_objects_come_brightest_first_and_as_each_alone(tmp_path):
     path.write_text("\n".join(text[3 * number : 3 * number + 3]))
     named = torchlc.predict(scene(), elements=path, **NIGHT).headline()
     assert named.startswith(f"{text[3 * number].strip()}, like {model}: ")
+
+
+def test_objects_of_one_name_are_told_apart_by_their_numbers(tmp_path):
+    """In the printed table, the headline, the calendar and the figure; a long name leaves room for the number."""
+    path = catalogue(tmp_path, 6)
+    text = path.read_text()
+    numbers = [line.split()[1] for line in text.splitlines() if line.startswith("2 ")]
+    for name in ("SL-16 R/B", "SL-16 R/B of the Zenit-2 kind"):
+        shared = re.sub(r"SHELL [0-4]", name, text)
+        path.write_text(shared)
+        found = torchlc.predict(scene(), elements=path, **NIGHT)
+        seen = {found.orbiters[one.path.orbiter].number for one in found.passes if one.visible}
+        assert len(seen) > 2
+        rows = found.lines(most=1000)[1:]
+        for row, one in zip(rows, found.passes, strict=True):
+            number = found.orbiters[one.path.orbiter].number
+            cell = row[31:55].strip()
+            assert cell == ("SHELL 5" if number == numbers[5] else f"{name[: 24 - 6].strip()} {number}")
+        first = found.orbiters[found.passes[0].path.orbiter]
+        assert first.name == name and f"{name} {first.number}, " in found.headline()
+        assert f"SUMMARY:{name} {first.number}\\, " in found.to_ics().replace("\r\n ", "")
+        assert found.panels()[0].title == f"{name} {first.number} over weihai"
 
 
 def test_what_has_no_orbit_is_left_out_and_named(tmp_path):

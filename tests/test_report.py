@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.table import Table
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 import torchlc
 from tests.chromium import PROGRAM, Page
 from tests.small_case import NAME, write_case
+from torchlc.diagnosis.result import Diagnosis
 from torchlc.figures.raster import Mesh, looking_along, render
 from torchlc.figures.style import PALETTE
 from torchlc.lightcurve.model import LightCurve
@@ -159,6 +161,17 @@ def test_the_numbers_of_every_shape_and_every_attitude_have_words():
             assert "_" not in shape.keys.meaning(key)
 
 
+def test_fewer_rows_than_numbers_are_told_in_words(tmp_path: Path):
+    """Two rows and six free numbers: no page, headline or stored fit speaks of -4 degrees of freedom."""
+    scene, recording = write_case(tmp_path, rows=2)
+    result = torchlc.fit(scene, recording, steps=20, walkers=20, out=tmp_path / "out")
+    assert result.fit.dof < 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    for told in (page, result.headline(), repr(torchlc.load_fit(tmp_path / "out"))):
+        assert "with fewer measured rows than free numbers" in told
+        assert not re.search(r"-\d+ degree", told)
+
+
 def test_a_chain_too_short_to_judge_shows_no_nan(tmp_path: Path):
     """Three steps have no R-hat: the table says so in words."""
     result = torchlc.fit(*write_case(tmp_path, rows=9), steps=3)
@@ -266,6 +279,55 @@ def test_it_fits_a_phone_and_prints(page: Path):
         assert wide == 360, "only figures and tables scroll sideways"
         assert tab.run("parseFloat(getComputedStyle(document.body).fontSize)") >= 16
         assert tab.pdf().startswith(b"%PDF")
+        assert tab.problems == []
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """A drift, and 15 of 61 rows that are off by 1.5 mag."""
+    scene, recording = write_case(tmp_path_factory.mktemp("diagnosed"), rows=61)
+    table = Table.read(recording, format="ascii.ecsv")
+    table["mag"] += 0.2 * np.arange(len(table)) * 4 / 60
+    table["mag"][3::4] += 1.5 * (-1.0) ** np.arange(len(table["mag"][3::4]))
+    table.write(recording, format="ascii.ecsv", overwrite=True)
+    effects = ["zero_point_drift", "zero_point_step", "outliers"]
+    return torchlc.diagnose(scene, recording, quick=True, effects=effects, seed=9)
+
+
+def test_bad_rows_are_counted_in_words_and_listed_in_a_table(diagnosed: Diagnosis, tmp_path: Path):
+    text = torchlc.write_report(diagnosed, tmp_path / "report.html").read_text()
+    count = len(diagnosed.content["outliers"])
+    assert count > 12
+    assert f"{count} rows are probably bad: see the table of bad rows." in text
+    table = text.partition('aria-label="Rows that are probably bad"')[2].partition("</table>")[0]
+    assert table.count("<tr>") == 1 + 12 and f"{count - 12} more are in diagnosis.json" in text
+    first = diagnosed.content["outliers"][0]["time"]
+    assert f"<span>{first[:10]}</span> <span>{first[11:19]}</span>" in table
+
+
+@browser
+def test_tables_of_a_diagnosis_fit_a_phone(diagnosed: Diagnosis, tmp_path: Path):
+    """Only those with sentences in their cells scroll, and keep the names in sight. No date, time or name breaks within."""
+    page = torchlc.write_report(diagnosed, tmp_path / "report.html")
+    with Page(page, width=390, height=844, dark=True) as tab:
+        tab.settle()
+        assert tab.run("document.documentElement.scrollWidth") == 390
+        tables = "[...document.querySelectorAll('.wide:has(table)')]"
+        plain = f"{tables}.filter(one => !one.querySelector('td.words'))"
+        assert tab.run(f"{plain}.length") >= 2
+        too_wide = f"{plain}.filter(one => one.scrollWidth > one.clientWidth)"
+        assert tab.run(f"{too_wide}.map(one => one.ariaLabel).join()") == ""
+        spans = "[...document.querySelectorAll('td.time span')]"
+        assert tab.run(f"{spans}.length") > 20
+        assert tab.run(f"{spans}.every(one => one.getClientRects().length === 1)")
+        names = "[...document.querySelectorAll('td.name')]"
+        assert tab.run(f"{names}.some(one => one.innerHTML.includes('zero_<wbr>point_<wbr>drift'))")
+        moved = (
+            f"{tables}.filter(one => one.querySelector('td.words')).every(one => {{ one.scrollLeft = 100;"
+            " const name = one.querySelector('td.name').getBoundingClientRect().left;"
+            " return one.scrollLeft > 50 && Math.abs(name - one.getBoundingClientRect().left) < 1; })"
+        )
+        assert tab.run(moved)
         assert tab.problems == []
 
 

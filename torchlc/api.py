@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.digits import against_freedom
 from torchlc.effects import mending_kind
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
@@ -633,7 +634,7 @@ def _search(
     doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened and not cut
     if not doubtful:
         return found, []
-    said = f"chi2 is {found.chi2:.1f} for {found.dof} degrees of freedom (p = {found.p_value:.1g})"
+    said = f"chi2 is {against_freedom(found.chi2, found.dof)} (p = {found.p_value:.1g})"
     if not likelihood.model.names:
         return found, [f"{said}: the model as it stands does not fit within the errors"]
     assembly = likelihood.model.assembly

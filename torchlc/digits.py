@@ -42,6 +42,14 @@ def rounded(value: float, digits: int) -> str:
     return f"{float(text):g}" if abs(float(text)) < 1e6 else text
 
 
+def against_freedom(chi2: float, dof: SupportsFloat, decimals: int = 1) -> str:
+    """The value of chi-square beside its degrees of freedom, or why there are none."""
+    if float(dof) > 0:
+        return f"{chi2:.{decimals}f} for {number_of(dof, 'degree')} of freedom"
+    rows = "fewer" if float(dof) < 0 else "no more"
+    return f"{chi2:.{decimals}f}, with {rows} measured rows than free numbers"
+
+
 def number_of(count: SupportsFloat, what: str) -> str:
     """So many of what is named in the singular: "1 row", "3 rows", "2 passes". Without decimals."""
     said = f"{float(count):.0f}"

@@ -4,6 +4,7 @@ goes with it.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import json
@@ -33,13 +34,32 @@ UsageProblem: type[Exception] = next(
 """Base of everything the command line itself objects to; newer typer brings a click of its own."""
 
 
+SPELLED = "torchlc-spelled"
+"""Name of the way in which streams write what their encoding lacks."""
+SPELLINGS = {"±": "+-", "→": "->", "°": " deg", "−": "-"}
+"""Signs of our own output in ASCII."""
+
+
+def spelled(error: UnicodeError) -> tuple[str | bytes, int]:
+    """One sign that an encoding lacks, in ASCII, and where to go on; what is not a sign of ours, a name's letter, is escaped
+    so that it stays told apart."""
+    if isinstance(error, UnicodeEncodeError) and (sign := error.object[error.start]) in SPELLINGS:
+        return SPELLINGS[sign], error.start + 1
+    if isinstance(error, UnicodeEncodeError):
+        error.end = error.start + 1
+    return codecs.backslashreplace_errors(error)
+
+
+codecs.register_error(SPELLED, spelled)
+
+
 class Terminated(SystemExit):
     """The process was asked to end by a signal of this name. No error: only the end of the command hears of it."""
 
 
 def prepare_process() -> None:
-    """Make the command independent of how it was started: streams that are closed take what is written to them, letters
-    that the terminal does not have are escaped, and settings of matplotlib that a person or a notebook left behind, which
+    """Make the command independent of how it was started: streams that are closed take what is written to them, signs
+    that the terminal does not have are spelled and letters escaped, and settings of matplotlib that a person or a notebook left behind, which
     could end a run at its first figure, do not count.
     """
     for descriptor in range(3):
@@ -54,7 +74,7 @@ def prepare_process() -> None:
         if stream is None:
             setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 - for the life of the process
         else:
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors=SPELLED)
     os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
 
 

@@ -136,7 +136,7 @@ def _folded(name: str) -> str:
     return name.strip().lower().replace(" ", "-").replace("_", "-")
 
 
-def _preset_key(preset: str, option: str = "--shape") -> str:
+def _preset_key(preset: str, option: str = "--shape, --preset") -> str:
     """The preset's name as PRESETS has it, folded; InputError, which names the option, if there is none."""
     key = _folded(preset)
     if key not in PRESETS:

@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 from torchlc.digits import number_of
 from torchlc.inference.slow_changes import phase_curve
 from torchlc.readers import Recording
+from torchlc.readers.stations import NO_STATION
 
 if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.axes import Axes
 
 SCHEMA = "torchlc-period/1"
+MOST_TRENDS = 4
+"""Curves whose trends are told one by one."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +142,17 @@ class Periodogram:
                 f"light alone does not tell a period from a part of a turn: a body with two like sides turns once in {spoken(2 * period)}, "
                 "not in half of that"
             )
-        slopes = [f"{slope:+.3g} {self.unit}/h ({curve})" for curve, slope in self.trend_per_hour.items()]
-        return [*told, f"taken off before: a trend of {', '.join(slopes[:4])}"]
+        return [*told, f"taken off before: {self._trends()}"]
+
+    def _trends(self) -> str:
+        """The slopes, each with its curve where there are several; a station that nobody named is none of a curve's name."""
+        slopes = [f"{slope:+.3g} {self.unit}/h" for slope in self.trend_per_hour.values()]
+        if len(slopes) == 1:
+            return f"a trend of {slopes[0]}"
+        curves = [curve.removeprefix(f"{NO_STATION} ") for curve in self.trend_per_hour]
+        named = [f"{slope} ({curve})" for slope, curve in zip(slopes, curves, strict=True)]
+        more = f" and {len(named) - MOST_TRENDS} more" if len(named) > MOST_TRENDS else ""
+        return f"trends of {', '.join(named[:MOST_TRENDS])}{more}"
 
 
 def spoken(seconds: float) -> str:

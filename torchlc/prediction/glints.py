@@ -6,7 +6,7 @@ Letters: D draws, F flat facets, T rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchlc.inference.identifiability import bare_model
 from torchlc.lightcurve.model import LightCurve
+from torchlc.prediction.passes import Pass
 from torchlc.shapes import Band, Dome
 from torchlc.stages.light import Patch, View
 from torchlc.tensors.vectors import unit
@@ -25,6 +26,7 @@ NEAR_WIDTHS = 2.0
 SHARP_DEG = 5.0
 """Lobes wider than this make no glint, but a broad maximum."""
 LEAST_PROBABILITY = 0.05
+EDGE_ON = "the face turns edge-on"
 MOST_GEOMETRIES = 24
 MESH_FACETS = 200
 """Flat facets of one mesh beyond which its glints are not looked for."""
@@ -34,8 +36,10 @@ MESH_FACETS = 200
 class Glint:
     """A face's mirror direction passes the observer: ``seconds`` after the start of the span, the closest approach in
     ``degrees`` between the face's normal and the bisector of Sun and observer, with ``width_deg``, the lobe's width on
-    the same scale, medians over the draws. ``probability`` is the share of draws in which the bisector comes
-    within NEAR_WIDTHS widths; ``time_sd_s`` holds the draws and the error of the elements; ``duration_s`` the time within.
+    the same scale. ``probability`` is the share of draws whose lobe is sharp and in which the bisector comes
+    within NEAR_WIDTHS widths. All else is the median over these draws: a draw with a wide lobe says nothing of a glint.
+    ``time_sd_s`` holds the draws and the error of the elements; ``duration_s`` the time within. ``edge`` says, where the angle
+    has no turning point, what cuts its fall or rise: the pass, the umbra, the face turning away.
     """
 
     component: str
@@ -46,6 +50,7 @@ class Glint:
     width_deg: float
     duration_s: float
     probability: float
+    edge: str = ""
 
 
 def facet_angles(model: LightCurve, theta: Tensor) -> tuple[list[tuple[str, str, str]], np.ndarray, bool]:
@@ -100,44 +105,89 @@ def lobe_widths_deg(model: LightCurve, theta: Tensor, material: str) -> np.ndarr
     return torch.rad2deg(widest.sqrt()).detach().numpy()
 
 
+@dataclass(frozen=True)
+class Run:
+    """Rows one after the other in sunlight, and what happens before the first and after the last."""
+
+    rows: slice
+    begins: str
+    ends: str
+
+
+def lit_runs(path: Pass, seconds: np.ndarray) -> list[Run]:
+    """Runs of the lit rows of a pass, at ``seconds`` (T,): the umbra parts them, even where it is shorter than a step."""
+    lit = np.flatnonzero(path.lit)
+    crossings = [at for at, word in path.events if word in ("enters umbra", "leaves umbra")]
+    crossed = np.searchsorted(np.sort(crossings), seconds)
+    breaks = np.flatnonzero((np.diff(lit) > 1) | (np.diff(crossed) > 0)) + 1
+    last = len(path.index) - 1
+    return [
+        Run(
+            slice(start, stop),
+            _in_words(path.begins) if lit[start] == 0 else "it leaves the umbra",
+            _in_words(path.ends) if lit[stop - 1] == last else "it enters the umbra",
+        )
+        for start, stop in pairwise([0, *breaks.tolist(), len(lit)])
+        if stop > start
+    ]
+
+
+def _in_words(edge: str) -> str:
+    """An edge of a pass as a clause: "rises" and "sets" lack their subject."""
+    return edge if " " in edge else f"it {edge}"
+
+
 def find_glints(
     names: list[tuple[str, str, str]],
     angles: np.ndarray,
     widths: dict[str, np.ndarray | None],
     seconds: np.ndarray,
+    runs: Sequence[Run],
     orbit_sd_s: float,
 ) -> list[Glint]:
     """Glints of one pass: ``angles`` (D or 1, F, T) at its lit rows, ``seconds`` (T,); ``widths`` (D,) by material;
-    ``orbit_sd_s``, how far off in time the elements may be."""
+    ``runs`` of rows, since nothing passes from one to the next; ``orbit_sd_s``, how far off in time the elements may be."""
     found = []
     for f, (component, face, material) in enumerate(names):
         width = widths[material]
-        if width is None or float(np.median(width)) > SHARP_DEG:
+        if width is None:
             continue
         own = angles[:, f]
-        for piece in _pieces(own, NEAR_WIDTHS * float(width.max())):
-            closest = [_closest(seconds[piece], one[piece]) for one in own]
-            when, near = (np.array(values) for values in zip(*closest, strict=True))
-            # one geometry for all draws, or one each
-            limit = NEAR_WIDTHS * (width if len(own) == 1 else width[: len(own)])
-            probability = float(np.mean(near < limit))
-            if probability < LEAST_PROBABILITY:
-                continue
-            turned = np.isfinite(when)
-            found.append(
-                Glint(
-                    component=component,
-                    face=face,
-                    seconds=float(np.median(when[turned])),
-                    time_sd_s=math.hypot(float(np.std(when[turned])), orbit_sd_s),
-                    degrees=float(np.median(near[turned])),
-                    width_deg=float(np.median(width)),
-                    duration_s=_duration(
-                        seconds[piece], own[int(np.argmin(near)), piece], float(np.max(limit))
-                    ),
-                    probability=probability,
-                )
-            )
+        if len(own) > 1:  # one geometry for all draws, or one each
+            width = width[: len(own)]
+        sharp = width <= SHARP_DEG
+        if np.mean(sharp) < LEAST_PROBABILITY:
+            continue
+        reach = np.where(sharp, NEAR_WIDTHS * width, -math.inf)
+        for run in runs:
+            for piece in _pieces(own[:, run.rows], float(reach.max())):
+                closest = [_closest(seconds[run.rows], one[run.rows], piece, run) for one in own]
+                when, near, edges = (np.array(values) for values in zip(*closest, strict=True))
+                for edge in np.unique(edges):
+                    counted = (near < reach) & (edges == edge)
+                    probability = float(np.mean(counted))
+                    if probability < LEAST_PROBABILITY:
+                        continue
+                    kept = counted if len(own) > 1 else slice(None)
+                    curves = own[kept, run.rows][:, piece]
+                    limits = reach[counted] if len(own) > 1 else [np.median(reach[counted])]
+                    times = [
+                        _duration(seconds[run.rows][piece], one, float(limit))
+                        for one, limit in zip(curves, limits, strict=True)
+                    ]
+                    found.append(
+                        Glint(
+                            component=component,
+                            face=face,
+                            seconds=float(np.median(when[kept])),
+                            time_sd_s=math.hypot(float(np.std(when[kept])), orbit_sd_s),
+                            degrees=float(np.median(near[kept])),
+                            width_deg=float(np.median(width[counted])),
+                            duration_s=float(np.median(times)),
+                            probability=probability,
+                            edge=str(edge),
+                        )
+                    )
     return sorted(found, key=lambda one: one.seconds)
 
 
@@ -146,7 +196,7 @@ def _pieces(angles: np.ndarray, limit: float) -> Iterator[slice]:
     draws have geometries of their own (D, T)."""
     if len(angles) > 1:
         if angles.min() < limit:
-            yield slice(None)
+            yield slice(0, angles.shape[1])
         return
     (angle,) = angles
     above = np.minimum(angle, 360.0)
@@ -157,19 +207,29 @@ def _pieces(angles: np.ndarray, limit: float) -> Iterator[slice]:
             yield piece
 
 
-def _closest(seconds: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
-    """When an angle (T,) is smallest, and how small, by the parabola of its square about the smallest row."""
-    k = int(np.argmin(angle))
+def _closest(seconds: np.ndarray, angle: np.ndarray, piece: slice, run: Run) -> tuple[float, float, str]:
+    """When an angle (T,) of a run is smallest in a piece of it, and how small, by the parabola of its square about the
+    smallest row; and, in words, the edge at which it is smallest and that ends it, if it has no turning point."""
+    k = piece.start + int(np.argmin(angle[piece]))
     if not np.isfinite(angle[k]):
-        return math.nan, math.inf
-    if not 0 < k < len(angle) - 1 or not np.isfinite(angle[[k - 1, k + 1]]).all():
-        return float(seconds[k]), float(angle[k])
-    y = angle[k - 1 : k + 2] ** 2
-    slope, bend = np.polynomial.polynomial.polyfit(seconds[k - 1 : k + 2] - seconds[k], y, 2)[1:]
+        return math.nan, math.inf, ""
+    if not 0 < k < len(angle) - 1:
+        return float(seconds[k]), float(angle[k]), run.ends if k else run.begins
+    if not np.isfinite(angle[[k - 1, k + 1]]).all():
+        return float(seconds[k]), float(angle[k]), EDGE_ON
+    moved, near, _ = _turning(seconds[k - 1 : k + 2], angle[k - 1 : k + 2])
+    return float(seconds[k] + moved), near, ""
+
+
+def _turning(seconds: np.ndarray, angle: np.ndarray) -> tuple[float, float, float]:
+    """By the parabola of the squares of three angles: how long after the middle row they are smallest, how small they
+    are then, and the parabola's bend. No further than the outer rows."""
+    y = angle**2
+    slope, bend = np.polynomial.polynomial.polyfit(seconds - seconds[1], y, 2)[1:]
     if bend <= 0:
-        return float(seconds[k]), float(angle[k])
-    moved = float(np.clip(-slope / (2 * bend), seconds[k - 1] - seconds[k], seconds[k + 1] - seconds[k]))
-    return float(seconds[k] + moved), math.sqrt(max(y[1] + slope * moved + bend * moved**2, 0.0))
+        return 0.0, float(angle[1]), float(bend)
+    moved = float(np.clip(-slope / (2 * bend), seconds[0] - seconds[1], seconds[2] - seconds[1]))
+    return moved, math.sqrt(max(y[1] + slope * moved + bend * moved**2, 0.0)), float(bend)
 
 
 def _duration(seconds: np.ndarray, angle: np.ndarray, limit: float) -> float:
@@ -189,10 +249,7 @@ def _duration(seconds: np.ndarray, angle: np.ndarray, limit: float) -> float:
                 moved = moved + share * (seconds[beyond] - seconds[place])
             times.append(float(moved))
         return times[1] - times[0]
-    _, least = _closest(seconds, angle)
-    if not (least < limit and 0 < k < len(angle) - 1):
+    if not (0 < k < len(angle) - 1 and np.isfinite(angle[k - 1 : k + 2]).all()):
         return 0.0
-    bend = np.polynomial.polynomial.polyfit(
-        seconds[k - 1 : k + 2] - seconds[k], angle[k - 1 : k + 2] ** 2, 2
-    )[2]
-    return 2 * math.sqrt((limit**2 - least**2) / bend) if bend > 0 else 0.0
+    _, least, bend = _turning(seconds[k - 1 : k + 2], angle[k - 1 : k + 2])
+    return 2 * math.sqrt((limit**2 - least**2) / bend) if least < limit and bend > 0 else 0.0

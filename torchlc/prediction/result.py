@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -111,6 +112,20 @@ class Prediction:
     def _name(self, one: PredictedPass) -> str:
         return self.orbiters[one.path.orbiter].name
 
+    @cached_property
+    def _shared_names(self) -> set[str]:
+        """Names that several objects have, such as all rocket bodies of one kind."""
+        counts = Counter(orbiter.name for orbiter in self.orbiters)
+        return {name for name, count in counts.items() if count > 1}
+
+    def _called(self, one: PredictedPass, most: int | None = None) -> str:
+        """What a person tells the object by: its name, cut to ``most`` letters, with its number where others share that."""
+        orbiter = self.orbiters[one.path.orbiter]
+        if orbiter.name not in self._shared_names or not orbiter.number:
+            return orbiter.name[:most]
+        room = None if most is None else most - len(orbiter.number) - 1
+        return f"{orbiter.name[:room].rstrip()} {orbiter.number}"
+
     def _station(self, one: PredictedPass) -> str:
         return self.span.stations[one.path.station].id
 
@@ -183,8 +198,9 @@ class Prediction:
         return "; ".join(self._glint_words(glint) for glint in one.glints)
 
     def _glint_words(self, glint: Glint) -> str:
+        edge = f", closest when {glint.edge}" if glint.edge else ""
         return (
-            f"{glint.component}/{glint.face} {str(self.iso(glint.seconds))[11:19]} ± {glint.time_sd_s:.0f} s, "
+            f"{glint.component}/{glint.face} {str(self.iso(glint.seconds))[11:19]} ± {glint.time_sd_s:.0f} s{edge}, "
             f"{glint.degrees:.1f} deg from the mirror direction, probability {glint.probability:.0%}"
         )
 
@@ -283,6 +299,7 @@ class Prediction:
                     "lobe_width_deg": glint.width_deg,
                     "duration_s": glint.duration_s,
                     "probability": glint.probability,
+                    "closest_when": glint.edge or None,
                 }
                 for glint in one.glints
             ],
@@ -313,7 +330,7 @@ class Prediction:
             made=str(self.iso(0.0)),
             begin=str(self.iso(path.begin)),
             end=str(self.iso(path.end)),
-            summary=f"{name}, {one.brightest[2]:.1f} mag",
+            summary=f"{self._called(one)}, {one.brightest[2]:.1f} mag",
             lines=told,
         )
 
@@ -328,7 +345,7 @@ class Prediction:
             seconds = self.span.seconds[one.path.index]
             found.append(
                 Panel(
-                    title=f"{self._name(one)} over {self._station(one)}",
+                    title=f"{self._called(one)} over {self._station(one)}",
                     start=f"{str(self.iso(seconds[0]))[:19].replace('T', ' ')} UTC",
                     minutes=(seconds - seconds[0]) / 60,
                     mag=np.where(np.isfinite(one.mag), one.mag, np.nan),
@@ -382,7 +399,7 @@ class Prediction:
         best = visible[0]
         row = best.row or 0
         when = str(self.iso(self.span.seconds[best.path.index[row]]))[:19]
-        named = f"{self._name(best)}, " if several else ""
+        named = f"{self._called(best)}, " if several else ""
         return f"{told}; brightest {named}{best.brightest[2]:.1f} mag at {when} UTC"
 
     def lines(self, most: int = 20) -> list[str]:
@@ -397,7 +414,7 @@ class Prediction:
                 light = f"{one.brightest[2]:5.1f}  {_mag(one.brightest[0])} to {_mag(one.brightest[-1])}"
                 light += f"  {number_of(len(one.glints), 'glint')}" if one.glints else ""
             found.append(
-                f"{begin[:19]}  {end[11:19]}  {self._name(one)[:24]:24}  {self._station(one)[:12]:12}  "
+                f"{begin[:19]}  {end[11:19]}  {self._called(one, 24):24}  {self._station(one)[:12]:12}  "
                 f"{path.top_elevation:3.0f}°  {light}"
             )
         if len(self.passes) > most:

@@ -20,7 +20,7 @@ from torchlc.geometry.orbit.ephemeris import Ephemeris
 from torchlc.lightcurve.model import LightCurve
 from torchlc.prediction import brightness
 from torchlc.prediction.brightness import Posterior
-from torchlc.prediction.glints import Glint, facet_angles, find_glints, lobe_widths_deg
+from torchlc.prediction.glints import Glint, facet_angles, find_glints, lit_runs, lobe_widths_deg
 from torchlc.prediction.passes import Orbiter, Pass, Span, along_track_sd_s, find_passes, make_span
 from torchlc.prediction.result import PredictedPass, Prediction
 from torchlc.readers.table import MAX_ROWS
@@ -330,11 +330,13 @@ def _lighted(
         start += len(some)
         mag = np.full((len(brightness.LEVELS), len(path.index)), np.inf)
         mag[:, some] = brightness.quantiles(drawn[:, piece])
+        seconds = span.seconds[path.index[some]]
         glints: list[Glint] = find_glints(
             names,
             angles[..., piece],
             widths,
-            span.seconds[path.index[some]],
+            seconds,
+            lit_runs(path, seconds),
             along_track_sd_s(orbiters[path.orbiter]),
         )
         found.append(_predicted(path, mag, brightness.quantiles(drawn[:, piece].min(axis=1)), glints))

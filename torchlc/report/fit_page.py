@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchlc.digits import decimals, number_of, rounded, stated
+from torchlc.digits import against_freedom, decimals, number_of, rounded, stated
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, RESULT_FILES, SAMPLED_FILES, OutputDirectory
 from torchlc.inference.posterior_draws import GOOD_RHAT
@@ -139,8 +139,9 @@ def _quality(result: FitResult) -> str:
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
     elif not (widening := [one for one in result.model.effects if isinstance(one, NoiseKind) and one.widens]):
-        judged = f"chi-square is {result.fit.chi2:.0f} for {number_of(result.fit.dof, 'degree')} of freedom"
-        judged += ", as the errors allow" if result.fit.p_value > 0.01 else ", more than the errors allow"
+        judged = f"chi-square is {against_freedom(result.fit.chi2, result.fit.dof, 0)}"
+        verdict = "as the errors allow" if result.fit.p_value > 0.01 else "more than the errors allow"
+        judged += f", {verdict}" if result.fit.dof > 0 else ": it judges nothing"
     elif {one.name for one in widening} <= {
         Entry.parse(entry).name for entry in result.model.scene.model.effects or ()
     }:

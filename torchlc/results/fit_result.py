@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 
-from torchlc.digits import number_of, stated
+from torchlc.digits import against_freedom, number_of, stated
 from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import Likelihood
@@ -370,8 +370,8 @@ class FitResult:
         state = "converged" if self.converged else "not converged"
         spread = "upper limits alone" if self.recording.upper_limit.all() else f"rms {self.rms_mag:.3f} mag"
         return (
-            f"{self.model.scene.name}: {number_of(len(self.recording), 'row')}, chi2 {self.fit.chi2:.1f} for "
-            f"{number_of(self.fit.dof, 'degree')} of freedom, {spread}, {state}"
+            f"{self.model.scene.name}: {number_of(len(self.recording), 'row')}, "
+            f"chi2 {against_freedom(self.fit.chi2, self.fit.dof)}, {spread}, {state}"
         )
 
     def __repr__(self) -> str:

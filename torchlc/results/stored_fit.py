@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchlc.digits import number_of, stated
+from torchlc.digits import against_freedom, number_of, stated
 from torchlc.errors import InputError
 from torchlc.files.hdf5 import check_hdf5
 from torchlc.files.libraries import arviz_library
@@ -86,7 +86,7 @@ class StoredFit:
             for name, row in self.parameters().items()
         ]
         width = max((len(name) for name, _ in rows), default=0)
-        head = f"StoredFit: {self.directory}: {number_of(content['rows'], 'row')}, chi2 {content['chi2']:.1f} for {number_of(content['dof'], 'degree')} of freedom, {state}"
+        head = f"StoredFit: {self.directory}: {number_of(content['rows'], 'row')}, chi2 {against_freedom(content['chi2'], content['dof'])}, {state}"
         told = [f"  {name:{width}}  {text}" for name, text in rows]
         return "\n".join([head, *told, *(f"  ! {text}" for text in self.warnings)])
 

@@ -174,8 +174,8 @@ class TestWhatTimesAre:
             read(plain_ecsv(columns, f'{NOON} 1 ""', f'{LATER} 2 ""'))
 
     def test_a_comment_of_a_csv_is_said(self, read):
-        recording = read("# time: start of exposure\n" + RECORDING)
-        assert "a comment says 'time: start of exposure'" in recording.warnings[0]
+        recording = read("# the time is the start of exposure\n" + RECORDING)
+        assert "a comment says 'the time is the start of exposure'" in recording.warnings[0]
 
     @pytest.mark.parametrize("line, number, jd", [
         ("# time_format: mjd", "59139.5", 2459140.0), ("# time_format = jd-2400000", "59140.0", 2459140.0),

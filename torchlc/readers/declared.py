@@ -14,7 +14,7 @@ from torchlc.errors import InputError
 from torchlc.readers.dates import is_moment
 from torchlc.readers.roles import ROLES, VECTORS
 from torchlc.readers.table import Header, first_row
-from torchlc.readers.timing import FORMAT_WORDS, Timing
+from torchlc.readers.timing import FORMAT_WORDS, MARK_WORDS, Timing
 from torchlc.scene.reading import LESS_A_DATE, Reading
 from torchlc.scene.timestamps import (
     JULIAN_DATE,
@@ -278,9 +278,6 @@ def units_told(header: Header, kind: str) -> list[str]:
     if kind == "flux" and unit and "flux_err" in header.names and not header.units.get("flux_err"):
         return [f"flux_err has no unit and is taken in that of flux, {unit[:40]}"]
     return []
-
-
-MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
 
 
 def taken(

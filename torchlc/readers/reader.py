@@ -56,7 +56,8 @@ def read_measurements(
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
+    reading = header.told if reading is None else header.told.with_given(reading)
+    return _Reader(header, scene, reading, use).measurements(min_rows)
 
 
 class _Reader:

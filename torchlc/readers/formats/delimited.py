@@ -6,14 +6,15 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import ClassVar
 
 from torchlc.errors import InputError
+from torchlc.readers.comments import TOLD, metadata_of, told_in
 from torchlc.readers.dates import is_moment
 from torchlc.readers.format import FORMATS, Format, Head
 from torchlc.readers.roles import known_names
-from torchlc.readers.table import BLANK, METADATA, Header, check_names, without_blank_end
+from torchlc.readers.table import BLANK, Header, check_names, without_blank_end
 from torchlc.scene.timestamps import JULIAN_DATE
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -76,6 +77,8 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 def table_header(head: Head) -> Header:
     """Delimiter, names, decimal sign and comments of a table."""
+    given = head.reading
+    head = replace(head, reading=told_in(head.path, _above_all(head), given))
     wanted: dict[str, list[str]] = {}
     for one in FORMATS.values():
         for role, names in one.columns.items():
@@ -94,20 +97,21 @@ def table_header(head: Head) -> Header:
         told = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
         header = replace(header, skip=rows[below - 1][0], notes=(*header.notes, told))
         rows = rows[below:]
-    meta, others = metadata_of_comments([text.lstrip("#%;").removeprefix(" ") for text in above])
-    return replace(header, meta=meta, comments=tuple(others), decimal=_decimal(head, header, rows))
+    meta, others = metadata_of([text.lstrip("#%;").removeprefix(" ") for text in above])
+    told = told_in(head.path, meta, given)
+    taken = [f"{key}: {meta[key]}" for key in TOLD if key in meta and key not in given.model_fields_set]
+    if taken:
+        header = replace(
+            header, notes=(*header.notes, f"taken from comments of the file: {', '.join(taken)}")
+        )
+    meta = {key: value for key, value in meta.items() if key not in TOLD}
+    return replace(header, meta=meta, comments=tuple(others), told=told, decimal=_decimal(head, header, rows))
 
 
-def metadata_of_comments(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """What comment lines say as ``key: value`` with a key of ``METADATA``, and the other lines."""
-    meta, others = {}, []
-    for line in comments:
-        key, _, value = (part.strip() for part in line.replace("=", ":", 1).partition(":"))
-        if key.lower() in METADATA and value:
-            meta[key.lower()] = value
-        elif line.strip():
-            others.append(line.strip())
-    return meta, others
+def _above_all(head: Head) -> dict[str, str]:
+    """What the comments above all other lines say: where the table begins is not known yet."""
+    above = takewhile(lambda text: not text.strip() or text[0] in MARKS, (text for _, text in head.lines))
+    return metadata_of([text.lstrip("#%").removeprefix(" ") for text in above])[0]
 
 
 def _delimiters(head: Head) -> Sequence[str]:

@@ -125,3 +125,48 @@ def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
         read(f"gps_week,gps_seconds,mag\n{week:.0f},{rest:.3f},{MAG[0]}\n")
     recording = read(f"gps_seconds,mag\n{rest + week * 604800:.3f},{MAG[0]}\n")
     assert abs((recording.time[0] - Time(JD[0], format="jd", scale="utc")).to_value(u.s)) < 0.01
+
+
+def of_name(name: str) -> str:
+    return f"{name},mag,mag_err\n2026-03-15T20:50:00,14.9,0.02\n2026-03-15T20:52:00,14.8,0.02\n"
+
+
+@pytest.mark.parametrize(
+    "zone", ["MEZ", "MESZ", "NZST", "HST", "SAST", "IST", "WIB", "Wien", "Europe/Vienna", "UT+1", "ET"]
+)
+def test_a_word_in_brackets_that_may_be_a_zone_is_refused(read, zone: str):
+    for name in (f"Time ({zone})", f"Zeit [{zone}]"):
+        with pytest.raises(InputError, match=re.escape(name)) as caught:
+            read(of_name(name))
+        assert "time_zone=+02:00" in str(caught.value)
+        found = read(of_name(name), columns="time_zone=+02:00").time[0]
+        assert abs((found - Time("2026-03-15T18:50:00")).to_value(u.s)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "said", ["UTC", "UT", "ISO 8601", "YYYY-MM-DDThh:mm:ss", "UTC, mid-exposure", "isot", "d"]
+)
+def test_scales_formats_and_units_in_brackets_are_no_zones(read, said: str):
+    found = read(of_name(f'"Time ({said})"')).time[0]
+    assert abs((found - Time("2026-03-15T20:50:00")).to_value(u.s)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Time UTC-7", "UTC+2", "Time_CET", "Ortszeit", "Uhrzeit (Sommerzeit)", "LST", "Time_Europe/Vienna"],
+)
+def test_the_advice_on_a_name_of_local_time_is_never_silently_wrong(read, name: str):
+    """First the name is offered, and then the zone is asked for."""
+    with pytest.raises(InputError) as caught:
+        read(of_name(name))
+    (option,) = re.findall(r"--columns '?(time=.*?)'?$", str(caught.value))
+    with pytest.raises(InputError, match="local time|one time scale"):
+        read(of_name(name), columns=option)
+
+
+@pytest.mark.parametrize(
+    "name", ["JD (2400000+)", "JD 2400000+", "JD (+2400000)", "JD [2400000 +]", "JD (-2400000)"]
+)
+def test_what_was_taken_off_a_julian_date_may_stand_in_brackets(read, name: str):
+    found = read(f"{name},mag\n61115.25,14.0\n").time[0]
+    assert found.jd == pytest.approx(2461115.25, abs=1e-9)

@@ -160,9 +160,16 @@ LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
 """JD - 2400000.5, HJD-2450000 and their like, without signs."""
 
 
+LEFT_OFF = re.compile(r"[+-]?\s*(24[0-7]\d{4}(?:\.\d+)?)\s*\+?", re.ASCII)
+"""What stands in brackets behind JD where that number was taken off, as in JD (2400000+)."""
+
+
 def stamp_named(name: str) -> Stamp | None:
     """What the name of a column says of times, "Time (BJD_TDB-2457000)" included; None where it names none."""
-    outside, inside = map(_one_stamp, without_brackets(name))
+    before, within = without_brackets(name)
+    if zero := LEFT_OFF.fullmatch(within):
+        return _one_stamp(f"{before}-{zero[1]}")
+    outside, inside = _one_stamp(before), _one_stamp(within)
     if inside is not None and inside.format and (outside or Stamp()).format == "":
         return replace(inside, mark=outside.mark) if outside is not None else None
     return outside
@@ -337,7 +344,8 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
         if source != role and not units[role] and _is_unit(role, unit):
             units[role] = unit
         if role == "time" and source != role:
-            said = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
+            # the sign of an offset, as in UTC-7, stays
+            said = re.sub(r"_|(?<=[^\W\d_])-(?=[^\W\d_])|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
             descriptions[role] = f"{descriptions[role]} {said}".strip()
     units |= reading.units
     return replace(

@@ -6,10 +6,12 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any
 
+import astropy.units as u
+
 from torchlc.errors import InputError
 from torchlc.readers.comments import key_and_value
 from torchlc.readers.dates import ORDERS, Calendar, moment_of
-from torchlc.readers.roles import stamp_of
+from torchlc.readers.roles import stamp_named, stamp_of, without_brackets
 from torchlc.readers.table import METADATA, Header, first_row
 from torchlc.scene.reading import SINCE, TIME_FORMATS, Reading, is_time_format, is_zone
 from torchlc.scene.timestamps import ISO, MJD_ZERO, REDUCED_ZERO, UnreadableTime, instant
@@ -71,6 +73,14 @@ OF_ANOTHER_CLOCK = re.compile(
     r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
 )
 """Local time, by a word, the name of a zone or an offset from UTC."""
+IN_BRACKETS = re.compile(
+    r"utc?|z|tai|tt|tdt|tdb|gps|unix|posix|m?jd|julian|iso[tc]?|fits|ecsv|date|datum|time|zeit|stamp|clock|decimal|gregorian"
+    r"|[ymdhstfz]+|sec(ond)?s?|minutes?|hours?|days?|since|epoch|of|the|at|in|and|or|from|to|am|pm"
+    r"|mid\w*|cent\w+|start\w*|begin\w*|open\w*|end\w*|stop\w*|clos\w*|shutter|expos\w*|obs|observation|frame|integration"
+    r"|helio\w*|bary\w*|dynamical|coordinated?|universal|terrestrial|atomic|international|observer|telescope|observatory",
+    re.IGNORECASE,
+)
+"""Words behind the name of times that say nothing of a zone: scales, formats as YYYY-MM-DD hh:mm:ss, units, and marks of the exposure."""
 SPEAKS_OF_TIME = re.compile(
     r"time|date|jd|expos|stamp|clock|shutter|utc|\bUT\b|\bGMT\b|zeit|uhr|heure|hora\b|\bora\b|tiempo|temps|helioc|baryc",
     re.IGNORECASE,
@@ -131,6 +141,7 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     mark = reading.time_mark or stamp.mark or "mid"
     told = Timing(scale, form, mark, header.notes, reading.time_zone, stamp.light_path)
     told = _as_stated(header, reading, told, scale if known else None)
+    _check_brackets(header, reading)
     light_path = _light_path(header, reading, told.light_path, located)
     mark = "mid" if told.mark == "middle" else told.mark
     notes = [*told.notes, *_notes_of_remarks(header, reading, told.scale, mark)]
@@ -220,6 +231,31 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
                 f"If they are others, say so, as in --columns {' or '.join(open_)}"
             )
     return notes
+
+
+def _check_brackets(header: Header, reading: Reading) -> None:
+    """InputError where brackets behind the name of the times hold a word that is no scale, format, unit or mark: it may be
+    a zone, of which there are more than any list has."""
+    if reading.time_zone or reading.time_scale or "time_scale" in header.meta:
+        return
+    name = header.theirs.get("time", "time")
+    for text in (without_brackets(part)[1] for part in name.split(" + ")):
+        words = [word for word in re.findall(r"[^\W\d_]+", text) if not IN_BRACKETS.fullmatch(word)]
+        if not words or stamp_named(text) or _is_unit_of_time(text) or _has_offset(header):
+            continue
+        hint = (
+            "Say --columns time_scale=utc if the times are UTC. If the word is a time zone, say which, "
+            "as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+        )
+        expected = "a time scale, a format or a unit in brackets behind the name of the times"
+        raise InputError(header.source, "the column of time", repr(name[:60]), expected, hint)
+
+
+def _is_unit_of_time(text: str) -> bool:
+    try:
+        return u.Unit(text[:60]).is_equivalent(u.s)
+    except (ValueError, TypeError, OverflowError):
+        return False
 
 
 def _check_movable(header: Header, reading: Reading, mark: str) -> None:

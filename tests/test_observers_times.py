@@ -160,7 +160,7 @@ def test_the_advice_on_a_name_of_local_time_is_never_silently_wrong(read, name: 
     with pytest.raises(InputError) as caught:
         read(of_name(name))
     (option,) = re.findall(r"--columns '?(time=.*?)'?$", str(caught.value))
-    with pytest.raises(InputError, match="local time|one time scale"):
+    with pytest.raises(InputError, match=r"local time|one time scale"):
         read(of_name(name), columns=option)
 
 

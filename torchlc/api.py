@@ -33,7 +33,7 @@ from torchlc.files.writing import (
     resources,
     write_whole,
 )
-from torchlc.geometry.orbit import above_horizon, observation_grid
+from torchlc.geometry.orbit import above_horizon, observation_grid, sun_elevation_deg
 from torchlc.inference.budget import Budget
 from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
@@ -488,7 +488,27 @@ def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Co
     kept = recording.keep(above_horizon(track), "below the horizon")
     if len(kept) < MIN_ROWS:
         raise too_few_rows(kept.source, len(kept), kept.dropped, MIN_ROWS)
-    return kept
+    told = _told_of_day(recording, sun_elevation_deg(track))
+    return replace(kept, warnings=(*kept.warnings, told)) if told else kept
+
+
+IN_DAYLIGHT_MAG = -3.0
+"""Fainter than this hardly anybody records objects beside the Sun: Venus and the ISS at its brightest are brighter."""
+BY_DAY = "the Sun is above the horizon"
+
+
+def _told_of_day(recording: Recording, sun_deg: np.ndarray | None) -> str:
+    """A warning where most rows were recorded by day, which is told once; else nothing."""
+    if sun_deg is None or any(text.startswith(BY_DAY) for text in recording.warnings):
+        return ""
+    by_day = int(np.count_nonzero(sun_deg > 0))
+    bright = recording.kind == "mag" and np.median(recording.observed) < IN_DAYLIGHT_MAG
+    if 2 * by_day <= len(recording) or bright:
+        return ""
+    return (
+        f"{BY_DAY} of the station in {by_day} of {len(recording)} rows, {np.median(sun_deg):.0f} deg high in the middle row: "
+        "are the times local or 12 h off, or has the longitude the wrong sign? East is positive"
+    )
 
 
 def provenance(scene: Scene, recording: Recording, seed: int, command: str | None = None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from astropy.coordinates import get_body_barycentric
 from astropy.time import Time
 
 from tests.good_input import SCENE, VECTOR_SCENE
-from tests.observers_night import ERROR, JD, MAG, holds
+from tests.observers_night import ERROR, EXPORTS, JD, MAG, holds
 from torchlc.errors import InputError
 from torchlc.scene import Scene
 
@@ -170,3 +170,26 @@ def test_the_advice_on_a_name_of_local_time_is_never_silently_wrong(read, name: 
 def test_what_was_taken_off_a_julian_date_may_stand_in_brackets(read, name: str):
     found = read(f"{name},mag\n61115.25,14.0\n").time[0]
     assert found.jd == pytest.approx(2461115.25, abs=1e-9)
+
+
+def test_the_start_and_the_middle_of_exposures_of_astroimagej(read):
+    """The start is half of EXPTIME before the middle."""
+    rows = [
+        f"{k}\t{jd - 10 / 86400:.7f}\t{jd:.7f}\t{mag}\t{error}\t20.0"
+        for k, (jd, mag, error) in enumerate(zip(JD, MAG, ERROR, strict=True))
+    ]
+    names = "\tJD_SOBS\tJD_MOBS\tSource_AMag_T1\tSource_AMag_Err_T1\tEXPTIME\n"
+    holds(read(names + "\n".join(rows) + "\n"))
+    start = read((names + "\n".join(rows) + "\n").replace("JD_MOBS", "other"))
+    holds(start)
+    assert "start of exposure" in start.warnings[0]
+
+
+def test_the_dates_of_atlas_are_the_start_of_exposures_of_30_s(read):
+    """fallingstar-data.com/forcedphot/resultdesc."""
+    recording = read(EXPORTS["ATLAS"])
+    holds(recording)
+    assert recording.exptime is not None and recording.exptime.tolist() == [30.0] * 3
+    assert "start of exposures of 30 s" in " ".join(recording.warnings)
+    moved = recording.time[0] - read(EXPORTS["ATLAS"], columns="time_mark=middle").time[0]
+    assert moved.to_value(u.s) == pytest.approx(15.0, abs=1e-3)

@@ -42,7 +42,7 @@ class Stamp:
 _JD, _MJD = Stamp("jd"), Stamp("mjd")
 STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
-    **dict.fromkeys(("jdmid", "midjd", "jdutcmid"), Stamp("jd", mark="mid")),
+    **dict.fromkeys(("jdmid", "midjd", "jdutcmid", "jdmobs"), Stamp("jd", mark="mid")),
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
     **dict.fromkeys(("jdutc", "utcjd"), Stamp("jd", "utc")),
     **dict.fromkeys(("jd", "juliandate", "julianday", "juliandateutc", "obsjd", "jdobs"), _JD),
@@ -72,7 +72,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
     "date": Stamp(),
     **dict.fromkeys(("dateobs", "starttime", "timestart", "utcstart", "startutc", "datebeg"), Stamp(mark="start")),
-    **dict.fromkeys(("jdstart", "startjd"), Stamp("jd", mark="start")),
+    **dict.fromkeys(("jdstart", "startjd", "jdsobs"), Stamp("jd", mark="start")),
     **dict.fromkeys(("mjdstart", "startmjd", "mjdobs", "mjdbeg"), Stamp("mjd", mark="start")),
     **dict.fromkeys(("endtime", "timeend", "utcend", "dateend"), Stamp(mark="end")),
     **dict.fromkeys(("jdend", "endjd"), Stamp("jd", mark="end")),

@@ -41,7 +41,7 @@ LIKE_TIME = re.compile(r"time|date|jd|utc?\b|stamp|epoch|zeit|^t([ _(\[]|$)|seco
 LIKE_MAG = re.compile(r"(?<![a-z])mag|mag(?![a-z])|^[A-Z0-9]{1,3}-[A-Z0-9]{1,3}$|bright|hell", re.IGNORECASE)
 LIKE_FLUX = re.compile(r"flu[xs]|counts?|adu|intensity|sum", re.IGNORECASE)
 NO_BRIGHTNESS = re.compile(
-    r"err|unc|sig|rms|std|snr|s/n|lim|air ?mass|zero|zp|\bid\b|name|(^|[ _-])(x|y|ra|dec)(cent\w+)?$",
+    r"err|unc|sig|rms|std(?![ _]?mag)|snr|s/n|lim|air ?mass|zero|zp|\bid\b|name|(^|[ _-])(x|y|ra|dec)(cent\w+)?$",
     re.IGNORECASE,
 )
 """What the names of columns have in common that may hold times or brightness, or do not; for offers only."""
@@ -250,25 +250,40 @@ NOT_APPARENT = re.compile(
 
 
 DIFFERENCE = re.compile(
-    r"^[A-Z]\w{0,2}[ _]?-[ _]?[A-Z]\w{0,2}$|(^|[ _])(d|diff|delta|inst|instr|instrumental|differential)[ _]?mag",
+    r"^[A-Z]\w{0,2}[ _]?-[ _]?[A-Z]\w{0,2}$|(^|[ _])(d|diff|delta|inst|instr|instrumental|differential)[ _]?mag"
+    r"|mag[ _]?(diff|inst|instr)([ _]|$)",
     re.I,
 )
 """Names of columns of such magnitudes: V-C, O-C, T1-C1, diff_mag, instr_mag."""
 
 
+AT_A_RANGE = re.compile(r"(?<![a-z])(std|abs)[ _]?mag|\d ?km\b", re.IGNORECASE)
+"""Names of magnitudes that are not at the distance of the observer, such as the standard magnitude at 1000 km."""
+NOT_AS_SEEN = re.compile(
+    r"^(?=.*(mag|bright|photom|hell)).*(?!\breduced (by|with|in)\b)"
+    + NOT_APPARENT.pattern
+    + r"|\b(reduced|normali[sz]ed|scaled|corrected|referred|standardi[sz]ed)\b.*(\d ?km|\b(unit|standard|common) (range|distance)s?)\b",
+    re.IGNORECASE,
+)
+"""Comments on such magnitudes; what was reduced by a program or a person is not meant."""
+
+
 def magnitudes_told(header: Header, kind: str) -> list[str]:
-    """What has to be said where the description of magnitudes speaks of others than apparent ones."""
-    described, name = header.descriptions.get("mag", ""), header.theirs.get("mag", "")
-    if kind != "mag" or not (NOT_APPARENT.search(described) or DIFFERENCE.search(name)):
+    """What has to be said where the name or description of magnitudes, or a comment, speaks of others than apparent ones."""
+    if kind != "mag":
         return []
-    said = (
-        f"the description of mag says {described[:60]!r}"
-        if NOT_APPARENT.search(described)
-        else f"the column of mag is called {name[:60]!r}"
-    )
+    described, name = header.descriptions.get("mag", ""), header.theirs.get("mag", "")
+    parted = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", name)
+    said = []
+    if NOT_APPARENT.search(described):
+        said.append(f"the description of mag says {described[:60]!r}")
+    elif DIFFERENCE.search(name) or NOT_APPARENT.search(parted) or AT_A_RANGE.search(parted):
+        said.append(f"the column of mag is called {name[:60]!r}")
+    said += [f"a comment says {text[:60]!r}" for text in header.comments if NOT_AS_SEEN.search(text)]
     return [
-        f"{said}: torchlc takes apparent magnitudes, corrected for extinction. "
+        f"{text}: torchlc takes apparent magnitudes, corrected for extinction. "
         "Give relative fluxes in a column flux, or a free zero_point, if they are others"
+        for text in said
     ]
 
 

@@ -87,7 +87,7 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
+        "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),

@@ -32,6 +32,25 @@ class TestUserSays:
         text = "\n".join(f"{row},{mag},{jd:.6f}" for row, (jd, mag) in enumerate(zip(JD, MAG, strict=True)))
         holds(read(text, columns="time=3,mag=2"), error=False)
 
+    @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
+    def test_date_and_time_apart_without_names_lose_no_row(self, read, mark: str):
+        """The advice names both columns of the time, and the first row stays one."""
+        rows = [
+            mark.join([*Time(jd, format="jd").isot.split("T"), f"{mag}", f"{error}"])
+            for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+        ]
+        text = "\n".join(rows) + "\n"
+        with pytest.raises(InputError, match="no names of columns") as caught:
+            read(text)
+        (option,) = re.findall(r"--columns (time=\S+?);", str(caught.value))
+        assert option == "time=1+2,mag=3,mag_err=4"
+        holds(read(text, columns=option))
+
+    def test_names_that_nobody_knows_are_no_row_beside_numbers_of_columns(self, read):
+        text = table("Augenblick,Wert,Streuung")
+        holds(read(text, columns="time=1,mag=2,mag_err=3"))
+        holds(read(text.split("\n", 1)[1], columns="time=1,mag=2,mag_err=3"))
+
     def test_the_user_outranks_the_name(self, read):
         text = table("time,mag,mag_err,V", more=",9.5")
         assert read(text, columns="mag=V").observed.tolist() == [9.5] * 3

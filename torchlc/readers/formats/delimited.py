@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torchlc.errors import InputError
 from torchlc.readers.comments import TOLD, metadata_of, told_in
-from torchlc.readers.dates import is_moment
+from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.format import FORMATS, Format, Head
 from torchlc.readers.roles import known_names
 from torchlc.readers.table import BLANK, Header, check_names, without_blank_end
@@ -176,9 +176,7 @@ def _without_names(head: Head) -> Header | None:
         if delimiter not in _delimiters(head):
             continue
         cells = cells_of(text, delimiter)
-        if len(cells) < 2 or not all(cells[:2]):
-            continue
-        if not (NUMBER.fullmatch(cells[0]) or is_moment(cells[0])) or not NUMBER.fullmatch(cells[1]):
+        if len(cells) < 2 or not _is_row(cells, head.reading.columns.get("time", "")):
             continue
         header = _header(head, (), delimiter, number - 1)
         width = max(len(without_blank_end(row)) for _, row in _sample(head, header))
@@ -187,6 +185,21 @@ def _without_names(head: Head) -> Header | None:
             return header
         return _guessed(head, header)
     return None
+
+
+def _is_row(cells: Sequence[str], time: str) -> bool:
+    """Do cells hold an instant and numbers, as no line of names does? ``time`` is what the user says of its columns."""
+    places = [int(part) - 1 for part in time.split("+") if re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII)]
+    if places and len(places) == time.count("+") + 1 and max(places) < len(cells):
+        moment = moment_of([cells[place] for place in places])
+    elif are_apart(cells[0], cells[1]):
+        places, moment = [0, 1], moment_of(cells[:2])
+    else:
+        places, moment = [0], cells[0]
+        if not NUMBER.fullmatch(cells[1]):
+            return False
+    others = [cell for place, cell in enumerate(cells) if place not in places]
+    return bool(NUMBER.fullmatch(moment) or is_moment(moment)) and any(map(NUMBER.fullmatch, others))
 
 
 def _guessed(head: Head, header: Header) -> Header:
@@ -212,14 +225,22 @@ def _guessed(head: Head, header: Header) -> Header:
         days = numbers(0)
         dated = bool(days) and all(JULIAN[0] < day < JULIAN[1] for day in days)
     sure = [mag for mag in second if abs(mag) < 90]
-    if not dated or not sure or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure):
+    apart = are_apart(*rows[0][:2])
+    if (
+        apart
+        or not dated
+        or not sure
+        or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure)
+    ):
         form = "" if dated or not JULIAN_DATE.fullmatch(first) else ",time_format=mjd (or jd-2400000, or jd)"
         raise InputError(
             head.path,
             "header",
             f"no names of columns; the first row is {', '.join(rows[0])[:100]}",
             "a header such as time,mag,mag_err",
-            f"Or say which column is what: --columns time=1,mag=2,mag_err=3{form}; flux=2 if it is a flux",
+            "Or say which column is what: --columns "
+            + ("time=1+2,mag=3,mag_err=4" if apart else f"time=1,mag=2,mag_err=3{form}")
+            + f"; flux={2 + apart} if it is a flux",
         )
     names = ["time", "mag", *header.names[2:]]
     if len(names) > 2:

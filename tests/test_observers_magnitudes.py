@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.good_input import SCENE
 from tests.observers_night import table
 from torchlc.errors import InputError
 
@@ -50,3 +51,38 @@ def test_other_comments_are_not(read, comment: str):
 @pytest.mark.parametrize("name", ["mag", "magnitude", "apparent_mag", "mag_auto", "Vmag"])
 def test_names_of_apparent_magnitudes_are_not_told(read, name: str):
     assert SAID not in " ".join(read(table(f"time,{name},mag_err")).warnings)
+
+
+def rows_of(values: list[float], errors: list[float], name: str = "mag_err") -> str:
+    rows = (
+        f"2026-03-15T20:{k:02}:00,{mag},{error}"
+        for k, (mag, error) in enumerate(zip(values, errors, strict=True))
+    )
+    return f"time,mag,{name}\n" + "\n".join(rows) + "\n"
+
+
+NIGHT = [4.31, 4.52, 4.77, 4.35, 4.12, 4.48, 4.66, 4.19, 4.91, 4.27, 4.3, 4.6]
+
+
+def test_errors_in_another_unit_are_told_and_the_advice_works(read):
+    said = "half of the errors in mag_err are above 20 mag"
+    recording = read(rows_of(NIGHT, [20.0] * 12))
+    assert said in " ".join(recording.warnings)
+    named = read(rows_of(NIGHT, [20.0] * 12, "mag_err (mmag)"))
+    scene = read(rows_of(NIGHT, [20.0] * 12), SCENE + '[recording]\nunits = { mag_err = "mmag" }\n')
+    for mended in (named, scene):
+        assert mended.error is not None and mended.error.tolist() == pytest.approx([0.02] * 12)
+        assert said not in " ".join(mended.warnings)
+    assert "half of the errors" not in " ".join(read(rows_of(NIGHT, [0.9] * 12)).warnings)
+
+
+def test_one_number_in_many_rows_apart_from_all_others_is_told(read):
+    """2.00 is less than 5 mag from the others, as a measurement may be; six times it is none."""
+    values = [value if k % 2 else 2.0 for k, value in enumerate(NIGHT)]
+    told = " ".join(read(rows_of(values, [0.02] * 12)).warnings)
+    assert (
+        "row 1, column mag: 2 mag stands in 6 rows, 2.2 mag from all others" in told
+        and "leave it blank" in told
+    )
+    for fine in (NIGHT, [round(value) for value in NIGHT], [2.0, *NIGHT[1:]], [4.3] * 12):
+        assert "stands in" not in " ".join(read(rows_of(list(fine), [0.02] * 12)).warnings)

@@ -15,7 +15,13 @@ from torchlc.readers.column_limits import check_flux_errors, check_limits
 from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots, rows_of_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
-from torchlc.readers.markers import MARKERS, brightness_markers, error_markers, suspected_marker
+from torchlc.readers.markers import (
+    MARKERS,
+    brightness_markers,
+    error_markers,
+    suspected_errors,
+    suspected_marker,
+)
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
@@ -130,6 +136,8 @@ class _Reader:
         self._drop_non_finite()
         self._to_observer()
         if self.kind == "mag" and (suspect := suspected_marker(self.columns["mag"], self.rows)):
+            self.warnings.append(suspect)
+        if self.kind == "mag" and (suspect := suspected_errors(self.columns.get("mag_err"))):
             self.warnings.append(suspect)
         check_limits(self.source, self.kind, self.columns, self.rows)
         if self.kind == "flux":

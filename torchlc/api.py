@@ -361,6 +361,7 @@ def rotation(
     budget: float | None = None,
     out: str | Path | None = None,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -370,7 +371,7 @@ def rotation(
     The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
     (s) do. ``budget`` is in CPU seconds, after which no further stage is begun and the verdict says what was left out. With
     ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed goes on from the
-    last stage that it had finished.
+    last stage that it had finished. ``columns`` says which column is what in every recording.
     """
     from torchlc.inference.rotation.search import search_rotation
     from torchlc.readers.joining import joined
@@ -380,7 +381,7 @@ def rotation(
     scene = _scene(scene, trust)
     if not recordings:
         raise InputError(None, None, "no recording", "one or more")
-    each = [usable(scene, one, use=use) for one in recordings]
+    each = [usable(scene, one, use=use, columns=columns) for one in recordings]
     rows = usable(scene, joined(each))
     with ExitStack() as stack:
         directory = None
@@ -499,7 +500,7 @@ BY_DAY = "the Sun is above the horizon"
 
 def _told_of_day(recording: Recording, sun_deg: np.ndarray | None) -> str:
     """A warning where most rows were recorded by day, which is told once; else nothing."""
-    if sun_deg is None or any(text.startswith(BY_DAY) for text in recording.warnings):
+    if sun_deg is None or any(BY_DAY in text for text in recording.warnings):
         return ""
     by_day = int(np.count_nonzero(sun_deg > 0))
     bright = recording.kind == "mag" and np.median(recording.observed) < IN_DAYLIGHT_MAG

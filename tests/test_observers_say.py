@@ -177,3 +177,30 @@ def test_hints_work_when_they_are_followed(read, text: str):
 def test_what_to_do_about_a_file_that_is_none(content: str | bytes, message: str, read):
     with pytest.raises(InputError, match=re.escape(message)):
         read(content)
+
+
+def test_names_in_errors_are_those_of_the_file_each_once(read):
+    with pytest.raises(InputError, match="no column time among when, mag, V, mag_err;"):
+        read(table("when,mag,V,mag_err", more=",9"), columns="mag_err=V")
+    with pytest.raises(InputError, match="expected one of") as caught:
+        read(table("JD,Mag,Err"), columns="tme=JD")
+    listed = str(caught.value).partition("expected one of ")[2].partition(".")[0].split(", ")
+    assert len(listed) == len(set(listed)) > 10
+
+
+def test_decimal_commas_between_quotes_are_read_as_the_advice_says(read):
+    rows = [
+        f'"{jd:.6f}","{mag}","{error}"'.replace(".", ",")
+        for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    ]
+    text = "JD,Mag,Err\n" + "\n".join(rows) + "\n"
+    with pytest.raises(InputError, match="--columns decimal=comma"):
+        read(text)
+    holds(read(text, columns="decimal=comma"))
+
+
+@pytest.mark.parametrize("cell", [">18.5", ">=18.5", "> 18.5", ">= 18.5"])
+def test_signs_of_an_upper_limit(read, cell: str):
+    recording = read(f"JD,Mag,Err\n2459140.125,14.908,0.03\n2459140.135,{cell},\n")
+    assert recording.upper_limit.tolist() == [False, True] and recording.observed.tolist() == [14.908, 18.5]
+    assert read(f"2459140.125,14.908\n2459140.135,{cell}\n").upper_limit.tolist() == [False, True]

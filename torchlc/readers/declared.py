@@ -12,7 +12,7 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.readers.dates import is_moment
-from torchlc.readers.roles import ROLES, VECTORS
+from torchlc.readers.roles import DELIVERED, ROLES, VECTORS
 from torchlc.readers.table import Header, first_row
 from torchlc.readers.timing import FORMAT_WORDS, MARK_WORDS, Timing
 from torchlc.scene.reading import LESS_A_DATE, Reading
@@ -58,7 +58,7 @@ FALSE_FRIENDS = (
 
 def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
-    others = [other for other in header.names if other and other not in FALSE_FRIENDS]
+    others = [other.removeprefix(DELIVERED) for other in header.names if other and other not in FALSE_FRIENDS]
     hint = did_you_mean(name, others)
     if len(header.names) == 1 and header.rows is None:
         hint = "The header holds one name only: is the delimiter a comma?"
@@ -69,15 +69,20 @@ def missing(header: Header, name: str, expected: str) -> InputError:
         elif offered:
             said = shlex.quote(",".join(f"{role}={_quoted(other)}" for role, other in offered.items()))
             hint = f"{hint or ''} Say which column is what, as in --columns {said}".strip()
-    listed = ", ".join(other for other in header.names if other)
+    listed = ", ".join(_of_file(header, other) for other in header.names if other)
     return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
+
+
+def _of_file(header: Header, name: str) -> str:
+    """The name that one of our columns, or one that the user replaced, has in the file."""
+    return header.theirs.get(name, name.removeprefix(DELIVERED))
 
 
 def _offered(name: str, header: Header) -> dict[str, str]:
     """Our columns beside those of the file that look like them; empty for a role that none can have."""
     cells = first_row(header)
     left = {
-        other: cells[place] if place < len(cells) else ""
+        other.removeprefix(DELIVERED): cells[place] if place < len(cells) else ""
         for place, other in enumerate(header.names)
         if other and other not in FALSE_FRIENDS and other not in ROLES
     }

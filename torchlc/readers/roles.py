@@ -206,7 +206,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     taken: dict[str, tuple[int, ...]] = {}
     for role, text in reading.columns.items():
         if role not in ROLES:
-            known = [*ROLES[:10], *SETTINGS]
+            known = list(dict.fromkeys((*ROLES[:10], *SETTINGS)))
             raise InputError(
                 OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
             )

@@ -264,6 +264,8 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             text = cell.strip()
             if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
                 hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
+                if hint and OF_DECIMAL_COMMAS.fullmatch(text) and not header.ecsv and header.rows is None:
+                    hint = f"{hint.rstrip('.')}, or say --columns decimal=comma"
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan
@@ -275,10 +277,13 @@ def with_point(cell: str, sign: str) -> str:
     return cell if "." in cell else cell.replace(sign, ".", 1)
 
 
+OF_DECIMAL_COMMAS = re.compile(r"[+-]?\d+,\d+", re.ASCII)
+
+
 class BrightnessReader:
     """Reads magnitudes or fluxes (T,); those behind a mark of a limit are noted in ``limits`` (T,).
 
-    A magnitude's limit is written ">18.5": fainter than this. A flux's is written "<0.1".
+    A magnitude's limit is written ">18.5" or ">=18.5": fainter than this. A flux's is written "<0.1".
     """
 
     def __init__(self, kind: str) -> None:
@@ -294,7 +299,10 @@ class BrightnessReader:
             self._pieces.append(np.zeros(len(cells), dtype=bool))
             return read_numbers(header, name, cells, start)
         marked = [cell.lstrip().startswith(self._mark) for cell in cells]
-        plain = [cell.lstrip()[1:] if limit else cell for cell, limit in zip(cells, marked, strict=True)]
+        plain = [
+            cell.lstrip()[1:].removeprefix("=") if limit else cell
+            for cell, limit in zip(cells, marked, strict=True)
+        ]
         self._pieces.append(np.array(marked))
         return read_numbers(header, name, plain, start)
 

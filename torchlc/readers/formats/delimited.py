@@ -21,10 +21,10 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 """In the order in which they are preferred where a line of names can be read with several."""
 MARKS = "#%"
 """Signs that begin a comment whatever the delimiter; a semicolon does where it is no delimiter."""
-NUMBER = re.compile(r"\s*[<>]?[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+NUMBER = re.compile(r"\s*([<>]=?)?\s*[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 WITH_COMMA, WITH_POINT = (
-    re.compile(r"\s*[<>]?[+-]?\d*,\d+\s*", re.ASCII),
-    re.compile(r"\s*[<>]?[+-]?\d*\.\d+\s*", re.ASCII),
+    re.compile(r"\s*([<>]=?)?\s*[+-]?\d*,\d+\s*", re.ASCII),
+    re.compile(r"\s*([<>]=?)?\s*[+-]?\d*\.\d+\s*", re.ASCII),
 )
 JULIAN = (2_400_000.0, 2_500_000.0)
 PLAIN_MAGNITUDES = (3.0, 30.0)
@@ -213,7 +213,7 @@ def _guessed(head: Head, header: Header) -> Header:
     def numbers(place: int) -> list[float]:
         found = []
         for cells in rows:
-            text = cells[place].lstrip("<> ")
+            text = cells[place].lstrip("<>= ")
             text = text.replace(",", ".", 1) if comma else text
             if NUMBER.fullmatch(text) and "," not in text:
                 found.append(float(text))

@@ -193,3 +193,13 @@ def test_the_dates_of_atlas_are_the_start_of_exposures_of_30_s(read):
     assert "start of exposures of 30 s" in " ".join(recording.warnings)
     moved = recording.time[0] - read(EXPORTS["ATLAS"], columns="time_mark=middle").time[0]
     assert moved.to_value(u.s) == pytest.approx(15.0, abs=1e-3)
+
+
+def test_reduced_dates_of_a_table_without_names_are_asked_for_in_full(read):
+    """Both readings can be typed as they stand, and differ by half a day."""
+    text = "61115.25,14.0,0.02\n61115.26,14.1,0.02\n"
+    with pytest.raises(InputError, match="no names of columns") as caught:
+        read(text)
+    options = re.findall(r"--columns (\w+=[\w-]+(?:,\w+=[\w-]+)*)", str(caught.value))
+    days = {option.rpartition("=")[2]: read(text, columns=option).time[0].jd for option in options[:2]}
+    assert days == {"jd-2400000": pytest.approx(2461115.25), "mjd": pytest.approx(2461115.75)}

@@ -232,15 +232,16 @@ def _guessed(head: Head, header: Header) -> Header:
         or not sure
         or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure)
     ):
-        form = "" if dated or not JULIAN_DATE.fullmatch(first) else ",time_format=mjd (or jd-2400000, or jd)"
+        told = "time=1+2,mag=3,mag_err=4" if apart else "time=1,mag=2,mag_err=3"
+        ways = [told]
+        if not dated and JULIAN_DATE.fullmatch(first):
+            ways = [f"{told},time_format={form}" for form in ("jd-2400000", "mjd", "jd")]
         raise InputError(
             head.path,
             "header",
             f"no names of columns; the first row is {', '.join(rows[0])[:100]}",
             "a header such as time,mag,mag_err",
-            "Or say which column is what: --columns "
-            + ("time=1+2,mag=3,mag_err=4" if apart else f"time=1,mag=2,mag_err=3{form}")
-            + f"; flux={2 + apart} if it is a flux",
+            f"Or say which column is what: --columns {', or --columns '.join(ways)}; flux={2 + apart} if it is a flux",
         )
     names = ["time", "mag", *header.names[2:]]
     if len(names) > 2:

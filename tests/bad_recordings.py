@@ -37,7 +37,7 @@ RECORDING_CASES = [
     rows_case("short row", "12.31,0.02", "12.31", "row 2: 2 values; expected 3"),
     rows_case("long row", "12.31,0.02", "12,31,0.02", "row 2: 4 values; expected 3"),
     rows_case("a word for a number", "12.31", "bright", "row 2, column mag: 'bright'; expected a number"),
-    rows_case("quoted decimal comma", "12.31", '"12,31"', "Write decimals with a point."),
+    rows_case("quoted decimal comma", "12.31", '"12,31"', "Write decimals with a point"),
     rows_case("error of 0", "12.31,0.02", "12.31,0", "row 2, column mag_err: 0; expected > 0"),
     rows_case("negative error", "12.31,0.02", "12.31,-0.02", "row 2, column mag_err: -0.02"),
     rows_case("marker for missing", "12.31", "99.99", "beyond 90 mag", outcome="dropped"),

@@ -69,7 +69,7 @@ EXPORTS = {
     "instrument,observing_filter\n"
     + "".join(f"SAT 1,12345,{Time(jd, format='jd').isot}Z,0.1,{mag},{error},37.54,122.05,110,,cam,V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "ATLAS": "###MJD m dm uJy duJy F err chi/N RA Dec x y maj min phi apfit mag5sig Sky Obs\n"
-    + "".join(f"{jd - 2400000.5:.6f} {mag} {error} 100 2 o 0 1 1 1 1 1 3 3 1 -0.4 19.5 20 x\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
+    + "".join(f"{jd - 2400000.5 - 15 / 86400:.6f} {mag} {error} 100 2 o 0 1 1 1 1 1 3 3 1 -0.4 19.5 20 x\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),
     "SExtractor": table("JD,MAG_AUTO,MAGERR_AUTO"),
     "ADES": "# version=2017\n# observatory\n! mpcCode B01\npermID|mode|stn|obsTime|ra|dec|mag|rmsMag|band\n"
     + "".join(f"433|CCD|B01|{Time(jd, format='jd').isot}Z|10.1|20.2|{mag}|{error}|V\n" for jd, mag, error in zip(JD, MAG, ERROR, strict=True)),

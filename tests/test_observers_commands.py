@@ -105,6 +105,31 @@ class TestCommands:
         assert run(["period", "r.txt"]) == 2
         assert "--columns" in capsys.readouterr().err
 
+    def test_columns_of_a_rotation(self, capsys: pytest.CaptureFixture[str]):
+        """What is said of the columns comes as far as the search, which refuses a period that cannot be."""
+        rows = "".join(f"{2459140.125 + k / 288:.6f} {12 + 0.1 * np.sin(k):.4f} 0.02\n" for k in range(40))
+        Path("r.txt").write_text("when light spread\n" + rows)
+        Path("s.toml").write_text(SCENE)
+        search = ["rotation", "s.toml", "r.txt", "--shortest", "20", "--longest", "10"]
+        assert run(search) == 2
+        assert "--columns time=when,mag=light" in capsys.readouterr().err
+        assert run([*search, "--columns", "time=when,mag=light,mag_err=spread"]) == 2
+        told = capsys.readouterr().err
+        assert "no column" not in told and "s.toml" in told
+
+    def test_columns_of_a_campaign(self, capsys: pytest.CaptureFixture[str]):
+        """They are read so when the campaign is written, and stand among the options of every object."""
+        nights = Path("nights")
+        nights.mkdir()
+        (nights / "37834.csv").write_text(table("my time,light,spread"))
+        init = ["campaign", "init", "two.txt", "nights", "--station", "weihai,37.5,122.1,110"]
+        assert run(init) == 2
+        (offered,) = re.findall(r"--columns '(time=[^']+)'", capsys.readouterr().err)
+        assert run([*init, "--columns", offered]) == 0
+        (job,) = read_manifest(nights / "manifest.csv")
+        assert job.options["columns"] == offered == "time=my time,mag=light"
+        assert len(torchlc.load(job.scene, job.recording, columns=job.options["columns"])[1]) == 3
+
     def test_a_fit_is_read_back(self):
         scene, recording = write_case(Path())
         result = torchlc.fit(scene, recording, steps=20, out="fit")

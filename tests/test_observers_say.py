@@ -32,6 +32,25 @@ class TestUserSays:
         text = "\n".join(f"{row},{mag},{jd:.6f}" for row, (jd, mag) in enumerate(zip(JD, MAG, strict=True)))
         holds(read(text, columns="time=3,mag=2"), error=False)
 
+    @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
+    def test_date_and_time_apart_without_names_lose_no_row(self, read, mark: str):
+        """The advice names both columns of the time, and the first row stays one."""
+        rows = [
+            mark.join([*Time(jd, format="jd").isot.split("T"), f"{mag}", f"{error}"])
+            for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+        ]
+        text = "\n".join(rows) + "\n"
+        with pytest.raises(InputError, match="no names of columns") as caught:
+            read(text)
+        (option,) = re.findall(r"--columns (time=\S+?);", str(caught.value))
+        assert option == "time=1+2,mag=3,mag_err=4"
+        holds(read(text, columns=option))
+
+    def test_names_that_nobody_knows_are_no_row_beside_numbers_of_columns(self, read):
+        text = table("Augenblick,Wert,Streuung")
+        holds(read(text, columns="time=1,mag=2,mag_err=3"))
+        holds(read(text.split("\n", 1)[1], columns="time=1,mag=2,mag_err=3"))
+
     def test_the_user_outranks_the_name(self, read):
         text = table("time,mag,mag_err,V", more=",9.5")
         assert read(text, columns="mag=V").observed.tolist() == [9.5] * 3
@@ -158,3 +177,30 @@ def test_hints_work_when_they_are_followed(read, text: str):
 def test_what_to_do_about_a_file_that_is_none(content: str | bytes, message: str, read):
     with pytest.raises(InputError, match=re.escape(message)):
         read(content)
+
+
+def test_names_in_errors_are_those_of_the_file_each_once(read):
+    with pytest.raises(InputError, match="no column time among when, mag, V, mag_err;"):
+        read(table("when,mag,V,mag_err", more=",9"), columns="mag_err=V")
+    with pytest.raises(InputError, match="expected one of") as caught:
+        read(table("JD,Mag,Err"), columns="tme=JD")
+    listed = str(caught.value).partition("expected one of ")[2].partition(".")[0].split(", ")
+    assert len(listed) == len(set(listed)) > 10
+
+
+def test_decimal_commas_between_quotes_are_read_as_the_advice_says(read):
+    rows = [
+        f'"{jd:.6f}","{mag}","{error}"'.replace(".", ",")
+        for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
+    ]
+    text = "JD,Mag,Err\n" + "\n".join(rows) + "\n"
+    with pytest.raises(InputError, match="--columns decimal=comma"):
+        read(text)
+    holds(read(text, columns="decimal=comma"))
+
+
+@pytest.mark.parametrize("cell", [">18.5", ">=18.5", "> 18.5", ">= 18.5"])
+def test_signs_of_an_upper_limit(read, cell: str):
+    recording = read(f"JD,Mag,Err\n2459140.125,14.908,0.03\n2459140.135,{cell},\n")
+    assert recording.upper_limit.tolist() == [False, True] and recording.observed.tolist() == [14.908, 18.5]
+    assert read(f"2459140.125,14.908\n2459140.135,{cell}\n").upper_limit.tolist() == [False, True]

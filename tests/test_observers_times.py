@@ -11,7 +11,7 @@ from astropy.coordinates import get_body_barycentric
 from astropy.time import Time
 
 from tests.good_input import SCENE, VECTOR_SCENE
-from tests.observers_night import ERROR, JD, MAG, holds
+from tests.observers_night import ERROR, EXPORTS, JD, MAG, holds
 from torchlc.errors import InputError
 from torchlc.scene import Scene
 
@@ -125,3 +125,81 @@ def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
         read(f"gps_week,gps_seconds,mag\n{week:.0f},{rest:.3f},{MAG[0]}\n")
     recording = read(f"gps_seconds,mag\n{rest + week * 604800:.3f},{MAG[0]}\n")
     assert abs((recording.time[0] - Time(JD[0], format="jd", scale="utc")).to_value(u.s)) < 0.01
+
+
+def of_name(name: str) -> str:
+    return f"{name},mag,mag_err\n2026-03-15T20:50:00,14.9,0.02\n2026-03-15T20:52:00,14.8,0.02\n"
+
+
+@pytest.mark.parametrize(
+    "zone", ["MEZ", "MESZ", "NZST", "HST", "SAST", "IST", "WIB", "Wien", "Europe/Vienna", "UT+1", "ET"]
+)
+def test_a_word_in_brackets_that_may_be_a_zone_is_refused(read, zone: str):
+    for name in (f"Time ({zone})", f"Zeit [{zone}]"):
+        with pytest.raises(InputError, match=re.escape(name)) as caught:
+            read(of_name(name))
+        assert "time_zone=+02:00" in str(caught.value)
+        found = read(of_name(name), columns="time_zone=+02:00").time[0]
+        assert abs((found - Time("2026-03-15T18:50:00")).to_value(u.s)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "said", ["UTC", "UT", "ISO 8601", "YYYY-MM-DDThh:mm:ss", "UTC, mid-exposure", "isot", "d"]
+)
+def test_scales_formats_and_units_in_brackets_are_no_zones(read, said: str):
+    found = read(of_name(f'"Time ({said})"')).time[0]
+    assert abs((found - Time("2026-03-15T20:50:00")).to_value(u.s)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Time UTC-7", "UTC+2", "Time_CET", "Ortszeit", "Uhrzeit (Sommerzeit)", "LST", "Time_Europe/Vienna"],
+)
+def test_the_advice_on_a_name_of_local_time_is_never_silently_wrong(read, name: str):
+    """First the name is offered, and then the zone is asked for."""
+    with pytest.raises(InputError) as caught:
+        read(of_name(name))
+    (option,) = re.findall(r"--columns '?(time=.*?)'?$", str(caught.value))
+    with pytest.raises(InputError, match=r"local time|one time scale"):
+        read(of_name(name), columns=option)
+
+
+@pytest.mark.parametrize(
+    "name", ["JD (2400000+)", "JD 2400000+", "JD (+2400000)", "JD [2400000 +]", "JD (-2400000)"]
+)
+def test_what_was_taken_off_a_julian_date_may_stand_in_brackets(read, name: str):
+    found = read(f"{name},mag\n61115.25,14.0\n").time[0]
+    assert found.jd == pytest.approx(2461115.25, abs=1e-9)
+
+
+def test_the_start_and_the_middle_of_exposures_of_astroimagej(read):
+    """The start is half of EXPTIME before the middle."""
+    rows = [
+        f"{k}\t{jd - 10 / 86400:.7f}\t{jd:.7f}\t{mag}\t{error}\t20.0"
+        for k, (jd, mag, error) in enumerate(zip(JD, MAG, ERROR, strict=True))
+    ]
+    names = "\tJD_SOBS\tJD_MOBS\tSource_AMag_T1\tSource_AMag_Err_T1\tEXPTIME\n"
+    holds(read(names + "\n".join(rows) + "\n"))
+    start = read((names + "\n".join(rows) + "\n").replace("JD_MOBS", "other"))
+    holds(start)
+    assert "start of exposure" in start.warnings[0]
+
+
+def test_the_dates_of_atlas_are_the_start_of_exposures_of_30_s(read):
+    """fallingstar-data.com/forcedphot/resultdesc."""
+    recording = read(EXPORTS["ATLAS"])
+    holds(recording)
+    assert recording.exptime is not None and recording.exptime.tolist() == [30.0] * 3
+    assert "start of exposures of 30 s" in " ".join(recording.warnings)
+    moved = recording.time[0] - read(EXPORTS["ATLAS"], columns="time_mark=middle").time[0]
+    assert moved.to_value(u.s) == pytest.approx(15.0, abs=1e-3)
+
+
+def test_reduced_dates_of_a_table_without_names_are_asked_for_in_full(read):
+    """Both readings can be typed as they stand, and differ by half a day."""
+    text = "61115.25,14.0,0.02\n61115.26,14.1,0.02\n"
+    with pytest.raises(InputError, match="no names of columns") as caught:
+        read(text)
+    options = re.findall(r"--columns (\w+=[\w-]+(?:,\w+=[\w-]+)*)", str(caught.value))
+    days = {option.rpartition("=")[2]: read(text, columns=option).time[0].jd for option in options[:2]}
+    assert days == {"jd-2400000": pytest.approx(2461115.25), "mjd": pytest.approx(2461115.75)}

@@ -34,7 +34,7 @@ from torchlc.files.writing import (
     resources,
     write_whole,
 )
-from torchlc.geometry.orbit import above_horizon, observation_grid
+from torchlc.geometry.orbit import above_horizon, observation_grid, sun_elevation_deg
 from torchlc.inference.budget import Budget
 from torchlc.inference.chain import check_origin, input_hashes, read_chain
 from torchlc.inference.identifiability import limits
@@ -362,6 +362,7 @@ def rotation(
     budget: float | None = None,
     out: str | Path | None = None,
     use: str | None = None,
+    columns: Columns = None,
     trust: bool = False,
     progress: Progress | None = None,
     command: str | None = None,
@@ -371,7 +372,7 @@ def rotation(
     The scene gives shape, materials and, as bounds of its ``period``, where to look, unless ``shortest`` and ``longest``
     (s) do. ``budget`` is in CPU seconds, after which no further stage is begun and the verdict says what was left out. With
     ``out`` rotation.json, scene.toml of the best mode and figures are written there, and a run that was killed goes on from the
-    last stage that it had finished.
+    last stage that it had finished. ``columns`` says which column is what in every recording.
     """
     from torchlc.inference.rotation.search import search_rotation
     from torchlc.readers.joining import joined
@@ -381,7 +382,7 @@ def rotation(
     scene = _scene(scene, trust)
     if not recordings:
         raise InputError(None, None, "no recording", "one or more")
-    each = [usable(scene, one, use=use) for one in recordings]
+    each = [usable(scene, one, use=use, columns=columns) for one in recordings]
     rows = usable(scene, joined(each))
     with ExitStack() as stack:
         directory = None
@@ -489,7 +490,27 @@ def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Co
     kept = recording.keep(above_horizon(track), "below the horizon")
     if len(kept) < MIN_ROWS:
         raise too_few_rows(kept.source, len(kept), kept.dropped, MIN_ROWS)
-    return kept
+    told = _told_of_day(recording, sun_elevation_deg(track))
+    return replace(kept, warnings=(*kept.warnings, told)) if told else kept
+
+
+IN_DAYLIGHT_MAG = -3.0
+"""Fainter than this hardly anybody records objects beside the Sun: Venus and the ISS at its brightest are brighter."""
+BY_DAY = "the Sun is above the horizon"
+
+
+def _told_of_day(recording: Recording, sun_deg: np.ndarray | None) -> str:
+    """A warning where most rows were recorded by day, which is told once; else nothing."""
+    if sun_deg is None or any(BY_DAY in text for text in recording.warnings):
+        return ""
+    by_day = int(np.count_nonzero(sun_deg > 0))
+    bright = recording.kind == "mag" and np.median(recording.observed) < IN_DAYLIGHT_MAG
+    if 2 * by_day <= len(recording) or bright:
+        return ""
+    return (
+        f"{BY_DAY} of the station in {by_day} of {len(recording)} rows, {np.median(sun_deg):.0f} deg high in the middle row: "
+        "are the times local or 12 h off, or has the longitude the wrong sign? East is positive"
+    )
 
 
 def provenance(scene: Scene, recording: Recording, seed: int, command: str | None = None) -> dict[str, Any]:

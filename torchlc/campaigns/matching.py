@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torchlc.errors import InputError
 from torchlc.readers.formats import read_header
+from torchlc.scene.reading import Reading
 from torchlc.scene.tle import Elements
 
 NOT_RECORDINGS = (".toml", ".html", ".json", ".md", ".png", ".pdf", ".obj", ".stl", ".zip")
@@ -31,8 +32,11 @@ class Match:
     reason: str = ""
 
 
-def match_files(folder: Path, sets: Sequence[Elements], leave: Sequence[Path] = ()) -> list[Match]:
-    """Every file of ``folder`` that may be a recording, in order of names, with its object."""
+def match_files(
+    folder: Path, sets: Sequence[Elements], leave: Sequence[Path] = (), reading: Reading | None = None
+) -> list[Match]:
+    """Every file of ``folder`` that may be a recording, in order of names, with its object; ``reading`` says how they are
+    read."""
     if not folder.is_dir():
         raise InputError(folder, None, "no such directory", "a folder of recordings")
     left = {path.resolve() for path in leave}
@@ -46,13 +50,13 @@ def match_files(folder: Path, sets: Sequence[Elements], leave: Sequence[Path] = 
     )
     if not files:
         raise InputError(folder, None, "no file that may be a recording", "recordings, one object a file")
-    return [_match(path, sets) for path in files]
+    return [_match(path, sets, reading) for path in files]
 
 
-def _match(path: Path, sets: Sequence[Elements]) -> Match:
+def _match(path: Path, sets: Sequence[Elements], reading: Reading | None) -> Match:
     by_name = _objects_in(path.stem, sets)
     try:
-        header = read_header(path)
+        header = read_header(path, reading)
     except InputError as error:
         return Match(path, (), f"cannot be read: {error}")
     said = [f"{key} {value}" for key, value in header.meta.items() if SAID.search(str(key).replace("_", " "))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.writing import check_replaceable, write_whole
 from torchlc.readers import load_recording
+from torchlc.scene.reading import reading_of
 from torchlc.scene.tle import passed_over, sound_sets
 from torchlc.suggest import did_you_mean
 
@@ -41,9 +43,11 @@ def write_campaign(
     station: tuple[str, float, float, float] | None,
     task: str,
     exact: bool,
+    columns: str | None = None,
     force: bool,
 ) -> CampaignFiles:
     """Write manifest and scenes; nothing is written where a file is there already, or no recording has an object.
+    ``columns`` says which column is what in every recording, and stands among the options of every object.
 
     The elements of a scene are those with their epoch nearest to the recording's first time.
     """
@@ -54,7 +58,7 @@ def write_campaign(
     matched: dict[Path, str] = {}
     left_out: dict[Path, str] = {}
     sets, wrong = sound_sets(elements)
-    for match in match_files(folder, sets, [elements, manifest]):
+    for match in match_files(folder, sets, [elements, manifest], reading_of(columns)):
         path = match.recording
         if not match.sets:
             left_out[path] = match.reason
@@ -66,11 +70,11 @@ def write_campaign(
             )
             continue
         try:
-            moment: Any = load_recording(path).first_time
+            moment: Any = load_recording(path, columns=columns).first_time
             first = float(moment.utc.jd)
             chosen = nearest_set(match.sets, first)
             texts[scene] = new_scene(chosen, shape, station=station, exact=exact)
-            load_recording(path, check_scene(texts[scene], folder, scene))
+            load_recording(path, check_scene(texts[scene], folder, scene), columns=columns)
         except InputError as error:
             texts.pop(scene, None)
             left_out[path] = f"cannot be read: {error}"
@@ -92,10 +96,11 @@ def write_campaign(
         write_whole(scene, lambda partial, text=text: partial.write_text(text, encoding="utf-8"))
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["scene", "recording", "task", "id"])
+    options = [] if columns is None else [f"--columns {shlex.quote(columns)}"]
+    writer.writerow(["scene", "recording", "task", "id", *(["options"] if options else [])])
     for path in matched:
         names = (_plain_path(f"{path.stem}.toml"), _plain_path(path.name))
-        writer.writerow([*names, task, plain_cell(path.stem)])
+        writer.writerow([*names, task, plain_cell(path.stem), *options])
     write_whole(manifest, lambda partial: partial.write_text(table.getvalue(), encoding="utf-8"))
     return CampaignFiles(manifest, matched, left_out, passed_over(wrong))
 

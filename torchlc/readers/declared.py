@@ -12,9 +12,9 @@ import numpy as np
 
 from torchlc.errors import InputError
 from torchlc.readers.dates import is_moment
-from torchlc.readers.roles import ROLES, VECTORS
+from torchlc.readers.roles import DELIVERED, ROLES, VECTORS
 from torchlc.readers.table import Header, first_row
-from torchlc.readers.timing import FORMAT_WORDS, Timing
+from torchlc.readers.timing import FORMAT_WORDS, MARK_WORDS, Timing
 from torchlc.scene.reading import LESS_A_DATE, Reading
 from torchlc.scene.timestamps import (
     JULIAN_DATE,
@@ -41,7 +41,7 @@ LIKE_TIME = re.compile(r"time|date|jd|utc?\b|stamp|epoch|zeit|^t([ _(\[]|$)|seco
 LIKE_MAG = re.compile(r"(?<![a-z])mag|mag(?![a-z])|^[A-Z0-9]{1,3}-[A-Z0-9]{1,3}$|bright|hell", re.IGNORECASE)
 LIKE_FLUX = re.compile(r"flu[xs]|counts?|adu|intensity|sum", re.IGNORECASE)
 NO_BRIGHTNESS = re.compile(
-    r"err|unc|sig|rms|std|snr|s/n|lim|air ?mass|zero|zp|\bid\b|name|(^|[ _-])(x|y|ra|dec)(cent\w+)?$",
+    r"err|unc|sig|rms|std(?![ _]?mag)|snr|s/n|lim|air ?mass|zero|zp|\bid\b|name|(^|[ _-])(x|y|ra|dec)(cent\w+)?$",
     re.IGNORECASE,
 )
 """What the names of columns have in common that may hold times or brightness, or do not; for offers only."""
@@ -58,7 +58,7 @@ FALSE_FRIENDS = (
 
 def missing(header: Header, name: str, expected: str) -> InputError:
     """The error of a column that is not there, with the nearest one that is."""
-    others = [other for other in header.names if other and other not in FALSE_FRIENDS]
+    others = [other.removeprefix(DELIVERED) for other in header.names if other and other not in FALSE_FRIENDS]
     hint = did_you_mean(name, others)
     if len(header.names) == 1 and header.rows is None:
         hint = "The header holds one name only: is the delimiter a comma?"
@@ -69,15 +69,20 @@ def missing(header: Header, name: str, expected: str) -> InputError:
         elif offered:
             said = shlex.quote(",".join(f"{role}={_quoted(other)}" for role, other in offered.items()))
             hint = f"{hint or ''} Say which column is what, as in --columns {said}".strip()
-    listed = ", ".join(other for other in header.names if other)
+    listed = ", ".join(_of_file(header, other) for other in header.names if other)
     return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
+
+
+def _of_file(header: Header, name: str) -> str:
+    """The name that one of our columns, or one that the user replaced, has in the file."""
+    return header.theirs.get(name, name.removeprefix(DELIVERED))
 
 
 def _offered(name: str, header: Header) -> dict[str, str]:
     """Our columns beside those of the file that look like them; empty for a role that none can have."""
     cells = first_row(header)
     left = {
-        other: cells[place] if place < len(cells) else ""
+        other.removeprefix(DELIVERED): cells[place] if place < len(cells) else ""
         for place, other in enumerate(header.names)
         if other and other not in FALSE_FRIENDS and other not in ROLES
     }
@@ -250,25 +255,40 @@ NOT_APPARENT = re.compile(
 
 
 DIFFERENCE = re.compile(
-    r"^[A-Z]\w{0,2}[ _]?-[ _]?[A-Z]\w{0,2}$|(^|[ _])(d|diff|delta|inst|instr|instrumental|differential)[ _]?mag",
+    r"^[A-Z]\w{0,2}[ _]?-[ _]?[A-Z]\w{0,2}$|(^|[ _])(d|diff|delta|inst|instr|instrumental|differential)[ _]?mag"
+    r"|mag[ _]?(diff|inst|instr)([ _]|$)",
     re.I,
 )
 """Names of columns of such magnitudes: V-C, O-C, T1-C1, diff_mag, instr_mag."""
 
 
+AT_A_RANGE = re.compile(r"(?<![a-z])(std|abs)[ _]?mag|\d ?km\b", re.IGNORECASE)
+"""Names of magnitudes that are not at the distance of the observer, such as the standard magnitude at 1000 km."""
+NOT_AS_SEEN = re.compile(
+    r"^(?=.*(mag|bright|photom|hell)).*(?!\breduced (by|with|in)\b)"
+    + NOT_APPARENT.pattern
+    + r"|\b(reduced|normali[sz]ed|scaled|corrected|referred|standardi[sz]ed)\b.*(\d ?km|\b(unit|standard|common) (range|distance)s?)\b",
+    re.IGNORECASE,
+)
+"""Comments on such magnitudes; what was reduced by a program or a person is not meant."""
+
+
 def magnitudes_told(header: Header, kind: str) -> list[str]:
-    """What has to be said where the description of magnitudes speaks of others than apparent ones."""
-    described, name = header.descriptions.get("mag", ""), header.theirs.get("mag", "")
-    if kind != "mag" or not (NOT_APPARENT.search(described) or DIFFERENCE.search(name)):
+    """What has to be said where the name or description of magnitudes, or a comment, speaks of others than apparent ones."""
+    if kind != "mag":
         return []
-    said = (
-        f"the description of mag says {described[:60]!r}"
-        if NOT_APPARENT.search(described)
-        else f"the column of mag is called {name[:60]!r}"
-    )
+    described, name = header.descriptions.get("mag", ""), header.theirs.get("mag", "")
+    parted = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", name)
+    said = []
+    if NOT_APPARENT.search(described):
+        said.append(f"the description of mag says {described[:60]!r}")
+    elif DIFFERENCE.search(name) or NOT_APPARENT.search(parted) or AT_A_RANGE.search(parted):
+        said.append(f"the column of mag is called {name[:60]!r}")
+    said += [f"a comment says {text[:60]!r}" for text in header.comments if NOT_AS_SEEN.search(text)]
     return [
-        f"{said}: torchlc takes apparent magnitudes, corrected for extinction. "
+        f"{text}: torchlc takes apparent magnitudes, corrected for extinction. "
         "Give relative fluxes in a column flux, or a free zero_point, if they are others"
+        for text in said
     ]
 
 
@@ -278,9 +298,6 @@ def units_told(header: Header, kind: str) -> list[str]:
     if kind == "flux" and unit and "flux_err" in header.names and not header.units.get("flux_err"):
         return [f"flux_err has no unit and is taken in that of flux, {unit[:40]}"]
     return []
-
-
-MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
 
 
 def taken(

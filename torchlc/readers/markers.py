@@ -22,6 +22,12 @@ CHOSEN = re.compile(r"0|-?(\d)\1+(\.\1+)?|-?(\d)\.\3+|-?[3-9]\d")
 """0, 88, 88.8, 9.99, 50: what people and programs choose because no measurement gives it."""
 FAR_MAG = 5.0
 """From all others: less is a glint, a sunset or a cloud."""
+LARGEST_MAG = 1.0
+"""Of a usual error: a signal to noise of 1. Nobody measures so a whole night."""
+OFTEN = 5
+"""Rows of exactly one magnitude, which noise does not repeat."""
+APART_MAG = 1.0
+"""From all others, of such rows: more than a step of estimates by eye, or of magnitudes that are rounded."""
 ASIDE = 100
 """Of so many rows one may be as far out, at either end, without being like those that somebody chose."""
 
@@ -60,18 +66,18 @@ def suspected_marker(mag: np.ndarray, rows: np.ndarray) -> str:
 
     One in a hundred of the others is left aside at either end: a wild row beside the markers must not hide them.
     """
-    different = np.unique(mag)
+    different, counts = np.unique(mag, return_counts=True)
     chosen = [value for value in different.tolist() if CHOSEN.fullmatch(f"{value:.10g}")]
     likely = np.isin(mag, chosen)
     others = mag[~likely]
     if not chosen or not len(others):
-        return ""
+        return _repeated(mag, rows, different, counts)
     others.sort()
     aside = len(others) // ASIDE
     apart = np.maximum(others[aside] - mag, mag - others[-1 - aside])
     far = likely & (apart > FAR_MAG)
     if not far.any():
-        return ""
+        return _repeated(mag, rows, different, counts)
     first = row_place(int(rows[far][0]), "mag")
     more = np.count_nonzero(far) - 1
     also = f", and so {'is' if more == 1 else 'are'} {number_of(more, 'more row')}" if more else ""
@@ -79,4 +85,30 @@ def suspected_marker(mag: np.ndarray, rows: np.ndarray) -> str:
         f"{first}: {mag[far][0]:g} mag is {apart[far][0]:.1f} mag from {'nearly ' if aside else ''}all others"
         f"{also}: if it stands for a "
         "missing measurement, leave it blank or out. It is taken as measured"
+    )
+
+
+def _repeated(mag: np.ndarray, rows: np.ndarray, different: np.ndarray, counts: np.ndarray) -> str:
+    """A warning of the brightest or faintest of the ``different`` (sorted) magnitudes where many rows hold exactly that
+    and all others are far; else nothing."""
+    if len(different) < 3:
+        return ""
+    for end, beside in ((0, 1), (-1, -2)):
+        apart = abs(different[end] - different[beside])
+        if counts[end] >= OFTEN and apart > APART_MAG:
+            first = row_place(int(rows[mag == different[end]][0]), "mag")
+            return (
+                f"{first}: {different[end]:g} mag stands in {counts[end]} rows, {apart:.1f} mag from all others: if it stands "
+                "for a missing measurement, leave it blank or out. It is taken as measured"
+            )
+    return ""
+
+
+def suspected_errors(error: np.ndarray | None) -> str:
+    """A warning of errors (T,) of magnitudes that are larger than most measurements bear; else nothing."""
+    if error is None or not (usual := float(np.median(error))) > LARGEST_MAG:
+        return ""
+    return (
+        f"half of the errors in mag_err are above {usual:.3g} mag: if they are in another unit, name it in the header, as in "
+        'mag_err (mmag), or in the scene: units = { mag_err = "mmag" } below [recording]. They are taken as magnitudes'
     )

@@ -15,7 +15,13 @@ from torchlc.readers.column_limits import check_flux_errors, check_limits
 from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots, rows_of_slots
 from torchlc.readers.light_path import days_by_direction, days_by_vectors
-from torchlc.readers.markers import MARKERS, brightness_markers, error_markers, suspected_marker
+from torchlc.readers.markers import (
+    MARKERS,
+    brightness_markers,
+    error_markers,
+    suspected_errors,
+    suspected_marker,
+)
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
@@ -56,7 +62,8 @@ def read_measurements(
     and band is one curve. A night is a station's local noon to noon, named after its evening, or, without
     stations, what lies between gaps of more than 6 h.
     """
-    return _Reader(header, scene, Reading() if reading is None else reading, use).measurements(min_rows)
+    reading = header.told if reading is None else header.told.with_given(reading)
+    return _Reader(header, scene, reading, use).measurements(min_rows)
 
 
 class _Reader:
@@ -129,6 +136,8 @@ class _Reader:
         self._drop_non_finite()
         self._to_observer()
         if self.kind == "mag" and (suspect := suspected_marker(self.columns["mag"], self.rows)):
+            self.warnings.append(suspect)
+        if self.kind == "mag" and (suspect := suspected_errors(self.columns.get("mag_err"))):
             self.warnings.append(suspect)
         check_limits(self.source, self.kind, self.columns, self.rows)
         if self.kind == "flux":

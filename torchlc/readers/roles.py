@@ -42,7 +42,7 @@ class Stamp:
 _JD, _MJD = Stamp("jd"), Stamp("mjd")
 STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
-    **dict.fromkeys(("jdmid", "midjd", "jdutcmid"), Stamp("jd", mark="mid")),
+    **dict.fromkeys(("jdmid", "midjd", "jdutcmid", "jdmobs"), Stamp("jd", mark="mid")),
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
     **dict.fromkeys(("jdutc", "utcjd"), Stamp("jd", "utc")),
     **dict.fromkeys(("jd", "juliandate", "julianday", "juliandateutc", "obsjd", "jdobs"), _JD),
@@ -72,7 +72,7 @@ STAMPS: dict[str, Stamp] = {
     **dict.fromkeys(("zeit", "temps", "tiempo", "tempo", "ora", "hora", "heure", "datum", "fecha"), Stamp()),
     "date": Stamp(),
     **dict.fromkeys(("dateobs", "starttime", "timestart", "utcstart", "startutc", "datebeg"), Stamp(mark="start")),
-    **dict.fromkeys(("jdstart", "startjd"), Stamp("jd", mark="start")),
+    **dict.fromkeys(("jdstart", "startjd", "jdsobs"), Stamp("jd", mark="start")),
     **dict.fromkeys(("mjdstart", "startmjd", "mjdobs", "mjdbeg"), Stamp("mjd", mark="start")),
     **dict.fromkeys(("endtime", "timeend", "utcend", "dateend"), Stamp(mark="end")),
     **dict.fromkeys(("jdend", "endjd"), Stamp("jd", mark="end")),
@@ -87,7 +87,7 @@ STAMPS: dict[str, Stamp] = {
 """Names of columns of times, letters and digits only, the preferred first."""
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
-        "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "stdmag", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
+        "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
         "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
@@ -160,9 +160,16 @@ LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
 """JD - 2400000.5, HJD-2450000 and their like, without signs."""
 
 
+LEFT_OFF = re.compile(r"[+-]?\s*(24[0-7]\d{4}(?:\.\d+)?)\s*\+?", re.ASCII)
+"""What stands in brackets behind JD where that number was taken off, as in JD (2400000+)."""
+
+
 def stamp_named(name: str) -> Stamp | None:
     """What the name of a column says of times, "Time (BJD_TDB-2457000)" included; None where it names none."""
-    outside, inside = map(_one_stamp, without_brackets(name))
+    before, within = without_brackets(name)
+    if zero := LEFT_OFF.fullmatch(within):
+        return _one_stamp(f"{before}-{zero[1]}")
+    outside, inside = _one_stamp(before), _one_stamp(within)
     if inside is not None and inside.format and (outside or Stamp()).format == "":
         return replace(inside, mark=outside.mark) if outside is not None else None
     return outside
@@ -199,7 +206,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     taken: dict[str, tuple[int, ...]] = {}
     for role, text in reading.columns.items():
         if role not in ROLES:
-            known = [*ROLES[:10], *SETTINGS]
+            known = list(dict.fromkeys((*ROLES[:10], *SETTINGS)))
             raise InputError(
                 OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
             )
@@ -337,7 +344,8 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
         if source != role and not units[role] and _is_unit(role, unit):
             units[role] = unit
         if role == "time" and source != role:
-            said = re.sub(r"[_-]|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
+            # the sign of an offset, as in UTC-7, stays
+            said = re.sub(r"_|(?<=[^\W\d_])-(?=[^\W\d_])|(?<=[a-z])(?=[A-Z])", " ", theirs[role])
             descriptions[role] = f"{descriptions[role]} {said}".strip()
     units |= reading.units
     return replace(

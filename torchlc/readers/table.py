@@ -18,6 +18,7 @@ from torchlc.errors import InputError
 from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.encodings import wide_encoding_of
 from torchlc.readers.dates import moment_of
+from torchlc.scene.reading import Reading
 
 MAX_ROWS = 5_000_000
 MAX_LINE = 65_536
@@ -35,7 +36,7 @@ BEYOND_MAG = 90.0
 FORMAT = "CSV with a header line, or ECSV"
 AS_A_LIMIT = "Write a magnitude's limit as in >18.5 and a flux's as in <0.1: fainter than this. Or write a number, and true in a column upper_limit."
 METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
-"""What comment lines ``# key: value`` above the header of a CSV may say, as the metadata of an ECSV."""
+"""Keys of ours in the metadata of an ECSV, and in comment lines ``# key: value`` above the header of a CSV."""
 OF_SPREADSHEETS = re.compile(r'"?sep=.?"?[\s,;]*', re.IGNORECASE)
 """The first line of a table for Excel: which delimiter follows."""
 NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
@@ -51,6 +52,7 @@ class Header:
     down to its header (0: there is none); lines that begin with one of ``marks`` are comments. ``decimal`` is the
     decimal sign. ``columns`` holds the places of what :mod:`torchlc.readers.roles` took under our names, several
     where cells are joined, and ``theirs`` the names that these have in the file, in which a format may tell what it took. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    ``told``: what the file says with keys of the table [recording].
     ``skips_non_detections``: the format has a row only where the object was found.
     """
 
@@ -70,6 +72,7 @@ class Header:
     decimal: str = "."
     columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     theirs: Mapping[str, str] = field(default_factory=dict)
+    told: Reading = field(default_factory=Reading)
     skips_non_detections: bool = False
 
     def places(self, name: str) -> tuple[int, ...]:
@@ -261,6 +264,8 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             text = cell.strip()
             if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
                 hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
+                if hint and OF_DECIMAL_COMMAS.fullmatch(text) and not header.ecsv and header.rows is None:
+                    hint = f"{hint.rstrip('.')}, or say --columns decimal=comma"
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan
@@ -272,10 +277,13 @@ def with_point(cell: str, sign: str) -> str:
     return cell if "." in cell else cell.replace(sign, ".", 1)
 
 
+OF_DECIMAL_COMMAS = re.compile(r"[+-]?\d+,\d+", re.ASCII)
+
+
 class BrightnessReader:
     """Reads magnitudes or fluxes (T,); those behind a mark of a limit are noted in ``limits`` (T,).
 
-    A magnitude's limit is written ">18.5": fainter than this. A flux's is written "<0.1".
+    A magnitude's limit is written ">18.5" or ">=18.5": fainter than this. A flux's is written "<0.1".
     """
 
     def __init__(self, kind: str) -> None:
@@ -291,7 +299,10 @@ class BrightnessReader:
             self._pieces.append(np.zeros(len(cells), dtype=bool))
             return read_numbers(header, name, cells, start)
         marked = [cell.lstrip().startswith(self._mark) for cell in cells]
-        plain = [cell.lstrip()[1:] if limit else cell for cell, limit in zip(cells, marked, strict=True)]
+        plain = [
+            cell.lstrip()[1:].removeprefix("=") if limit else cell
+            for cell, limit in zip(cells, marked, strict=True)
+        ]
         self._pieces.append(np.array(marked))
         return read_numbers(header, name, plain, start)
 

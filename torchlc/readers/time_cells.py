@@ -118,11 +118,12 @@ class TimeReader:
         if self.header.decimal == "." and "," in found:
             return "Write decimals with a point, or say --columns decimal=comma"
         if self.format == "jd" and REDUCED[0] < number < REDUCED[1]:
+            reduced = ways_to_say(self.header, "time_format", "jd-2400000")
             mjd = ways_to_say(self.header, "time_format", "mjd")
-            days = ", or for the days of a spreadsheet, since 1899-12-30, --columns time_format=jd-2415018.5"
+            days = ". For the days of a spreadsheet, since 1899-12-30, say --columns time_format=jd-2415018.5"
             return (
-                "Say time_format: mjd if it is JD - 2400000.5, or time_format: jd-2400000 if it is JD - 2400000: "
-                f"{mjd}{days if number < SPREADSHEET_TO else ''}"
+                f"If it is JD - 2400000, say {reduced}. If it is JD - 2400000.5, say {mjd}"
+                f"{days if number < SPREADSHEET_TO else ''}"
             )
         for form, scale in (("unix", 1.0), ("unix-ms", 1000.0)):
             if SECONDS_SINCE_1970[0] < number / scale < SECONDS_SINCE_1970[1] and self.format != form:

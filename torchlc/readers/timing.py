@@ -6,11 +6,14 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any
 
+import astropy.units as u
+
 from torchlc.errors import InputError
+from torchlc.readers.comments import key_and_value
 from torchlc.readers.dates import ORDERS, Calendar, moment_of
-from torchlc.readers.roles import stamp_of
+from torchlc.readers.roles import stamp_named, stamp_of, without_brackets
 from torchlc.readers.table import METADATA, Header, first_row
-from torchlc.scene.reading import SINCE, TIME_FORMATS, Reading, is_time_format
+from torchlc.scene.reading import SINCE, TIME_FORMATS, Reading, is_time_format, is_zone
 from torchlc.scene.timestamps import ISO, MJD_ZERO, REDUCED_ZERO, UnreadableTime, instant
 
 DAY_S = 86400.0
@@ -50,7 +53,7 @@ _CLOCK = r"(t|times?|dates?|m?jd|utc?)"
 _OPENS, _CLOSES = r"(start\w*|begin\w*|open\w*)", r"(end\w*|stop\w*|finish\w*|clos\w*)"
 MARKS = {
     mark: re.compile(
-        rf"\b{word}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}[ _-]?{word}\b"
+        rf"\b{word}\b[^.;]{{0,30}}\b{_EXPOSED}|\b{_EXPOSED}([ _-]?| (is|are|marks|gives) (the )?){word}\b"
         rf"|^({_CLOCK}[ _-]*((of|at)[ _-]*)?)?{word}([ _-]{_CLOCK})?$",
         re.I,
     )
@@ -58,16 +61,34 @@ MARKS = {
 }
 """How people say that a time stamp is not the middle of its exposure."""
 MIDDLE = re.compile(r"\b(mid\w*|centre|center|central)", re.IGNORECASE)
-ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos", re.IGNORECASE)
+ABOUT_TIME = re.compile(r"time|date|jd|stamp|expos|trefpos|zeit|heure|\bhora\b", re.IGNORECASE)
 """Keys of metadata that may say what the time stamps are."""
+KEEPER = re.compile(r"source|sync|receiver|server", re.IGNORECASE)
+"""Keys of metadata that say what keeps the clock, not what it shows: a receiver of GPS mostly gives UTC."""
 OF_ANOTHER_CLOCK = re.compile(
-    r"\b(?i:local(time)?|civil ?time)\b|^LT$|\+ LT$"
-    r"|\b(CES?T|WES?T|EES?T|[ECMP][SD]T|BST|MSK|JST|KST|AE[SD]T)\b"
+    r"\b(?i:local(time)?|civil ?time|ortszeit|sommerzeit|winterzeit|heure (locale|d'(hiver|[eé]t[eé]))|hora local|ora locale)\b"
+    r"|^LT$|\+ LT$"
+    r"|\b(CES?T|WES?T|EES?T|MES?Z|[ECMPH][SD]T|AK[SD]T|BST|MSK|IST|SAST|SGT|PKT|HKT|BRT|JST|KST|A[ECW][SD]T|NZ[SD]?T)\b"
+    r"|\b(Africa|America|Antarctica|Arctic|Asia|Atlantic|Australia|Europe|Indian|Pacific)/[A-Z]\w+"
     r"|\b(UTC?|GMT)\s*[+-]\s*(0?[1-9]|1[0-4])(:?[0-5]\d)?(?![\d.])"
 )
 """Local time, by a word, the name of a zone or an offset from UTC."""
+IN_BRACKETS = re.compile(
+    r"utc?|z|tai|tt|tdt|tdb|gps|unix|posix|m?jd|julian|iso[tc]?|fits|ecsv|date|datum|time|zeit|stamp|clock|decimal|gregorian"
+    r"|[ymdhstfz]+|sec(ond)?s?|minutes?|hours?|days?|since|epoch|of|the|at|in|and|or|from|to|am|pm"
+    r"|mid\w*|cent\w+|start\w*|begin\w*|open\w*|end\w*|stop\w*|clos\w*|shutter|expos\w*|obs|observation|frame|integration"
+    r"|helio\w*|bary\w*|dynamical|coordinated?|universal|terrestrial|atomic|international|observer|telescope|observatory",
+    re.IGNORECASE,
+)
+"""Words behind the name of times that say nothing of a zone: scales, formats as YYYY-MM-DD hh:mm:ss, units, and marks of the exposure."""
+SPEAKS_OF_TIME = re.compile(
+    r"time|date|jd|expos|stamp|clock|shutter|utc|\bUT\b|\bGMT\b|zeit|uhr|heure|hora\b|\bora\b|tiempo|temps|helioc|baryc",
+    re.IGNORECASE,
+)
+"""What a comment about the times holds."""
 PLACE_OF_CLOCK = ("timeref", "trefpos", "treferen")
 """Keywords of FITS whose LOCAL is the place of the observer, not a civil time."""
+MARK_WORDS = {"mid": "mid-exposure", "start": "start of exposure", "end": "end of exposure"}
 FORMAT_WORDS = {
     "jd": "Julian date",
     "mjd": "modified Julian date, JD - 2400000.5",
@@ -120,9 +141,10 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     mark = reading.time_mark or stamp.mark or "mid"
     told = Timing(scale, form, mark, header.notes, reading.time_zone, stamp.light_path)
     told = _as_stated(header, reading, told, scale if known else None)
+    _check_brackets(header, reading)
     light_path = _light_path(header, reading, told.light_path, located)
     mark = "mid" if told.mark == "middle" else told.mark
-    notes = [*told.notes, *_notes_of_remarks(header, reading, told.scale)]
+    notes = [*told.notes, *_notes_of_remarks(header, reading, told.scale, mark)]
     _check_movable(header, reading, mark)
     if mark != "mid" and not any("half of exptime" in note for note in notes):
         notes.append(
@@ -185,15 +207,55 @@ def _as_stated(header: Header, reading: Reading, told: Timing, given: str | None
     return replace(told, scale=scale, mark=mark, light_path=light_path, notes=tuple(notes))
 
 
-def _notes_of_remarks(header: Header, reading: Reading, scale: str) -> list[str]:
-    """One for each comment that may say another thing of the times than is taken, where the user says nothing."""
-    if reading.time_zone or reading.time_mark or reading.light_path:
-        return []
-    return [
-        f"a comment says {text[:60]!r}: the times are taken as mid-exposure in {scale.upper()}"
-        for text in _remarks(header)
-        if any(one.search(text) for one in (AT_THE_SUN, *MARKS.values(), OF_ANOTHER_CLOCK))
-    ]
+def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -> list[str]:
+    """One for each comment that may say another thing of the times than is taken, with the option that settles it; none
+    for what the user says."""
+    notes = []
+    for text in _remarks(header):
+        named = {SCALES.get(name.lower(), "other") for name in ON_A_CLOCK.findall(text)}
+        named |= {name for name, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
+        found = {
+            "time_zone=+02:00": OF_ANOTHER_CLOCK.search(text) and not _has_offset(header),
+            "time_mark=start": any(one.search(text) for one in MARKS.values()),
+            "light_path=heliocentric": AT_THE_SUN.search(text),
+            "time_scale=tai": named - {scale} and "time_scale" not in header.meta,
+        }
+        open_ = [
+            option
+            for option, seen in found.items()
+            if seen and getattr(reading, option.partition("=")[0]) is None
+        ]
+        if open_:
+            notes.append(
+                f"a comment says {text[:60]!r}: the times are taken as {MARK_WORDS[mark]} in {scale.upper()}. "
+                f"If they are others, say so, as in --columns {' or '.join(open_)}"
+            )
+    return notes
+
+
+def _check_brackets(header: Header, reading: Reading) -> None:
+    """InputError where brackets behind the name of the times hold a word that is no scale, format, unit or mark: it may be
+    a zone, of which there are more than any list has."""
+    if reading.time_zone or reading.time_scale or "time_scale" in header.meta:
+        return
+    name = header.theirs.get("time", "time")
+    for text in (without_brackets(part)[1] for part in name.split(" + ")):
+        words = [word for word in re.findall(r"[^\W\d_]+", text) if not IN_BRACKETS.fullmatch(word)]
+        if not words or stamp_named(text) or _is_unit_of_time(text) or _has_offset(header):
+            continue
+        hint = (
+            "Say --columns time_scale=utc if the times are UTC. If the word is a time zone, say which, "
+            "as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+        )
+        expected = "a time scale, a format or a unit in brackets behind the name of the times"
+        raise InputError(header.source, "the column of time", repr(name[:60]), expected, hint)
+
+
+def _is_unit_of_time(text: str) -> bool:
+    try:
+        return u.Unit(text[:60]).is_equivalent(u.s)
+    except (ValueError, TypeError, OverflowError):
+        return False
 
 
 def _check_movable(header: Header, reading: Reading, mark: str) -> None:
@@ -240,25 +302,32 @@ def _statements(header: Header, reading: Reading) -> list[tuple[str, str]]:
     for key, value in header.meta.items():
         if key in METADATA or not isinstance(value, str):
             continue
-        if key.lower() in ("tz", "timezone", "time_zone"):
+        if re.sub(r"[ _-]", "", key.lower()) in ("tz", "timezone", "zeitzone"):
             plainly_utc = r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?"
             if reading.time_zone is None and not re.fullmatch(plainly_utc, value.strip(), re.IGNORECASE):
-                hint = (
-                    f"Convert it first, or say --columns time_zone={value.strip()[:40]} if that is what it is"
-                )
+                zone = value.strip() if is_zone(value) else "+02:00"
+                hint = f"Say --columns time_zone={zone} if that is the zone of the times, or time_zone=+00:00 if they are UTC"
                 raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", hint)
-        elif ABOUT_TIME.search(key):
+        elif _is_about_time(key):
             statements.append((f"metadata {key}", value))
     return [(place, text) for place, text in statements if text.strip()]
 
 
+def _is_about_time(key: str) -> bool:
+    """May metadata under this key say what the time stamps are?"""
+    return ABOUT_TIME.search(key) is not None and not KEEPER.search(key)
+
+
 def _remarks(header: Header) -> list[str]:
-    """Comment lines, of a CSV or kept by astropy, that speak of time."""
+    """Comment lines, of a CSV or kept by astropy, that may speak of time; of one whose value is judged as metadata the key."""
     kept = header.meta.get("comments", [])
     lines = [*header.comments, *(kept if isinstance(kept, list) else [kept])]
-    return [
-        str(line) for line in lines if re.search(r"time|date|jd|utc|expos|stamp", str(line), re.IGNORECASE)
-    ]
+    remarks = []
+    for line in map(str, lines):
+        pair = key_and_value(line)
+        judged = pair is not None and header.meta.get(pair[0]) == pair[1] and _is_about_time(pair[0])
+        remarks.append(pair[0] if pair is not None and judged else line)
+    return [text for text in remarks if SPEAKS_OF_TIME.search(text)]
 
 
 def _has_offset(header: Header) -> bool:

@@ -49,17 +49,22 @@ def _decimal(text: str) -> str:
 
 def _zone(text: str) -> str:
     """A zone that can be converted: an offset from UTC, or a name of the IANA's data base."""
-    match = OFFSET.fullmatch(text.strip())
-    if match:
-        if int(match[2]) * 60 + int(match[3] or 0) > 14 * 60:
-            raise problem(repr(text[:40]), "an offset of at most 14 h")
+    if is_zone(text):
         return text.strip()
+    if OFFSET.fullmatch(text.strip()):
+        raise problem(repr(text[:40]), "an offset of at most 14 h")
+    raise problem(repr(text[:40]), 'an offset such as "+02:00", or a name such as "Europe/Vienna"')
+
+
+def is_zone(text: str) -> bool:
+    """Is it an offset from UTC of at most 14 h, or the name of a zone?"""
+    if match := OFFSET.fullmatch(text.strip()):
+        return int(match[2]) * 60 + int(match[3] or 0) <= 14 * 60
     try:
         zoneinfo.ZoneInfo(text.strip())
     except (ValueError, OSError, zoneinfo.ZoneInfoNotFoundError):
-        expected = 'an offset such as "+02:00", or a name such as "Europe/Vienna"'
-        raise problem(repr(text[:40]), expected) from None
-    return text.strip()
+        return False
+    return True
 
 
 def _time_format(text: str) -> str:

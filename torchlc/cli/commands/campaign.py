@@ -13,6 +13,7 @@ from torchlc.cli import completion
 from torchlc.cli.app import app
 from torchlc.cli.options import (
     Budget,
+    Columns,
     Json,
     Out,
     Quiet,
@@ -121,6 +122,7 @@ def init_campaign(
         bool,
         typer.Option("--exact", help="Sizes, attitude and errors as if known exactly: no priors on them."),
     ] = False,
+    columns: Columns = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace scenes and a manifest that are there.")
     ] = False,
@@ -134,7 +136,9 @@ def init_campaign(
     from torchlc.cli.scaffold import read_station
 
     place = None if station is None else read_station(station)
-    done = write_campaign(elements, folder, shape=shape, station=place, task=task, exact=exact, force=force)
+    done = write_campaign(
+        elements, folder, shape=shape, station=place, task=task, exact=exact, columns=columns, force=force
+    )
     if json:
         show_json(
             {

@@ -10,6 +10,7 @@ import typer
 from torchlc.cli.app import app
 from torchlc.cli.options import (
     Budget,
+    Columns,
     Json,
     OutIfWanted,
     Quiet,
@@ -39,6 +40,7 @@ def rotation(
         float | None, number("Longest turn, s; default: the scene's bound.", show_default=False)
     ] = None,
     use: Use = None,
+    columns: Columns = None,
     seed: Seed = 0,
     budget: Budget = None,
     quiet: Quiet = False,
@@ -52,7 +54,7 @@ def rotation(
 
     with progress_bar(not (quiet or json)) as progress:
         result = api.rotation(
-            scene, *recordings, shortest=shortest, longest=longest, seed=seed, budget=budget, out=out, use=use,
+            scene, *recordings, shortest=shortest, longest=longest, seed=seed, budget=budget, out=out, use=use, columns=columns,
             trust=trust, progress=progress, command=command_line(context),
         )  # fmt: skip
     if json:

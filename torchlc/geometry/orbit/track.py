@@ -121,6 +121,14 @@ def above_horizon(track: Track) -> np.ndarray:
     return (track.elevation_deg > 0).cpu().numpy()
 
 
+def sun_elevation_deg(track: Track) -> np.ndarray | None:
+    """Geometric elevation (T,) of the Sun at the observer, degrees; None where the observer's place is unknown."""
+    if track.zenith is None:
+        return None
+    state = track.at(0.0, 0.0, 0.0)
+    return elevation_deg(track.zenith, state.sun - state.observer).cpu().numpy()
+
+
 def angle_between(a: Tensor, b: Tensor) -> Tensor:
     """Angle (...,), rad, between vectors (..., 3); accurate at 0 and pi, where its gradient is put to 0."""
     cross2 = (torch.linalg.cross(a, b) ** 2).sum(-1)

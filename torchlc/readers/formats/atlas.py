@@ -8,13 +8,16 @@ from dataclasses import replace
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.table import Header, check_width, lines_of
+from torchlc.scene.reading import Reading
 
+EXPOSURE_S = 30.0
 NAMES = ("MJD", "m", "dm", "uJy", "duJy", "F")
 
 
 class Atlas(Format):
     """AB magnitudes of difference images, each filter a band. A negative magnitude stands for a negative flux there, and
-    is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its row.
+    is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its row. MJD is the start of the exposure, which takes
+    30 s (fallingstar-data.com/forcedphot/resultdesc).
     """
 
     name = "ATLAS"
@@ -44,8 +47,10 @@ class Atlas(Format):
         header = Header(
             path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows
         )
+        told = Reading(time_mark="start", exptime=EXPOSURE_S)
         theirs = {"time": "MJD", "mag": "m", "mag_err": "dm", "band": "F"}
-        return replace(header, format=cls.name, theirs=theirs)
+        notes = (f"MJD of ATLAS is the start of exposures of {EXPOSURE_S:g} s",)
+        return replace(header, format=cls.name, theirs=theirs, told=told, notes=notes)
 
 
 def _names(head: Head) -> list[str]:

@@ -6,24 +6,25 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import ClassVar
 
 from torchlc.errors import InputError
-from torchlc.readers.dates import is_moment
+from torchlc.readers.comments import TOLD, metadata_of, told_in
+from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.format import FORMATS, Format, Head
 from torchlc.readers.roles import known_names
-from torchlc.readers.table import BLANK, METADATA, Header, check_names, without_blank_end
+from torchlc.readers.table import BLANK, Header, check_names, without_blank_end
 from torchlc.scene.timestamps import JULIAN_DATE
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 """In the order in which they are preferred where a line of names can be read with several."""
 MARKS = "#%"
 """Signs that begin a comment whatever the delimiter; a semicolon does where it is no delimiter."""
-NUMBER = re.compile(r"\s*[<>]?[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+NUMBER = re.compile(r"\s*([<>]=?)?\s*[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 WITH_COMMA, WITH_POINT = (
-    re.compile(r"\s*[<>]?[+-]?\d*,\d+\s*", re.ASCII),
-    re.compile(r"\s*[<>]?[+-]?\d*\.\d+\s*", re.ASCII),
+    re.compile(r"\s*([<>]=?)?\s*[+-]?\d*,\d+\s*", re.ASCII),
+    re.compile(r"\s*([<>]=?)?\s*[+-]?\d*\.\d+\s*", re.ASCII),
 )
 JULIAN = (2_400_000.0, 2_500_000.0)
 PLAIN_MAGNITUDES = (3.0, 30.0)
@@ -76,6 +77,8 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 def table_header(head: Head) -> Header:
     """Delimiter, names, decimal sign and comments of a table."""
+    given = head.reading
+    head = replace(head, reading=told_in(head.path, _above_all(head), given))
     wanted: dict[str, list[str]] = {}
     for one in FORMATS.values():
         for role, names in one.columns.items():
@@ -94,20 +97,21 @@ def table_header(head: Head) -> Header:
         told = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
         header = replace(header, skip=rows[below - 1][0], notes=(*header.notes, told))
         rows = rows[below:]
-    meta, others = metadata_of_comments([text.lstrip("#%;").removeprefix(" ") for text in above])
-    return replace(header, meta=meta, comments=tuple(others), decimal=_decimal(head, header, rows))
+    meta, others = metadata_of([text.lstrip("#%;").removeprefix(" ") for text in above])
+    told = told_in(head.path, meta, given)
+    taken = [f"{key}: {meta[key]}" for key in TOLD if key in meta and key not in given.model_fields_set]
+    if taken:
+        header = replace(
+            header, notes=(*header.notes, f"taken from comments of the file: {', '.join(taken)}")
+        )
+    meta = {key: value for key, value in meta.items() if key not in TOLD}
+    return replace(header, meta=meta, comments=tuple(others), told=told, decimal=_decimal(head, header, rows))
 
 
-def metadata_of_comments(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """What comment lines say as ``key: value`` with a key of ``METADATA``, and the other lines."""
-    meta, others = {}, []
-    for line in comments:
-        key, _, value = (part.strip() for part in line.replace("=", ":", 1).partition(":"))
-        if key.lower() in METADATA and value:
-            meta[key.lower()] = value
-        elif line.strip():
-            others.append(line.strip())
-    return meta, others
+def _above_all(head: Head) -> dict[str, str]:
+    """What the comments above all other lines say: where the table begins is not known yet."""
+    above = takewhile(lambda text: not text.strip() or text[0] in MARKS, (text for _, text in head.lines))
+    return metadata_of([text.lstrip("#%").removeprefix(" ") for text in above])[0]
 
 
 def _delimiters(head: Head) -> Sequence[str]:
@@ -172,9 +176,7 @@ def _without_names(head: Head) -> Header | None:
         if delimiter not in _delimiters(head):
             continue
         cells = cells_of(text, delimiter)
-        if len(cells) < 2 or not all(cells[:2]):
-            continue
-        if not (NUMBER.fullmatch(cells[0]) or is_moment(cells[0])) or not NUMBER.fullmatch(cells[1]):
+        if len(cells) < 2 or not _is_row(cells, head.reading.columns.get("time", "")):
             continue
         header = _header(head, (), delimiter, number - 1)
         width = max(len(without_blank_end(row)) for _, row in _sample(head, header))
@@ -183,6 +185,21 @@ def _without_names(head: Head) -> Header | None:
             return header
         return _guessed(head, header)
     return None
+
+
+def _is_row(cells: Sequence[str], time: str) -> bool:
+    """Do cells hold an instant and numbers, as no line of names does? ``time`` is what the user says of its columns."""
+    places = [int(part) - 1 for part in time.split("+") if re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII)]
+    if places and len(places) == time.count("+") + 1 and max(places) < len(cells):
+        moment = moment_of([cells[place] for place in places])
+    elif are_apart(cells[0], cells[1]):
+        places, moment = [0, 1], moment_of(cells[:2])
+    else:
+        places, moment = [0], cells[0]
+        if not NUMBER.fullmatch(cells[1]):
+            return False
+    others = [cell for place, cell in enumerate(cells) if place not in places]
+    return bool(NUMBER.fullmatch(moment) or is_moment(moment)) and any(map(NUMBER.fullmatch, others))
 
 
 def _guessed(head: Head, header: Header) -> Header:
@@ -196,7 +213,7 @@ def _guessed(head: Head, header: Header) -> Header:
     def numbers(place: int) -> list[float]:
         found = []
         for cells in rows:
-            text = cells[place].lstrip("<> ")
+            text = cells[place].lstrip("<>= ")
             text = text.replace(",", ".", 1) if comma else text
             if NUMBER.fullmatch(text) and "," not in text:
                 found.append(float(text))
@@ -208,14 +225,23 @@ def _guessed(head: Head, header: Header) -> Header:
         days = numbers(0)
         dated = bool(days) and all(JULIAN[0] < day < JULIAN[1] for day in days)
     sure = [mag for mag in second if abs(mag) < 90]
-    if not dated or not sure or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure):
-        form = "" if dated or not JULIAN_DATE.fullmatch(first) else ",time_format=mjd (or jd-2400000, or jd)"
+    apart = are_apart(*rows[0][:2])
+    if (
+        apart
+        or not dated
+        or not sure
+        or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure)
+    ):
+        told = "time=1+2,mag=3,mag_err=4" if apart else "time=1,mag=2,mag_err=3"
+        ways = [told]
+        if not dated and JULIAN_DATE.fullmatch(first):
+            ways = [f"{told},time_format={form}" for form in ("jd-2400000", "mjd", "jd")]
         raise InputError(
             head.path,
             "header",
             f"no names of columns; the first row is {', '.join(rows[0])[:100]}",
             "a header such as time,mag,mag_err",
-            f"Or say which column is what: --columns time=1,mag=2,mag_err=3{form}; flux=2 if it is a flux",
+            f"Or say which column is what: --columns {', or --columns '.join(ways)}; flux={2 + apart} if it is a flux",
         )
     names = ["time", "mag", *header.names[2:]]
     if len(names) > 2:

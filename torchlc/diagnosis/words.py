@@ -128,7 +128,9 @@ def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Seque
     if content["next_observation"]:
         told.append(f"next: {content['next_observation']}")
     if content["probabilities"]["not_examined"] > TOLD_LATE:
-        told.append(f"next: a longer --budget, or none: {len(content['unexamined'])} effects were not examined")
+        told.append(
+            f"next: a longer --budget, or none: {len(content['unexamined'])} effects were not examined"
+        )
     if content["verdict"] == "missing_physics":
         effects = json.dumps(list(completed))
         told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")

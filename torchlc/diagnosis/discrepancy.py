@@ -78,7 +78,7 @@ class Discrepancy:
         first, last = (float(one) / 3600 for one in (seconds[self.rows].min(), seconds[self.rows].max()))
         if self.coordinate == EVENT:
             return f"is there from {first:.2f} to {last:.2f} h after the first row"
-        told = f"follows {in_words(self.coordinate)}"
+        told = f"changes with {in_words(self.coordinate)}"
         if bool(self.rows.all()):
             return told
         return f"{told}, {f'from {first:.2f} h' if first > 0 else f'until {last:.2f} h'} after the first row"

@@ -28,6 +28,9 @@ PROBING_S = 10.0
 """CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
 SLOW_FIT_S = 0.5
 """CPU seconds of a refit beside a clean leader beyond which its linear form, which takes some tenths, is asked first."""
+LONG_FIT_S = 30.0
+"""CPU seconds of a refit beside a leader that leaves nothing beyond which it is made only of what its linear form puts first: there is
+nothing more to describe, and a dozen candidates that come near by chance would take a quarter of an hour."""
 DEAR_FIT_S = 2.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach; and of a probe, beyond which that of
 the first round serves for all sets."""
@@ -144,6 +147,11 @@ class Promises(Fits):
             # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
             self.linear[hypothesis] -= 0.5 * max(found.psi.shape[-1] - 1, 0) * math.log(max(found.score, 1.0))
         if self.linear[hypothesis] < self.mark - near:
+            return False
+        if self.settled and cost > LONG_FIT_S and self.linear[hypothesis] < self.mark:
+            self.unexamined[entry] = (
+                f"{cost:.0f} s of light worked out anew; its linear form is near, but behind what leaves nothing"
+            )
             return False
         if self.clock.affords(cost):
             return True

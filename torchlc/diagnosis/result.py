@@ -25,6 +25,7 @@ from torchlc.diagnosis.tried import candidates, sets
 from torchlc.diagnosis.values import effect_parameters, materials
 from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
+from torchlc.digits import against_freedom
 from torchlc.effects import with_title
 from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
@@ -384,7 +385,7 @@ class Diagnosis:
         p, at = self.final_gate.global_p, self.final
         left = f"rms {_rms(at.off_mag):.3f} mag"
         if not at.likelihood.fitted_errors and at.noise.normal and not at.noise.processes:
-            left = f"chi-square {at.chi2:.0f} for {at.likelihood.degrees_of_freedom} degrees of freedom"
+            left = f"chi-square {against_freedom(at.chi2, at.likelihood.degrees_of_freedom, 0)}"
         beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unexplained
         if beside < TOLD:
             note = f"nothing that the data show: {left}"
@@ -396,7 +397,7 @@ class Diagnosis:
                 note += f"; it {odd.course(self.coordinates['time'])}"
         if at.hypothesis.noise:
             kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
-            note += f"; rows err by {' and '.join(kinds)}"
+            note += f"; errors of rows are taken with {' and '.join(kinds)}"
         if SCALE in at.hypothesis.noise:
             note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]
         if self.law and self.law != NOMINAL:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchlc.diagnosis.coordinates import TIME, in_words
-from torchlc.digits import number_of, stated
+from torchlc.digits import against_freedom, number_of, stated
 from torchlc.effects import registry, with_title
 from torchlc.stages.effect import first_sentence
 from torchlc.stages.entry import Entry
@@ -110,7 +110,7 @@ def shape(content: Mapping[str, Any]) -> str:
         return ""
     size = max(map(abs, odd["mag"]))
     beside = f" beside {' and '.join(odd['beside'])}" if odd["beside"] else ""
-    return f"What no effect describes{beside} {odd['course']}. It is up to {size:.2g} mag."
+    return f"Light that no effect explains{beside} {odd['course']}. It is up to {size:.2g} mag."
 
 
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
@@ -149,7 +149,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
             f"{gains['rms_after']:.3f} mag (root mean square)"
             if content["error_source"] == "fitted"
             else f"With it in the model chi-square falls from {gains['chi2_before']:.0f} to "
-            f"{gains['chi2_after']:.0f} for {gains['dof']} degrees of freedom"
+            f"{against_freedom(gains['chi2_after'], gains['dof'], 0)}"
         )
         gain = content["proof"]["gain_of_final_over"].get("null")
         if gain is not None:

@@ -444,16 +444,21 @@ class Search(Promises):
             self.alternatives([NOMINAL], [kept])
 
     def laws(self, entries: Sequence[str], clean: bool) -> None:
-        """The scene's own model under other laws of reflection. Unless the foremost is ``clean`` without, under one that describes the rows
-        better than the scene's own law the leading effects are refitted and others looked for: beside the wrong law others lead."""
+        """The scene's own model under other laws of reflection. Where one describes the rows better than the scene's own, it grows by what
+        its probes promise, unless the foremost is ``clean`` and far ahead of it; and unless that is clean its effects are refitted under the
+        other law: beside the wrong law others lead."""
         self.alternatives(self.bench.laws, [()])
         null = Hypothesis().under(*self.robust)
         better = [law for law in self.bench.laws if self.ahead(replace(null, law=law), null)]
-        if better and not clean:
+        if not better:
+            return
+        if not clean:
             leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
             self.alternatives(better, list(dict.fromkeys(leaders))[:2])
-        if self.foremost.law:
-            self.grow(replace(null, law=self.foremost.law), entries, set(), GROWN, anew=True)
+        # a clean leader beside the wrong law may have bent to it: near is what FEW_EFFECTS would bring as far
+        best = max((replace(null, law=law) for law in better), key=self.log_odds)
+        if not clean or self.log_odds(best) > self.mark - FEW_EFFECTS * REACH:
+            self.grow(best, entries, set(), GROWN, anew=True)
 
     def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:
         """Sets of effects in other scenes than the given one."""

@@ -19,12 +19,13 @@ from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch, verdict
 from torchlc.inference.rotation.passes import RATE_A_DAY, Rows, rows_of
-from torchlc.inference.rotation.pole_grid import directions, frame_of, non_negative, search, spread
+from torchlc.inference.rotation.pole_grid import directions, frame_of, search, spread
 from torchlc.inference.rotation.refine import Local
 from torchlc.inference.rotation.search import _changed
 from torchlc.lightcurve.model import LightCurve
 from torchlc.results.rotation_result import RotationResult, _wider
 from torchlc.scene import Free, Scene
+from torchlc.tensors.non_negative import non_negative
 
 PERIOD_S, POLE, PHASE = 61.7, (143.0, 36.0), 77.0
 STARTS = ("2020-10-10T21:30:00", "2020-10-11T22:40:00")

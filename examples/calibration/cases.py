@@ -102,6 +102,26 @@ def names() -> Iterator[str]:
         yield f"nominal-outside-{kind}"
 
 
+KINDS = {
+    "nominal-control": "nominal, nothing missing",
+    "nominal-outside": "nominal, outside the library",
+    "nominal": "nominal, one effect",
+    "control": "nothing missing",
+    "two": "two effects",
+    "three": "three effects",
+    "outside": "outside the library",
+    "wrong": "scene slightly wrong",
+    **dict.fromkeys(LAWS, "other reflection law"),
+    **dict.fromkeys(NOISE, "other noise"),
+}
+"""What a case is by how its name begins, the longer beginnings first; every other is one effect."""
+
+
+def kind(name: str) -> str:
+    """What a case conceals, in a few words."""
+    return next((words for head, words in KINDS.items() if name.startswith(head)), "one effect")
+
+
 SUBSET = (
     "control_geo", "control_meo", "control_box", "control_wing", "control_leo", "panel_offset-large",
     "self_shadowing-large", "exposure_smearing-large", "earth_shadow-as_is", "finite_sun-large",

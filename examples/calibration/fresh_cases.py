@@ -15,35 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from cases import NOISE
+from cases import kind
 from make_injections import numbered, write_case
 from outcomes import judged
 from verdicts import read, run
 
 SHARES = {
     "nothing missing": 4.0, "one effect": 5.0, "two effects": 2.0, "three effects": 2.0, "other noise": 1.0,
-    "scene slightly wrong": 0.5, "other law": 1.5, "outside the library": 1.0, "nominal, nothing missing": 4.0,
+    "scene slightly wrong": 0.5, "other reflection law": 1.5, "outside the library": 1.0, "nominal, nothing missing": 4.0,
     "nominal, one effect": 5.0, "nominal, outside the library": 1.0,
 }  # fmt: skip
 """How often each kind is drawn, over the others."""
-
-
-def kind(name: str) -> str:
-    """One of SHARES."""
-    heads = {
-        "nominal-control": "nominal, nothing missing",
-        "nominal-outside": "nominal, outside the library",
-        "nominal-": "nominal, one effect",
-        "control": "nothing missing",
-        "two-": "two effects",
-        "three-": "three effects",
-        "outside-": "outside the library",
-        "wrong-": "scene slightly wrong",
-        "ggx-": "other law",
-        "beckmann-": "other law",
-        **dict.fromkeys(NOISE, "other noise"),
-    }
-    return next((words for head, words in heads.items() if name.startswith(head)), "one effect")
 
 
 def main() -> None:

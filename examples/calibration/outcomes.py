@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from cases import kind
 from scipy import stats
 
-SIZES = ("small", "medium", "large", "as_is")
 WORTH = {100.0: "chi-square over 100", 25.0: "chi-square 25 to 100", -math.inf: "chi-square below 25"}
 """Effects by how much chi-square the true model gains over the best refit without it."""
 KINDS = (
@@ -59,37 +59,21 @@ def judged(row: dict[str, Any]) -> str:
 
 
 def group(row: dict[str, Any]) -> str:
-    """The kind of case, by its name."""
-    head, _, rest = row["case"].rpartition("/")[2].partition("-")
-    if head == "nominal":
-        inner = {"adequate": "nothing missing", "unexplained": "outside the library"}
-        return "nominal, " + inner.get(row["truth"]["verdict"], "one effect")
-    size = rest.partition("-")[0]
-    if head.startswith("control"):
-        return "nothing missing"
-    if row["truth"]["verdict"] == "noise_model":
-        return "other noise"
-    if size in SIZES:
-        refit = row["truth"]["chi2"]["baseline_refit"]
-        if row["verdict"] == "adequate":  # no prior is strained: this chi-square is a refit's own
-            refit = min(refit, row["improvement"]["chi2_before"])
-        worth = refit - row["truth"]["chi2"]["truth"]
-        return "one effect, " + next(words for least, words in WORTH.items() if worth >= least)
-    known: dict[str, str] = {
-        "two": "two effects",
-        "three": "three effects",
-        "wrong": "scene slightly wrong",
-        "ggx": "other reflection law",
-        "beckmann": "other reflection law",
-        "outside": "outside the library",
-    }
-    return known.get(head, head)
+    """The kind of case, by its name; of one effect in an exact scene with what it is worth."""
+    found = kind(row["case"].rpartition("/")[2])
+    if found != "one effect":
+        return found
+    refit = row["truth"]["chi2"]["baseline_refit"]
+    if row["verdict"] == "adequate":  # no prior is strained: this chi-square is a refit's own
+        refit = min(refit, row["improvement"]["chi2_before"])
+    worth = refit - row["truth"]["chi2"]["truth"]
+    return f"{found}, " + next(words for least, words in WORTH.items() if worth >= least)
 
 
 def ordered(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The kinds of case that there are, in the order in which they are told."""
     there = {group(row) for row in rows}
-    return [kind for kind in KINDS if kind in there] + sorted(there - set(KINDS))
+    return [one for one in KINDS if one in there] + sorted(there - set(KINDS))
 
 
 def reliability(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -422,9 +422,8 @@ class Search(Promises):
             near = [one for one in self.ranked()[: 2 * MOST_LOOKED] if self.log_odds(one) >= top - NEAR]
             linear = any(self.visited[one].posterior.slow for one in near)
             made = {one: self.visited[one] for one in near if self.visited[one].evidence is not None}
-            for one in sorted(
-                near, key=self.correlated
-            ):  # of these the draws are few, and others may stand in for them
+            # those whose rows err together last: their draws are few, and others may stand in for them
+            for one in sorted(near, key=self.correlated):
                 if not self.clock.left(0.95):
                     return
                 at = self.visited[one]

@@ -274,8 +274,9 @@ class Fits:
             [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
-        if likely is not None and found is not None and not posterior.dear:
-            aside = self._made_room(at, found.moved[likely])
+        nominal = [] if posterior.dear else self.nominal_columns(at.posterior)
+        if likely is not None and found is not None and nominal:
+            aside = _made_room(at, found.moved[likely], nominal)
             starts[: len(likely)] = carried(parameters, aside, at.names)
             starts[: len(likely), columns] = psi[: len(likely)]
         new = self.refit(hypothesis, starts, at, turns=1, most=2)
@@ -283,19 +284,6 @@ class Fits:
             new = self.from_counts(new, at)
         posterior.model.forget()
         return self.rescanned(entry, new)
-
-    def _made_room(self, at: Fitted, moved: Tensor) -> Tensor:
-        """Theta (G, P) of a fit with the nominal geometry where its linear form has it beside changes of the light (G, T): what the
-        geometry took up for want of an effect is what the effect is to explain."""
-        nominal = self.nominal_columns(at.posterior)
-        if not nominal:
-            return at.theta.repeat(len(moved), 1)
-        rows = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
-        tangent = at.tangent
-        off = torch.linalg.solve(tangent.T @ tangent, (rows @ tangent).T).T
-        g = at.g.repeat(len(moved), 1)
-        g[:, nominal] += off[:, nominal].clamp(-ROOM, ROOM)
-        return at.posterior.theta(g)
 
     def counted(self, entry: str) -> bool:
         """Whether an effect is tried from counts of turns between nights or curves, of which no probe tells."""
@@ -397,3 +385,14 @@ def sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypo
 def _noise_names(posterior: Posterior) -> list[str]:
     names = [*posterior.model.names, SCALE]
     return [names[column] for column in posterior.noise_columns]
+
+
+def _made_room(at: Fitted, moved: Tensor, nominal: Sequence[int]) -> Tensor:
+    """Theta (G, P) of a fit with its ``nominal`` columns where its linear form has them beside changes of the light (G, T): what the
+    geometry took up for want of an effect is what the effect is to explain."""
+    rows = torch.cat([moved, moved.new_zeros(len(moved), len(at.g))], 1)
+    tangent = at.tangent
+    off = torch.linalg.solve(tangent.T @ tangent, (rows @ tangent).T).T
+    g = at.g.repeat(len(moved), 1)
+    g[:, nominal] += off[:, nominal].clamp(-ROOM, ROOM)
+    return at.posterior.theta(g)

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from torchlc.effects import effect_class
-from torchlc.inference.rotation.pole_grid import non_negative
 from torchlc.parameters import Quantity
+from torchlc.tensors.non_negative import non_negative
 
 HALF = 0.5
 """Reflectance at which the light of each is worked out."""
@@ -19,8 +19,6 @@ BRIGHT = 0.6
 """Sum of the reflectances that are begun with, where the size of what shines allows it: size and reflectances are one number nearly."""
 APART_SD = 0.7
 """Standard deviations of the priors, over all but size and reflectances, that two places must be apart to count as different."""
-
-
 PLACES = 600
 """Places that are tried where more than one number says where the light goes: of direction and exponent one in 20 by 20 deg and a factor of 10."""
 LINE_PLACES = 96
@@ -61,24 +59,23 @@ class Mixture:
         """Values (G, k) with the size and the reflectances that take most off a ``residual``, and their changes of the light (G, T);
         those that no light helps stay as they are. ``change`` gives the change of the light by values, ``beyond`` what of it a fit's own numbers
         cannot take up."""
-        pure, light = psi.clone(), []
-        size = psi.new_tensor(self.quantity.typical or 0.0)
-        pure[:, self.size] = size
-        for part in self.parts:
-            one = pure.clone()
-            one[:, list(self.parts)] = 0.0
-            one[:, part] = HALF
-            light.append(change(one))
-        columns = torch.stack([beyond(one) for one in light], -1)  # (G, R, parts)
+        size, parts = self.quantity.typical or 0.0, list(self.parts)
+
+        def of_one(part: int) -> Tensor:
+            pure = psi.clone()
+            pure[:, self.size], pure[:, parts] = size, 0.0
+            pure[:, part] = HALF
+            return beyond(change(pure))
+
+        columns = torch.stack([of_one(part) for part in parts], -1)  # (G, R, parts)
         found = non_negative(columns.mT @ columns, torch.einsum("grk,r->gk", columns, residual))
-        area = size * HALF * found.sum(1)
-        enough = torch.clamp(area / BRIGHT, self.quantity.low, self.quantity.high)
-        used = area > 0
-        reflectance = size * HALF * found / torch.where(used, enough, 1.0)[:, None]
-        reflectance = reflectance / reflectance.sum(1, keepdim=True).clamp(min=1.0)
-        values = pure
+        bright = size * HALF * found  # size times each reflectance
+        enough = torch.clamp(bright.sum(1) / BRIGHT, self.quantity.low, self.quantity.high)
+        used = bright.sum(1) > 0
+        reflectance = bright / torch.where(used, enough, 1.0)[:, None]
+        values = psi.clone()
         values[:, self.size] = enough
-        values[:, list(self.parts)] = reflectance
+        values[:, parts] = reflectance / reflectance.sum(1, keepdim=True).clamp(min=1.0)
         values = torch.where(used[:, None], values, psi)
         return values, change(values)
 

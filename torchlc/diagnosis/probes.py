@@ -159,20 +159,20 @@ def _mixed(
         scores = moved.new_zeros(len(moved)).index_copy(0, torch.nonzero(usable)[:, 0], found)
         return values, moved, scores
 
-    def whole(values: Tensor) -> Tensor:
+    def coordinates(values: Tensor) -> Tensor:
         many = theta.repeat(len(values), 1)
         many[:, columns] = values
-        return posterior.coordinates(many)
+        return posterior.coordinates(many)[:, columns]
 
     def natural(g: Tensor) -> Tensor:
-        many = whole(psi[:1]).repeat(len(g), 1)
+        many = posterior.coordinates(theta).repeat(len(g), 1)
         many[:, columns] = g
         return posterior.theta(many)[:, columns]
 
     psi, moved, scores = solved(psi)
     if len(where) == 1 or not len(psi):
         return psi, moved
-    more, light = finer(where, psi, scores, lambda values: whole(values)[:, columns], natural, solved, seed)
+    more, light = finer(where, psi, scores, coordinates, natural, solved, seed)
     return torch.cat([psi, more]), torch.cat([moved, light])
 
 

@@ -27,6 +27,7 @@ from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.digits import against_freedom
 from torchlc.effects import with_title
+from torchlc.files.writing import without_nan
 from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.lightcurve.model import LightCurve
@@ -233,7 +234,7 @@ class Diagnosis:
             if recording.station_ids
             else [""] * len(time)
         )
-        return _clean(
+        return without_nan(
             {
                 "schema": SCHEMA,
                 "verdict": self.verdict,
@@ -423,13 +424,3 @@ def completed_scene(scene: Scene, effects: Sequence[Effect]) -> Scene:
 
 def _rms(value: Tensor) -> float:
     return float(torch.sqrt((value * value).mean()))
-
-
-def _clean(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _clean(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_clean(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

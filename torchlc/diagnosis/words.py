@@ -103,6 +103,13 @@ def bad_rows(content: Mapping[str, Any]) -> str:
     return f"{len(rows)} row{'s' if len(rows) != 1 else ''} probably bad: {shown}{more}."
 
 
+def _count_of_bad_rows(content: Mapping[str, Any]) -> str:
+    """How many rows are probably outliers; nothing where none is."""
+    count = len(content["outliers"])
+    are = "is" if count == 1 else "are"
+    return f"{number_of(count, 'row')} {are} probably bad: see the table of bad rows." if count else ""
+
+
 def shape(content: Mapping[str, Any]) -> str:
     """What no effect describes, in a sentence; nothing where none is likely."""
     odd = content["discrepancy"]
@@ -138,8 +145,8 @@ def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Seque
 
 
 def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
-    """Verdict, proof, place, materials and what cannot be told, in sentences, from the content of
-    diagnosis.json.
+    """Verdict, proof, place, materials and what cannot be told, in sentences for a page, which has a table of bad rows, from the content
+    of diagnosis.json.
     """
     named, gains = content["named"], content["improvement"]
     paragraphs = [headline(content), odds(content)]
@@ -168,7 +175,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
         paragraphs.append(f"{proof}.{values} {' '.join(meant)}")
     if content["where"] is not None:
         paragraphs.append(_place(content["where"]))
-    paragraphs += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
+    paragraphs += [sentence for sentence in (_count_of_bad_rows(content), shape(content)) if sentence]
     paragraphs.append(f"What is left: {content['remaining']['note']}.")
     paragraphs.append(f"What to do next: {_advice(content)}.")
     return paragraphs

@@ -37,6 +37,7 @@ LONGEST_LOCK = 200
 """Bytes; a process and its start are 60."""
 CHAIN_FILE = "chain.h5"
 SAMPLED_FILES = frozenset({CHAIN_FILE, "posterior.nc", "corner.png", "traces.png"})
+FIT_SCHEMA = "torchlc-fit/1"
 FIT_FILES = SAMPLED_FILES | {"fit.json", "report.html", "curve.png", "shares.png", "object.png"}
 STEPS_FILE = "search.pt"
 """What a search has finished, as long as it runs."""

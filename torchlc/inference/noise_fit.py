@@ -14,8 +14,8 @@ from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.polish import polish
 from torchlc.inference.whitening import noise_columns
 from torchlc.noise.orthant import POINTS
-from torchlc.tensors.differences import second_differences
 from torchlc.tensors.least_squares import Minimum
+from torchlc.tensors.second_differences import second_differences
 
 NOISE_VALUES = 10_000_000
 """Elements of the covariances held at once while noise is fitted: 80 MB."""

@@ -29,8 +29,8 @@ from torchlc.inference.normal_scores import FARTHEST
 from torchlc.inference.reflectances import linear_columns
 from torchlc.inference.starts import regressed
 from torchlc.noise import Noise, Residuals
-from torchlc.tensors.differences import second_differences
 from torchlc.tensors.least_squares import Colours, differences, minimise
+from torchlc.tensors.second_differences import second_differences
 
 LEAST_PRECISION = 0.3
 """Of a coordinate in a Laplace approximation; the prior alone has 1, a likelihood that bends away may take some."""

@@ -9,7 +9,6 @@ from typing import Any
 
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.words import (
-    bad_rows,
     candidate,
     chance,
     changes,
@@ -18,7 +17,6 @@ from torchlc.diagnosis.words import (
     probability,
     words,
 )
-from torchlc.digits import number_of
 from torchlc.figures.viewer import viewer_data
 from torchlc.files.writing import DIAGNOSIS_FILES, RESULT_FILES, OutputDirectory
 from torchlc.report.figures import Drawn, by_section, draw_all, png
@@ -71,10 +69,7 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
     physics = [row for row in tried if row["effect"] not in kinds]
     return {
         "verdict": content["verdict"],
-        "words": [
-            _bad_rows_told(content) if text == bad_rows(content) else text
-            for text in words(content, diagnosis.added)
-        ],
+        "words": words(content, diagnosis.added),
         "bad_rows": [
             row | {"probability": probability(row["probability"])}
             for row in content["outliers"][:MOST_INTERVALS]
@@ -105,14 +100,6 @@ def context(diagnosis: Diagnosis, drawn: Sequence[Drawn] | None = None) -> dict[
         "materials": changes(content["materials"]),
         "global_p": chance(content["global_p"]),
     }
-
-
-def _bad_rows_told(content: Mapping[str, Any]) -> str:
-    """How many rows are probably bad; a page has a table for their times."""
-    count = len(content["outliers"])
-    return (
-        f"{number_of(count, 'row')} {'is' if count == 1 else 'are'} probably bad: see the table of bad rows."
-    )
 
 
 def _substances(after: Mapping[str, Any], diagnosis: Diagnosis) -> list[tuple[str, str]]:

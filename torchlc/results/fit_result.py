@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from torchlc.digits import against_freedom, number_of, stated
-from torchlc.files.writing import OutputDirectory, without_nan
+from torchlc.files.writing import FIT_SCHEMA, OutputDirectory, without_nan
 from torchlc.inference.identifiability import Insight, bare_view, judge
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit, Mode
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from torchlc.figures.curves import Comparison
     from torchlc.figures.draws import Draws
 
-FIT_SCHEMA = "torchlc-fit/1"
 MOST_CORNER = 10
 """Parameters of a corner plot: more panels than 10 x 10 cannot be read on a page."""
 BAND_DRAWS = 200

@@ -17,6 +17,7 @@ from torchlc.errors import InputError
 from torchlc.files.hdf5 import check_hdf5
 from torchlc.files.libraries import arviz_library
 from torchlc.files.reading import readable_file
+from torchlc.files.writing import FIT_SCHEMA
 from torchlc.results.tables import parameter_table
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     import pandas
     from astropy.table import Table
 
-FIT_SCHEMA = "torchlc-fit/1"
 MOST_BYTES = 1 << 28
 """Of fit.json: hundreds of parameters need some 100 kB."""
 

@@ -16,8 +16,9 @@ from torch import Tensor
 from torchlc.geometry.rotation.matrices import rotation_of
 from torchlc.inference.rotation.facet_light import ROUND, FacetLight
 from torchlc.inference.rotation.passes import Rows
-from torchlc.inference.rotation.pole_grid import GridState, frame_of, non_negative
+from torchlc.inference.rotation.pole_grid import GridState, frame_of
 from torchlc.tensors.least_squares import Minimum, minimise
+from torchlc.tensors.non_negative import non_negative
 from torchlc.tensors.vectors import unit
 
 START_N = 40.0

@@ -15,6 +15,8 @@ import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, ORBIT_3
 from torchlc.cli import run
 from torchlc.errors import InputError
+from torchlc.inference.likelihood import Likelihood
+from torchlc.inference.optimiser import fit_map
 from torchlc.inference.rotation.connect import connections
 from torchlc.inference.rotation.facet_light import FacetLight
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch, verdict
@@ -23,6 +25,7 @@ from torchlc.inference.rotation.pole_grid import directions, frame_of, search, s
 from torchlc.inference.rotation.refine import Local
 from torchlc.inference.rotation.search import _changed
 from torchlc.lightcurve.model import LightCurve
+from torchlc.readers.joining import joined
 from torchlc.results.rotation_result import RotationResult, _wider
 from torchlc.scene import Free, Scene
 from torchlc.tensors.non_negative import non_negative
@@ -329,6 +332,23 @@ def test_a_free_rotation_is_not_told_from_a_pass_that_holds_no_second_cycle() ->
     assert not decided and "out of step" in words
     assert verdict([near], 100, 1, 600.0)[0]
     assert verdict([near], 100, 2, 200.0, all_s=86400.0)[0], "two passes whose turns between are counted"
+
+
+def test_a_fit_does_not_lose_what_its_scene_knows(files: tuple[Path, list[Path]]) -> None:
+    """A day apart the passes tell the period to 1e-5 of its bounds: what a search has written as a scene's values is as good as it was
+    after the fit, though Adam's steps leave it."""
+    free = (
+        f"pole = [{{ value = {POLE[0]}, low = -360, high = 360 }}, {{ value = {POLE[1]}, prior = 'isotropic' }}]\n"
+        f"period = {{ value = {PERIOD_S / 3600!r}, low = 0.0166, high = 0.0177 }}\n"
+        f"phase = {{ value = {PHASE}, low = -360, high = 360 }}"
+    )
+    scene = Scene.from_toml(text(free))
+    rows = joined([torchlc.load(files[0], path)[1] for path in files[1]])
+    likelihood = Likelihood(LightCurve(scene, rows))
+    with torch.no_grad():
+        known = float(likelihood.chi2(likelihood.model.parameter_set.start()))
+    assert known < len(rows) + 5 * np.sqrt(2 * len(rows))
+    assert fit_map(likelihood, starts=3, adam_steps=30).chi2 < known
 
 
 def test_a_synodic_turn_is_the_bisectors_way_round_the_body(files: tuple[Path, list[Path]]) -> None:

@@ -96,7 +96,7 @@ def find_modes(
     budget: Budget | None = None,
 ) -> tuple[list[Mode], list[float], Minimum | None]:
     """Distinct minima of the objective, best first, with Adam's history; ``extra_starts`` (S, P) are natural
-    values added to the scene's own and the prior's draws. Where the ``budget`` ends Adam, only the LEADERS of its last and first points are polished."""
+    values added to the scene's own and the prior's draws; these and the scene's own are also polished as they are. Where the ``budget`` ends Adam, only the LEADERS of its last and first points are polished."""
     budget = Budget() if budget is None else budget
     model = likelihood.model
     parameters = model.parameter_set
@@ -109,7 +109,10 @@ def find_modes(
         [parameters.start()[None], draws] + ([extra_starts] if extra_starts is not None else [])
     )
     theta, history = adam(likelihood, points, adam_steps, progress, budget=budget.part(ADAM_SHARE))
-    if len(history) < adam_steps:
+    if len(history) == adam_steps:
+        # what a scene or an earlier step has found stands: Adam's steps are longer than some numbers are known, and do not come back
+        theta = torch.cat([theta, points[:1], points[1 + len(draws) :]])
+    else:
         with torch.no_grad():
             known = torch.cat([theta, points])
             density = likelihood.log_prob(known).nan_to_num(-math.inf)

@@ -26,7 +26,7 @@ from torchlc.diagnosis import (
     where,
 )
 from torchlc.diagnosis import probabilities as odds
-from torchlc.diagnosis.unseen import UNSEEN
+from torchlc.diagnosis.unseen import SURE, UNSEEN
 from torchlc.inference import density, posterior
 
 HERE = Path(__file__).parent
@@ -65,6 +65,7 @@ myst_substitutions = {
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",
+    "sure": f"{SURE:g}",
     "told": f"{odds.TOLD:g}",
     "near": f"{promises.NEAR:g}",
     "noise_odds": f"{hypotheses.NOISE_ODDS:g}",

@@ -77,6 +77,17 @@ def test_ggx(alpha: float) -> None:
     torch.testing.assert_close(found, rendered(metal("ggx", alpha), s, o), rtol=2e-4, atol=1e-7)
 
 
+def test_ggx_over_a_lambert_base() -> None:
+    """f mu0 mu of Mitsuba's conductor, and its Lambert surface as what the diffuse part adds."""
+    s, o = directions(200, 85, 13), directions(200, 85, 14)
+    found = MODELS["ggx-lambert"](alpha=0.2, f0=1.0, r_diff=0.0)(Z, X, s, o).detach() * s[:, 2]
+    base = MODELS["ggx-lambert"](alpha=0.2, f0=0.5, r_diff=0.37)(Z, X, s, o).detach() * s[:, 2]
+    bare = MODELS["ggx-lambert"](alpha=0.2, f0=0.5, r_diff=0.0)(Z, X, s, o).detach() * s[:, 2]
+    torch.testing.assert_close(found, rendered(metal("ggx", 0.2), s, o), rtol=2e-4, atol=1e-7)
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.37}}
+    torch.testing.assert_close(base - bare, rendered(white, s, o), rtol=1e-5, atol=1e-7)
+
+
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 @pytest.mark.parametrize("alpha", [0.05, 0.2, 0.6])
 def test_conductors_of_the_brute_force_reference(distribution: str, alpha: float) -> None:

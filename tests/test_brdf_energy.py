@@ -13,7 +13,7 @@ from tests.brdf_cases import SHORT, Z, any_values, at, numbers, reflectance
 from torchlc.brdf import MODELS, incidence
 
 
-@pytest.mark.parametrize("name", sorted(set(MODELS) - {"lommel-seeliger-lambert"}))
+@pytest.mark.parametrize("name", sorted(set(MODELS) - {"lommel-seeliger-lambert", "ggx-lambert"}))
 @SHORT
 @given(data=st.data())
 def test_never_more_light_out_than_in(name: str, data: st.DataObject) -> None:
@@ -49,6 +49,14 @@ def test_lommel_seeliger_lambert_reflectance(angle: float) -> None:
     expected = 0.3 * (2 * (1 - mu0 * math.log(1 + 1 / mu0)) + 0.25)
     share = reflectance(MODELS["lommel-seeliger-lambert"], numbers(weight=0.25, albedo=0.3), angle, 0.0)
     assert share == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 40.0, 70.0])
+def test_ggx_over_lambert_adds_its_diffuse_reflectance_at_every_angle(angle: float) -> None:
+    """A Lambert surface sends out r_diff of what falls in, whatever the angle, beside what the lobe does."""
+    lobe = reflectance(MODELS["ggx"], numbers(alpha=0.3, f0=0.4, r_diff=0.0), angle, 0.0)
+    both = reflectance(MODELS["ggx-lambert"], numbers(alpha=0.3, f0=0.4, r_diff=0.25), angle, 0.0)
+    assert both - lobe == pytest.approx(0.25, abs=1e-3)
 
 
 def test_white_lambert_sphere() -> None:

@@ -20,7 +20,7 @@ from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
 from torchlc.diagnosis.run import _gate, diagnose
-from torchlc.diagnosis.unseen import UNSEEN, unseen_share
+from torchlc.diagnosis.unseen import UNSEEN, unseen_shares
 from torchlc.diagnosis.values import materials
 from torchlc.diagnosis.words import headline, lines
 from torchlc.effects import effect_class
@@ -116,7 +116,7 @@ def test_the_unseen_share_of_a_drift_is_that_of_its_normal_posterior(ball, slope
     expected = stats.norm.cdf((UNSEEN / seen - mean[1]) / sd) - stats.norm.cdf(
         (-UNSEEN / seen - mean[1]) / sd
     )
-    assert unseen_share(drift, search.visited[Hypothesis()], "zero_point_drift") == pytest.approx(
+    assert unseen_shares(drift, search.visited[Hypothesis()], "zero_point_drift")[0] == pytest.approx(
         expected,
         abs=0.08,  # 200 draws: two and a half standard deviations at one half
     )
@@ -128,10 +128,10 @@ def test_the_unseen_share_does_not_depend_on_where_the_fit_without_the_effect_st
     hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
     search = searched(changed(ball, 0.006 * hours), "zero_point_drift")
     drift, without = search.visited[Hypothesis(("zero_point_drift",))], search.visited[Hypothesis()]
-    expected = unseen_share(drift, without, "zero_point_drift")
+    expected = unseen_shares(drift, without, "zero_point_drift")[0]
     assert 0.02 < expected < 0.98
     moved = fitted_at(without.hypothesis, without.posterior, without.g + shift)
-    assert unseen_share(drift, moved, "zero_point_drift") == pytest.approx(
+    assert unseen_shares(drift, moved, "zero_point_drift")[0] == pytest.approx(
         expected, abs=0.011
     )  # two of 200 draws
 
@@ -176,7 +176,7 @@ def test_mass_of_unseen_values_counts_as_nothing_missing(ball) -> None:
     found = probabilities(search, 0.5)
     assert found.nothing + found.noise + found.unexplained + found.some_effect == pytest.approx(1.0)
     drift = search.visited[Hypothesis(("zero_point_drift",))]
-    share = unseen_share(drift, search.visited[Hypothesis()], "zero_point_drift")
+    share = unseen_shares(drift, search.visited[Hypothesis()], "zero_point_drift")[0]
     assert share > 0.5 and found.nothing > 0.7
     assert found.effects.get("zero_point_drift", 0.0) <= 1 - share
 

@@ -65,6 +65,11 @@ class Case:
         return [frozenset(one) for one in self.answer["family"]] or [frozenset(self.answer["effects"])]
 
     @property
+    def too_weak(self) -> bool:
+        """Whether what is concealed leaves less than 25 of chi-square, so that "nothing" is a right answer too."""
+        return "adequate" in self.answer.get("verdicts_accepted", ())
+
+    @property
     def true_rows(self) -> Array | None:
         """Rows (T,) where what is concealed shows at 2 sigma; None where it shows nowhere."""
         where = self.answer.get("where")
@@ -90,12 +95,17 @@ class Case:
     @cached_property
     def nominal(self) -> Fitted:
         """The nominal model at its best, errors as quoted."""
-        posterior = Posterior(self.bench.likelihood(Hypothesis()), False)
+        return self.fitted(())
+
+    def fitted(self, added: tuple[str, ...]) -> Fitted:
+        """The nominal model with these effects at its best, errors as quoted."""
+        hypothesis = Hypothesis(added)
+        posterior = Posterior(self.bench.likelihood(hypothesis), False)
         middle = posterior.theta(torch.zeros(posterior.size, dtype=torch.float64))
         generator = torch.Generator().manual_seed(0)
         starts = [posterior.model.parameter_set.start()[None], middle[None]]
         starts.append(material_starts(posterior, middle, STARTS, generator))
-        return fit(Hypothesis(), posterior, posterior.coordinates(torch.cat(starts)))
+        return fit(hypothesis, posterior, posterior.coordinates(torch.cat(starts)))
 
     @property
     def simulator(self) -> Callable[[torch.Tensor], torch.Tensor]:
@@ -110,8 +120,7 @@ class Case:
     @cached_property
     def residual(self) -> Array:
         """Whitened recording minus nominal model at its best, (T,), above the prior's rows, (T + P,)."""
-        at = self.nominal
-        return torch.cat([at.delta / at.sigma, at.g]).numpy()
+        return left_by(self.nominal)
 
     @property
     def rows(self) -> int:
@@ -171,6 +180,11 @@ class Case:
         if not found.visible or not len(changes):
             return None
         return Cause(Entry.parse(entry).name, entry, changes)
+
+
+def left_by(fitted: Fitted) -> Array:
+    """Whitened recording minus model, (T,), above the prior's rows, (T + P,)."""
+    return torch.cat([fitted.delta / fitted.sigma, fitted.g]).numpy()
 
 
 def blocks(case: Case) -> Sequence[tuple[Array, Array]]:

@@ -14,11 +14,13 @@ sys.path[:0] = [str(EXAMPLES / one) for one in ("calibration", "reference")]
 
 from cases import CONDUCTORS, SIZES, Composed, compose  # noqa: E402
 from concealed import RECIPES, Rng, kinds  # noqa: E402
-from gain import sized  # noqa: E402
+from gain import gain, sized  # noqa: E402
 from make_injections import write_composed  # noqa: E402
 
 GAIN = 15.0
 """Of each of several causes: the root of the chi-square that its absence costs."""
+SEEN = 5.0
+"""Least gain of each of several causes: where limits keep one below it, nobody could tell that it is there."""
 SINGLE = ("panel_offset", "attitude_offset", "spin_rate_offset", "appendage", "second_material", "lobe_tail",
           "time_offset", "along_track_offset", "zero_point_drift", "zero_point_step", "background",
           "saturation", "panel_cant", "back_transmission", "color_term", "self_shadowing")  # fmt: skip
@@ -69,12 +71,15 @@ def _composed(kind: str, number: int, rng: Rng) -> Composed:
 
 
 def _several(count: int, catalogue: int, rng: Rng) -> Composed:
-    thing = str(rng.choice(list(TOGETHER)))
-    effects = [str(one) for one in rng.permutation(TOGETHER[thing])[:count]]
-    setup, concealed = kinds(catalogue)[thing](rng), {}
-    for effect in effects:
-        _, maker, first, limits = RECIPES[effect]
-        make_one = maker(rng)
-        setup, one = make_one(sized(setup, make_one, first, limits, GAIN), setup)
-        concealed |= one
-    return setup, concealed, {"verdict": "missing_physics"}
+    """So many causes, each of which is seen alone; objects are drawn until one shows so many."""
+    while True:
+        thing = str(rng.choice(list(TOGETHER)))
+        setup, concealed = kinds(catalogue)[thing](rng), {}
+        for effect in (str(one) for one in rng.permutation(TOGETHER[thing])):
+            _, maker, first, limits = RECIPES[effect]
+            make_one = maker(rng)
+            with_it, one = make_one(sized(setup, make_one, first, limits, GAIN), setup)
+            if gain(with_it, one) >= SEEN:
+                setup, concealed = with_it, concealed | one
+            if len(concealed) == count:
+                return setup, concealed, {"verdict": "missing_physics"}

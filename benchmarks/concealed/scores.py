@@ -77,7 +77,7 @@ def judged(case: Case, answer: Answer) -> dict[str, Any]:
     first = bool(ranked) and ranked[0] in accepted
     family = first or in_families(answer.families, accepted)
     right = {
-        "none": case.kind == "none",
+        "none": case.kind == "none" or case.too_weak,
         "named": bool(accepted) and family,
         "unlisted": case.kind in ("unlisted", "nominal scene"),
         "missing": None,

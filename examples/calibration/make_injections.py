@@ -11,7 +11,7 @@ exposure, a polish. Surfaces are such as spacecraft have; with --from-priors the
 they must be where intervals and probabilities are held to what they promise.
 
 In answer.json, ``family`` lists the sets of effects that are right answers: the truth; each single rival of a single effect, and
-of several effects each part of the set, that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at
+of several effects each part of the set, alone or with one other effect, that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at
 the refit of the baseline, so that rivals of large effects are only roughly judged).
 ``intervals``: rows where the truth and the best refit without the effect differ by more than 2 sigma;
 ``effect_intervals``: the effect itself, at the true materials.
@@ -38,7 +38,7 @@ from circumstances import Setup
 from concealed import Concealed, Rng
 from gain import Baseline, truth_of
 from nominal import error_factor, loose_tangents, mishaps
-from rivals import ENOUGH, fewer, rivals
+from rivals import ENOUGH, others, rivals
 from scene_files import toml
 
 
@@ -146,7 +146,7 @@ def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
     if physics and said.get("note") != OUTSIDE:
         family = [sorted(physics), *said.get("family", [])]
         if len(physics) > 1 and as_in_scene:
-            family += fewer(setup, physics, baseline, mag, seed)
+            family += others(setup, physics, baseline, mag, seed, left)
         if len(physics) == 1 and (as_in_scene or brought):
             tangents = loose_tangents(setup, baseline, theta) if brought else baseline.tangents(theta)
             competing = rivals(baseline, theta, model, mag, set(physics), tangents)

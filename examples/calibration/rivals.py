@@ -19,6 +19,8 @@ from gain import Baseline, truth_of
 
 ENOUGH = 4.0
 """Chi-square of the noiseless truth below which what is left is no reason to ask for more."""
+LINEAR = 0.5
+"""Share of the chi2 that a refit leaves which its linear form must leave to be believed."""
 SHARE = 0.05
 """Of its size by which a number of an effect is changed for its derivative."""
 
@@ -110,28 +112,54 @@ def rivals(
     return dict(sorted(left.items(), key=lambda item: item[1]))
 
 
-def fewer(
-    setup: Setup, physics: Concealed, baseline: Baseline, truth: sky.Array, seed: int
+def others(
+    setup: Setup, physics: Concealed, baseline: Baseline, truth: sky.Array, seed: int, worth: float
 ) -> list[list[str]]:
-    """The sets of some of several effects that leave less than ENOUGH of the noiseless truth (T,) in chi2, after the linear refit of
-    their numbers and of the materials: what the others do is too weak to be seen, or done by these as well."""
-    found = []
-    for size in range(1, len(physics)):
+    """In the place of several effects: some of them, or some and one other, that leave less than ENOUGH of the noiseless truth (T,) in
+    chi2, after the linear refit of their numbers and of the materials. What the rest do is too weak to be seen, or done by these as well.
+    None where that refit leaves less than half of ``worth``, the chi2 of the refit without any: it knows no bounds of the materials then."""
+    whole = baseline.curve(baseline.truth, physics)
+    one_more: list[tuple[str, sky.Array]] = []
+    for effect, doses in probes(setup, set(baseline.effects)):
+        if effect not in physics:
+            moved = [baseline.curve(baseline.truth, {**physics, **dose}) - whole for dose in doses]
+            columns = np.array([one / baseline.sigma for one in moved if np.isfinite(one).all()]).T
+            one_more += [(effect, columns)] if columns.size else []
+    found: list[list[str]] = []
+    for size in range(len(physics)):
         for names in itertools.combinations(sorted(physics), size):
             some = {name: physics[name] for name in names}
             without = truth_of(setup, some, seed=seed)[1]
-            columns = []
-            for name, numbers in some.items():
-                for key, value in numbers.items():
-                    if isinstance(value, float) and value and key != "time":
-                        moved = {**some, name: {**numbers, key: value * (1 + SHARE)}}
-                        columns.append((truth_of(setup, moved, seed=seed)[1] - without) / baseline.sigma)
-            materials = baseline.tangents(baseline.truth)
-            rows, count = materials.shape
-            tangents = np.zeros((rows + len(columns), count + len(columns)))
-            tangents[:rows, :count] = materials
-            tangents[: len(truth), count:] = np.array(columns).reshape(-1, len(truth)).T
+            tangents = _with_numbers(setup, some, baseline, without, seed)
             left = baseline.projected((truth - without) / baseline.sigma, tangents)
-            if np.isfinite(left).all() and float((left**2).sum()) < ENOUGH:
+            if not np.isfinite(left).all():
+                continue
+            if not size and float(left @ left) < LINEAR * worth:
+                return []
+            if size and float(left @ left) < ENOUGH:
                 found.append(list(names))
+            for effect, columns in one_more:
+                beside = np.array([baseline.projected(column, tangents) for column in columns.T]).T
+                rest = left - beside @ np.linalg.lstsq(beside, left, rcond=1e-9)[0]
+                instead = sorted([*names, effect])
+                if float(rest @ rest) < ENOUGH and instead not in found:
+                    found.append(instead)
     return found
+
+
+def _with_numbers(
+    setup: Setup, some: Concealed, baseline: Baseline, without: sky.Array, seed: int
+) -> sky.Array:
+    """Whitened derivatives (T + P, P + K) of curve and priors, by the materials and by the K numbers of some effects."""
+    columns = []
+    for name, numbers in some.items():
+        for key, value in numbers.items():
+            if isinstance(value, float) and value and key != "time":
+                moved = {**some, name: {**numbers, key: value * (1 + SHARE)}}
+                columns.append((truth_of(setup, moved, seed=seed)[1] - without) / baseline.sigma)
+    materials = baseline.tangents(baseline.truth)
+    rows, count = materials.shape
+    tangents = np.zeros((rows + len(columns), count + len(columns)))
+    tangents[:rows, :count] = materials
+    tangents[: len(without), count:] = np.array(columns).reshape(-1, len(without)).T
+    return tangents

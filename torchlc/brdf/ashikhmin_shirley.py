@@ -66,6 +66,7 @@ class AshikhminShirley(Brdf):
     rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {
         "ggx": {"alpha": 0.2, "f0": 0.2},
         "cook-torrance": {"m": 0.2, "f0": 0.2},
+        "ggx-lambert": {"alpha": 0.2, "f0": 0.2},
     }
 
     @staticmethod

@@ -46,6 +46,13 @@ RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 
 
+def near_quoted(at: Fitted) -> bool:
+    """Whether the errors that a fit leaves are within twice what is believed of those quoted, a row counted as FAR off at most:
+    larger ones, or many bad rows, leave nothing to be seen either."""
+    squares = (at.delta / at.quoted).square().clamp(max=FAR**2)
+    return float(squares.mean()) < math.exp(2 * SCALE_SIGMA) ** 2
+
+
 @dataclass
 class Search(Promises):
     """The rounds of a search: the probes of candidates, what is fitted because of them, what was left out and why."""
@@ -274,11 +281,8 @@ class Search(Promises):
 
     @property
     def as_quoted(self) -> bool:
-        """Whether the errors that the foremost leaves are within twice what is believed of those quoted, a row counted as FAR off at most:
-        larger ones, or many bad rows, leave nothing to be seen either."""
-        at = self.visited[self.foremost]
-        squares = (at.delta / at.quoted).square().clamp(max=FAR**2)
-        return float(squares.mean()) < math.exp(2 * SCALE_SIGMA) ** 2
+        """Whether the errors that the foremost leaves are :func:`near_quoted`."""
+        return near_quoted(self.visited[self.foremost])
 
     def behind(self, sized: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Sets within reach of the foremost, of those that are ranked, but the first."""

@@ -279,11 +279,30 @@ class Fits:
             aside = _made_room(at, found.moved[likely], nominal)
             starts[: len(likely)] = carried(parameters, aside, at.names)
             starts[: len(likely), columns] = psi[: len(likely)]
-        new = self.refit(hypothesis, starts, at, turns=1, most=2)
+        new = self.from_no_size(self.refit(hypothesis, starts, at, turns=1, most=2), at, entry)
         if self.counted(entry):
             new = self.from_counts(new, at)
         posterior.model.forget()
         return self.rescanned(entry, new)
+
+    def from_no_size(self, new: Fitted, at: Fitted, entry: str) -> Fitted:
+        """A fit with one effect more than another, tried again from there with the effect at no size where it came to less than that:
+        what probes promise far away may lead materials astray."""
+        quantities = {one.name: one for one in effect_class(entry).quantities}
+        parameters = new.model.parameter_set
+        columns = effect_columns(parameters, entry)
+        theta = carried(parameters, at.theta[None], at.names)
+        theta[:, columns] = new.theta[columns]
+        switched = False
+        for column in columns:
+            off = quantities[parameters.free[column].origin.quantity].off
+            if off is not None and math.isfinite(off):
+                theta[:, column], switched = off, True
+        g = new.posterior.coordinates(theta)
+        g[:, new.posterior.noise_columns] = at.g[at.posterior.noise_columns]
+        with torch.no_grad():
+            worse = switched and bool((new.posterior.log_density(g) > new.peak).all())
+        return self.refit(new.hypothesis, theta, at, turns=1, most=1) if worse else new
 
     def counted(self, entry: str) -> bool:
         """Whether an effect is tried from counts of turns between nights or curves, of which no probe tells."""

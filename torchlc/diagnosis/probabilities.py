@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
@@ -12,7 +12,7 @@ from torchlc.diagnosis.discrepancy import FAR, ODDS
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, SCALE, Hypothesis
 from torchlc.diagnosis.promises import LINEAR_NEAR
-from torchlc.diagnosis.unseen import unseen_share
+from torchlc.diagnosis.unseen import unseen_noise_share, unseen_shares
 from torchlc.effects import mending_kind
 from torchlc.inference.density import BAD_ROW
 from torchlc.stages.entry import Entry
@@ -35,7 +35,9 @@ class Probabilities:
     """Of ``nothing`` missing, of ``noise`` alone, of each effect of the library by name, and of something ``unknown`` alone;
     ``sets`` are the sets of entries, best first, with theirs, ``kinds`` those of the noise by name; ``leftover`` is that of
     something unknown beside the best set; ``unexamined`` that of effects of the library for which there was no time. ``spare`` counts the rows that are more than the scene's own model has free numbers:
-    with none to spare nothing can be told, and nothing is."""
+    with none to spare nothing can be told, and nothing is. ``too_weak`` is that of single effects of sizes that these data could not surely
+    show, where nothing else is wrong and where noise is. ``laws`` are the shares of ``unknown`` of other scenes without any effect: laws of
+    reflection, or nominal sizes."""
 
     nothing: float
     noise: float
@@ -46,6 +48,8 @@ class Probabilities:
     leftover: float
     spare: int
     unexamined: float = 0.0
+    too_weak: tuple[float, float] = (0.0, 0.0)
+    laws: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def some_effect(self) -> float:
@@ -55,6 +59,11 @@ class Probabilities:
     def unexplained(self) -> float:
         """That none of what was examined is the cause."""
         return self.unknown + self.unexamined
+
+    @property
+    def shapeless(self) -> float:
+        """That something is missing of which the shape alone is known."""
+        return self.unexplained - sum(self.laws.values())
 
     @property
     def verdict(self) -> str:
@@ -108,12 +117,15 @@ class Probabilities:
 
     @property
     def told(self) -> float:
-        """Probability of the answer as it is told, its families included."""
+        """Probability of the answer as it is told, its families included: that nothing is missing which these data could show holds where
+        an effect is too weak for them as well."""
         verdict = self.verdict
         if verdict != "missing_physics":
-            return {"adequate": self.nothing, "noise_model": self.noise, "unexplained": self.unexplained}[
-                verdict
-            ]
+            return {
+                "adequate": self.nothing + self.too_weak[0],
+                "noise_model": self.noise + self.too_weak[1],
+                "unexplained": self.unexplained,
+            }[verdict]
         allowed = [frozenset(family) for family in self.families]
         return sum(
             p
@@ -154,15 +166,19 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     weight = torch.softmax(torch.tensor([row[2] for row in rows], dtype=torch.float64), 0).tolist()
     masses = [(kind, hypothesis, p) for (kind, hypothesis, _), p in zip(rows, weight, strict=True)]
     nothing = noise = unknown = leftover = 0.0
+    too_weak = [0.0, 0.0]
+    laws: dict[str, float] = {}
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
-    for kind, hypothesis, p in less_unseen(search, masses):
+    for kind, hypothesis, p, unsure in less_unseen(search, masses):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
         if (not entries and (kind or hypothesis.law)) or (
             kind and stands_for_something_else(search, hypothesis)
         ):
             unknown += p
+            if not kind:
+                laws[hypothesis.law] = laws.get(hypothesis.law, 0.0) + p
         elif not entries and name:
             noise += p
             kinds[name] = kinds.get(name, 0.0) + p
@@ -171,12 +187,13 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         else:
             sets[entries] = sets.get(entries, 0.0) + p
             leftover += p * (kind != "")
+            too_weak[noise_name(search, hypothesis) != ""] += p * unsure
     effects: dict[str, float] = {}
     for entries, p in sets.items():
         for name in {Entry.parse(entry).name for entry in entries}:
             effects[name] = effects.get(name, 0.0) + p
     order = sorted(sets.items(), key=lambda item: -item[1])
-    late = unknown * share_of_unexamined(search)
+    late = (unknown - sum(laws.values())) * share_of_unexamined(search)
     return Probabilities(
         nothing,
         noise,
@@ -187,6 +204,8 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
         leftover,
         spare=search.visited[Hypothesis()].likelihood.degrees_of_freedom,
         unexamined=late,
+        too_weak=(too_weak[0], too_weak[1]),
+        laws=laws,
     )
 
 
@@ -200,13 +219,17 @@ def share_of_unexamined(search: Search) -> float:
 
 def less_unseen(
     search: Search, masses: Sequence[tuple[str, Hypothesis, float]]
-) -> list[tuple[str, Hypothesis, float]]:
-    """The same mass, where that of values of an effect which nobody could see counts for the set without it."""
-    shares: dict[tuple[Hypothesis, str], float] = {}  # mass may come to a set from several larger ones
+) -> list[tuple[str, Hypothesis, float, float]]:
+    """The same mass, where that of values of an effect or of noise which nobody could see counts for the set without it; with the share of
+    what is left of a single effect that is not sure to be seen."""
+    shares: dict[
+        tuple[Hypothesis, str], tuple[float, float]
+    ] = {}  # mass may come to a set from several larger ones
     pending = list(masses)
-    done: list[tuple[str, Hypothesis, float]] = []
+    done: list[tuple[str, Hypothesis, float, float]] = []
     while pending:
         kind, one, p = pending.pop()
+        unsure = 0.0
         if not kind and p > WEIGHED and one in search.visited:
             for entry in one.added:
                 without = search.counterpart(one.without(entry))
@@ -214,11 +237,22 @@ def less_unseen(
                     continue
                 if (one, entry) not in shares:
                     fits = search.visited[one], search.visited[without]
-                    shares[one, entry] = unseen_share(*fits, entry, one.seed)
-                unseen = p * shares[one, entry]
-                pending.append((kind, without, unseen))
-                p -= unseen
-        done.append((kind, one, p))
+                    shares[one, entry] = unseen_shares(*fits, entry, one.seed)
+                unseen, below = shares[one, entry]
+                pending.append((kind, without, p * unseen))
+                p *= 1 - unseen
+                if len(one.added) == 1:
+                    unsure = (below - unseen) / max(1 - unseen, WEIGHED)
+            bare = Hypothesis()
+            if one != bare and not one.added and not one.law:
+                if (one, "") not in shares:
+                    fits = search.visited[one], search.visited[bare]
+                    share = unseen_noise_share(*fits, one.seed)
+                    shares[one, ""] = share, share
+                unseen = shares[one, ""][0]
+                done.append((kind, bare, p * unseen, 0.0))
+                p *= 1 - unseen
+        done.append((kind, one, p, unsure))
     return done
 
 

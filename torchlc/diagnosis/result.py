@@ -284,6 +284,8 @@ class Diagnosis:
         ]
         if self.law == NOMINAL:
             return "sizes of the components some per cent from the scene's explain it as well as anything"
+        if self.odds.shapeless < 1 - TOLD:
+            return f"surfaces that follow another law of reflection do: {self.law}"
         return f"nearest in the library: {', '.join(near)}" if near else ""
 
     def probabilities(self) -> dict[str, Any]:
@@ -292,10 +294,12 @@ class Diagnosis:
         return {
             "told": odds.told,
             "nothing_missing": odds.nothing,
+            "too_weak": sum(odds.too_weak),
             "noise": odds.noise,
             "noise_kinds": dict(odds.kinds),
             "effects": dict(odds.effects),
             "not_in_library": odds.unknown,
+            "other_laws": {law: p for law, p in odds.laws.items() if law != NOMINAL},
             "not_examined": odds.unexamined,
             "something_beside": odds.leftover,
         }
@@ -362,7 +366,7 @@ class Diagnosis:
     def discrepancy(self) -> dict[str, Any] | None:
         """The shape of what no effect describes, in its best coordinate, with its probability; null where none is likely."""
         odd = self.search.strongest()
-        if odd is None or self.odds.unexplained + self.odds.leftover < TOLD:
+        if odd is None or self.odds.shapeless + self.odds.leftover < TOLD:
             return None
         name = "time" if odd.coordinate not in self.coordinates else odd.coordinate
         value = self.coordinates[name]
@@ -387,7 +391,7 @@ class Diagnosis:
         left = f"rms {_rms(at.off_mag):.3f} mag"
         if not at.likelihood.fitted_errors and at.noise.normal and not at.noise.processes:
             left = f"chi-square {against_freedom(at.chi2, at.likelihood.degrees_of_freedom, 0)}"
-        beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.unexplained
+        beside = self.odds.leftover if self.verdict == "missing_physics" else self.odds.shapeless
         if beside < TOLD:
             note = f"nothing that the data show: {left}"
         else:

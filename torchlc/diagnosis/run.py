@@ -11,7 +11,7 @@ from torch import Tensor
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import CLEAN_P, DRAWS, Search
+from torchlc.diagnosis.engine import CLEAN_P, DRAWS, Search, near_quoted
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
@@ -111,7 +111,6 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     search.singles(entries, left)
     search.afresh()
     search.strangers(found)
-    # judged at the quoted errors: larger ones, or a third of the rows bad, leave nothing of another lobe to be seen
     if _gate(_at_quoted_errors(search), found, search.probes, search.seed).global_p < CLEAN_P:
         search.jointly(bool(search.foremost.added) and search.clean(left))
         if search.bench.recording.error is not None:
@@ -125,11 +124,13 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
 
 
 def _at_quoted_errors(search: Search) -> Fitted:
-    """The scene's own model at the quoted errors, or where there are bad rows with these among the noise."""
+    """The scene's own model at the quoted errors, or where there are some bad rows with these among the noise: larger errors, or a third of the
+    rows bad, leave nothing of another lobe to be seen."""
     laws = [name for name, kind in search.bench.kinds().items() if kind.reshapes]
     noises = [(), *((name,) for name in laws)]
     chosen = [Hypothesis(noise=noise) for noise in noises]
-    return search.visited[search.ranked(one for one in chosen if one in search.visited)[0]]
+    best = search.visited[search.ranked(one for one in chosen if one in search.visited)[0]]
+    return best if near_quoted(best) else search.visited[Hypothesis()]
 
 
 def _final(search: Search, odds: Probabilities) -> Fitted:

@@ -75,7 +75,9 @@ def odds(content: Mapping[str, Any]) -> str:
     p = content["probabilities"]
     told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
     told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
-    told.append(("something that is not in the library", p["not_in_library"]))
+    laws = p["other_laws"]
+    told += [(f"the law of reflection {law} instead", one) for law, one in laws.items() if one >= 0.005]
+    told.append(("something that is not in the library", p["not_in_library"] - sum(laws.values())))
     if p["not_examined"] >= 0.005:
         told.append(("an effect that was not examined", p["not_examined"]))
     among = ", among what was examined" if content["unexamined"] else ""
@@ -193,6 +195,10 @@ def _advice(content: Mapping[str, Any]) -> str:
         )
     if content["verdict"] != "unexplained":
         return "put what is named into effects of the scene's [model], and fit again"
+    laws = content["probabilities"]["other_laws"]
+    if sum(laws.values()) > 0.5:
+        law = max(laws, key=lambda one: laws[one])
+        return f'write model = "{law}" with its numbers into the materials of the scene, and diagnose again'
     if content["unexamined"]:
         count = len(content["unexamined"])
         return f"give torchlc diagnose more time with --budget, for {number_of(count, 'effect')} {'was' if count == 1 else 'were'} not examined"

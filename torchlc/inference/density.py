@@ -301,15 +301,19 @@ class Fitted:
         return ((1 - weight) / (1 - least).clamp(min=1e-9)).clamp(0, 1) * (widest > 1)
 
     def draws(self, count: int, seed: int = 0) -> Tensor:
-        """``count`` equally likely draws of theta (count, P): the weighted ones of the evidence, resampled, or of the
+        """``count`` equally likely draws of theta (count, P)."""
+        return self.posterior.theta(self.points(count, seed))
+
+    def points(self, count: int, seed: int = 0) -> Tensor:
+        """``count`` equally likely draws of g (count, P): the weighted ones of the evidence, resampled, or of the
         normal approximation about each minimum."""
         generator = torch.Generator().manual_seed(seed)
         if self.evidence is not None and self.evidence.effective > 20:
             weight = torch.exp(self.evidence.log_weight)
-            g = self.evidence.draws[torch.multinomial(weight, count, replacement=True, generator=generator)]
-        else:
-            g = mixture_of(self.minima, dof=200).draw(count, generator)
-        return self.posterior.theta(g)
+            return self.evidence.draws[
+                torch.multinomial(weight, count, replacement=True, generator=generator)
+            ]
+        return mixture_of(self.minima, dof=200).draw(count, generator)
 
 
 def deviance_rows(likelihood: Likelihood, noise: Noise, at: Residuals) -> Callable[[Residuals], Tensor]:

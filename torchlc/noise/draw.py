@@ -12,10 +12,17 @@ RIDGE = 1e-9
 """Added to the unit diagonal of a correlation, so that rows at one instant have a Cholesky factor: 3e-5 of the sd."""
 
 
-def draw(noise: Noise, quoted: Tensor, curve: Tensor, random: np.random.Generator) -> Tensor:
-    """Errors (T,), mag, of rows of quoted error (T,) and ``curve`` (T,): each row's own, of its law, and those that the
-    rows of a curve, or of another group, share."""
-    sigma = noise.sigma(quoted, torch.ones_like(quoted))
+def draw(
+    noise: Noise,
+    quoted: Tensor,
+    curve: Tensor,
+    random: np.random.Generator,
+    scale: Tensor | float = 1.0,
+) -> Tensor:
+    """Errors (T,) of rows of quoted error (T,) and ``curve`` (T,): each row's own, of its law, and those that the
+    rows of a curve, or of another group, share. They are in mag, or in the unit of the recording that ``scale`` (T,) turns a magnitude into."""
+    scale = torch.as_tensor(scale).to(quoted).expand(len(quoted))
+    sigma = noise.sigma(quoted, scale)
     normal = torch.as_tensor(random.normal(size=len(quoted))).to(quoted)
     delta = noise.law.deviates(normal, random) * sigma
     for process in noise.processes:
@@ -27,5 +34,5 @@ def draw(noise: Noise, quoted: Tensor, curve: Tensor, random: np.random.Generato
                 correlation + RIDGE * torch.eye(len(rows), dtype=correlation.dtype, device=correlation.device)
             )
             shared = factor @ torch.as_tensor(random.normal(size=len(rows))).to(quoted)
-            delta[rows] += process.sd.expand(len(quoted))[rows] * shared
+            delta[rows] += process.sd.expand(len(quoted))[rows] * scale[rows] * shared
     return delta

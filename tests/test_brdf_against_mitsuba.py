@@ -77,6 +77,16 @@ def test_ggx(alpha: float) -> None:
     torch.testing.assert_close(found, rendered(metal("ggx", alpha), s, o), rtol=2e-4, atol=1e-7)
 
 
+@pytest.mark.parametrize("alpha", [0.05, 0.2, 0.6])
+def test_beckmann(alpha: float) -> None:
+    """Mitsuba has a rational fit to the masking, within 1 %."""
+    s, o = directions(200, 85, 15), directions(200, 85, 16)
+    found = MODELS["beckmann"](alpha=alpha, f0=1.0, r_diff=0.0)(Z, X, s, o).detach() * s[:, 2]
+    expected = rendered(metal("beckmann", alpha), s, o)
+    lobe = expected > 1e-6 * expected.max()
+    torch.testing.assert_close(found[lobe], expected[lobe], rtol=1e-2, atol=0)
+
+
 def test_ggx_over_a_lambert_base() -> None:
     """f mu0 mu of Mitsuba's conductor, and its Lambert surface as what the diffuse part adds."""
     s, o = directions(200, 85, 13), directions(200, 85, 14)

@@ -19,6 +19,7 @@ STEEP = {
     "phong-mirror": [{"n": n, "r_spec": 0.3, "r_diff": 0.4} for n in (0.0, 1.0, 1e2, 1e4, 1e6)],
     "phong-half": [{"n": n, "r_spec": 0.3, "r_diff": 0.4} for n in (0.0, 1.0, 1e2, 1e4, 1e6)],
     "cook-torrance": [{"m": m, "f0": 0.3, "r_diff": 0.4} for m in (1e-3, 0.01, 0.3, 1.0)],
+    "beckmann": [{"alpha": alpha, "f0": 0.3, "r_diff": 0.4} for alpha in (1e-3, 0.01, 0.3, 1.0)],
     "ggx": [{"alpha": alpha, "f0": 0.3, "r_diff": 0.4} for alpha in (1e-3, 0.01, 0.3, 1.0)],
     "ggx-lambert": [{"alpha": alpha, "f0": 0.3, "r_diff": 0.4} for alpha in (1e-3, 0.01, 0.3, 1.0)],
     "ggx-dielectric": [{"alpha": alpha, "ior": ior, "r_diff": 0.4} for alpha, ior in WIDTHS_AND_INDICES],

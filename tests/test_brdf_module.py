@@ -127,7 +127,7 @@ def test_impossible_values_are_refused_with_a_reason(values: dict[str, float], w
 def test_models_are_found_without_a_list() -> None:
     """The scene format's seven names, and those beyond it; a class of one's own joins by being defined."""
     promised = {"ashikhmin-shirley", "lambert", "lommel-seeliger-lambert", "phong-mirror", "phong-half"}
-    assert promised | {"cook-torrance", "ggx", "ggx-lambert"} | {"oren-nayar", "eon"} | {
+    assert promised | {"beckmann", "cook-torrance", "ggx", "ggx-lambert"} | {"oren-nayar", "eon"} | {
         f"{law}-{kind}" for law in ("ggx", "cook-torrance") for kind in ("dielectric", "conductor")
     } == set(MODELS)
     mine = type("Mine", (MODELS["lambert"],), {"model": "mine"})

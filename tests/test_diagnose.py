@@ -317,10 +317,11 @@ def test_slopes_and_curvature_are_those_of_finite_differences(demo_search) -> No
 
 
 def test_laplace_and_importance_sampling_agree(demo_search) -> None:
-    """Two estimators of one evidence; the demo's posterior is nearly normal."""
+    """Two estimators of one evidence; the demo's posterior is nearly normal: off by a tenth for each of its numbers at most."""
     found = integrated(demo_search.visited[Hypothesis()], 2000, 1)
     assert found.evidence is not None and found.evidence.error < 0.1
-    assert found.log_z == pytest.approx(demo_search.visited[Hypothesis()].log_z, abs=0.5)
+    laplace = demo_search.visited[Hypothesis()]
+    assert found.log_z == pytest.approx(laplace.log_z, abs=0.1 * len(laplace.g))
 
 
 def test_unseen_rows_have_the_density_of_the_dense_normal(demo_search) -> None:

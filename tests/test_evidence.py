@@ -228,9 +228,12 @@ def test_gains_are_the_ratio_of_dense_normal_densities():
 # ------------------------------------------------------------------ coordinates
 
 
-def parameters(*priors: Prior, pairs: tuple[tuple[int, int], ...] = ()) -> ParameterSet:
+def parameters(
+    *priors: Prior, pairs: tuple[tuple[int, int], ...] = (), coupled: bool = False
+) -> ParameterSet:
     free = [Free(f"p{index}", prior, 0.5 * (prior.low + prior.high)) for index, prior in enumerate(priors)]
-    return ParameterSet(free, {}, [(f"p{a}", f"p{b}") for a, b in pairs])
+    named = [(f"p{a}", f"p{b}") for a, b in pairs]
+    return ParameterSet(free, {}, named, coupled=named if coupled else ())
 
 
 def test_standard_normal_coordinates_give_the_priors():
@@ -271,6 +274,47 @@ def test_two_reflectances_are_uniform_on_their_triangle():
     np.testing.assert_allclose(shares, 0.25, atol=0.01)  # 3 standard deviations
     torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-5)
     assert float(scores.correction(g).abs().max()) == 0.0
+
+
+def test_what_diffuse_light_leaves_open_of_two_reflectances_is_integrated():
+    """r_diff (1 - r_spec) known to 0.3 %, r_spec not at all: a bent line in both. Of a uniform triangle the density of d is -ln d, and
+    the share of r_spec below r is ln(1 - r) / ln(d) * 2."""
+    box = Prior("uniform", 0.0, 1.0)
+    scores = NormalScores(parameters(box, box, pairs=((0, 1),), coupled=True))
+    known, error = 0.377, 0.001
+    g = torch.randn(20_000, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    first, second = scores.theta(g).unbind(-1)
+    shares = [
+        float(one.double().mean())
+        for one in (first > 0.5, second > 0.5, (first + second < 0.5), first < 0.25)
+    ]
+    np.testing.assert_allclose(shares, [0.25, 0.25, 0.25, 1 - 0.75**2], atol=0.01)
+    torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-5)
+    other_first, other_second = scores.theta(g * torch.tensor([0.1, 1.0])).unbind(-1)
+    torch.testing.assert_close(second * (1 - first), other_second * (1 - other_first), rtol=1e-9, atol=1e-12)
+
+    def log_density(at):
+        r_spec, r_diff = scores.theta(at).unbind(-1)
+        return (
+            -0.5 * ((r_diff * (1 - r_spec) - known) / error) ** 2
+            - 0.5 * at.square().sum(-1)
+            - math.log(2 * math.pi)
+        )
+
+    centre = scores.scores(torch.tensor([0.2, known / 0.8], dtype=torch.float64))
+    centre[0] = 0.0
+    slope = torch.func.jacrev(lambda at: scores.theta(at)[1] * (1 - scores.theta(at)[0]))(centre) / error
+    covariance = torch.linalg.inv(torch.outer(slope, slope) + torch.eye(2, dtype=torch.float64))
+    proposal = StudentMixture(centre[None], covariance[None], torch.zeros(1, dtype=torch.float64))
+    found = importance(log_density, proposal, 500, torch.Generator().manual_seed(3))
+    assert found.trusted and found.effective > 150
+    expected = math.log(-math.log(known) * error * math.sqrt(2 * math.pi))
+    assert found.log_z == pytest.approx(expected, abs=0.15)
+    r_spec = scores.theta(found.draws)[:, 0]
+    weight = torch.exp(found.log_weight)
+    for r in (0.1, 0.2, 0.3):
+        share = 2 * math.log(1 - r) / math.log(known)
+        assert float(weight[r_spec < r].sum()) == pytest.approx(share, abs=0.1)  # three sd of 200 draws
 
 
 def test_a_pair_with_peaked_priors_has_the_density_of_the_parameter_set():

@@ -60,12 +60,14 @@ class AshikhminShirley(Brdf):
         Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("r_spec", "r_diff")
+    coupled: ClassVar[bool] = True
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {"n": ("n_u", "n_v")}
     along_axes: ClassVar[tuple[str, ...]] = ("n_u", "n_v")
     condensed_over: ClassVar[str] = "n"
     rivals: ClassVar[Mapping[str, Mapping[str, float]]] = {
         "ggx": {"alpha": 0.2, "f0": 0.2},
         "cook-torrance": {"m": 0.2, "f0": 0.2},
+        "beckmann": {"alpha": 0.2, "f0": 0.2},
         "ggx-lambert": {"alpha": 0.2, "f0": 0.2},
     }
 

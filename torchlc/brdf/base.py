@@ -170,6 +170,8 @@ class Brdf(nn.Module):
     model: ClassVar[str]
     quantities: ClassVar[tuple[Quantity, ...]]
     simplex: ClassVar[tuple[str, ...]] = ()
+    coupled: ClassVar[bool] = False
+    """True if the diffuse part is in proportion to the last of ``simplex`` times one minus the first: what the lobe leaves."""
     """Names of the values whose sum may not exceed 1."""
     shared: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """A name that stands for several quantities at once."""

@@ -40,6 +40,7 @@ class CookTorrance(Brdf):
         Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
+    coupled: ClassVar[bool] = True
     edged: ClassVar[bool] = True
 
     @staticmethod

@@ -46,6 +46,7 @@ class Ggx(Brdf):
         Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
+    coupled: ClassVar[bool] = True
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

@@ -21,6 +21,7 @@ class GgxLambert(Ggx):
     """
 
     model: ClassVar[str] = "ggx-lambert"
+    coupled: ClassVar[bool] = False
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

@@ -27,6 +27,7 @@ class Appendage(Effect):
     order = 1
     brdf = AshikhminShirley
     simplex = ("r_spec", "r_diff")
+    coupled = True
     quantities = (
         Quantity(
             "area", "m2", 0.0, 10.0, "area of one side", off=0.0, typical=1.0, prior="halfnormal", sigma=2.0

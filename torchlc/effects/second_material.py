@@ -23,6 +23,7 @@ class SecondMaterial(Effect):
     order = 2
     per = "material"
     simplex = ("r_spec", "r_diff")
+    coupled = True
     unable = "the material is not of Ashikhmin and Shirley's model"
     quantities = (
         Quantity(

@@ -23,6 +23,9 @@ TAILS = 5
 """Degrees of freedom of the proposal: its tails fall off as a power, so that no ratio grows without bound where the
 density has tails of a normal one, or of one known by a few rows."""
 TRUSTED_K = 0.7
+THIN = 0.1
+"""Share of effective draws below which a proposal is adapted once more although its weights are to be trusted: where a density is bent, the draws
+that miss it altogether are in no weight."""
 SHRINK = 0.1
 """Share of its former covariance that an adapted component keeps, so that few heavy draws do not make it flat."""
 
@@ -123,11 +126,14 @@ def importance(
     False because these take some forty times as many calls."""
     found = _weighed(log_density, proposal, draws, generator)
     for _ in range(adaptations):
-        if found.trusted or not bool(torch.isfinite(found.log_weight).any()):
+        thin = found.effective < THIN * draws
+        if (found.trusted and not thin) or not bool(torch.isfinite(found.log_weight).any()):
             break
         adapted = proposal.adapted(found.draws, found.log_weight)
         again = _weighed(log_density, adapted, draws, generator)
-        found, proposal = (again, adapted) if again.pareto_k < found.pareto_k else (found, proposal)
+        better = again.effective > found.effective if found.trusted else again.pareto_k < found.pareto_k
+        if better and (again.trusted or not found.trusted):
+            found, proposal = again, adapted
     if found.trusted or not moving:
         return found
     first, second = (tempered(log_density, proposal, draws, generator) for _ in range(2))

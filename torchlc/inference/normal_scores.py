@@ -1,8 +1,9 @@
 """Coordinates in which every prior is the standard normal one.
 
-Each parameter is the quantile of its prior at Phi(g), a pair of reflectances that is uniform on its triangle by the
-marginal distribution of the first and the conditional one of the second (Rosenblatt 1952, Ann. Math. Stat. 23, 470). A
-prior is then one row of unit variance in least squares, whatever its kind, and an evidence the integral of likelihood
+Each parameter is the quantile of its prior at Phi(g). A pair of reflectances that is uniform on its triangle is given by the
+marginal distribution of what the diffuse light is in proportion to, and by the conditional one of the first (Rosenblatt
+1952, Ann. Math. Stat. 23, 470): that light is known far better than either, and where it is a coordinate of its own, what the
+data leave open is a straight line and no bent one. A prior is then one row of unit variance in least squares, whatever its kind, and an evidence the integral of likelihood
 times a standard normal density. Where a pair's priors are of another kind, what is missing to its density is
 :meth:`NormalScores.correction`.
 
@@ -12,12 +13,16 @@ Letters: P parameters, (...) any batch axes.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from torchlc.parameters import ParameterSet, Prior
 
+NODES, NEWTON_STEPS = 1025, 12
+"""Of the table of ln of a diffuse share, and steps of Newton's method from a guess within a factor of 2 to rounding: eight would do."""
 FARTHEST = 7.0
 """Largest coordinate that a value is given: beyond lie 3e-12 of the prior."""
 
@@ -27,26 +32,42 @@ class NormalScores:
 
     def __init__(self, parameters: ParameterSet) -> None:
         self.parameters = parameters
-        self._first = {second: first for first, second in parameters.pairs}
+        self._pairs = {index: pair for pair in parameters.pairs for index in pair}
         self._triangles = {
             pair: all(_unit(parameters.free[index].prior) for index in pair) for pair in parameters.pairs
         }
-        self._starts = {first for (first, _), whole in self._triangles.items() if whole}
+        whole = [pair for pair, one in self._triangles.items() if one]
+        self._alike = {
+            coupled: [pair for pair in whole if (pair in parameters.coupled) == coupled]
+            for coupled in (False, True)
+        }
+
+    def _apart(
+        self, values: Sequence[Tensor], change: Callable[..., tuple[Tensor, Tensor]]
+    ) -> dict[int, Tensor]:
+        """Columns of all pairs that are uniform on their triangles, by place: those of one kind are worked out together."""
+        found: dict[int, Tensor] = {}
+        for coupled, pairs in self._alike.items():
+            if pairs:
+                both = [torch.stack([values[pair[k]] for pair in pairs], -1) for k in (0, 1)]
+                for k, columns in enumerate(change(*both, coupled)):
+                    found.update(zip((pair[k] for pair in pairs), columns.unbind(-1), strict=True))
+        return found
 
     def theta(self, g: Tensor) -> Tensor:
         """Natural values at coordinates g."""
+        values = g.unbind(-1)
+        spread = self._apart(values, reflectances)
         columns: list[Tensor] = []
-        for index, (entry, value) in enumerate(zip(self.parameters.free, g.unbind(-1), strict=True)):
-            first = self._first.get(index)
-            if index in self._starts:
-                columns.append(1 - torch.sqrt(torch.special.ndtr(-value)))
-            elif first is not None:
+        for index, (entry, value) in enumerate(zip(self.parameters.free, values, strict=True)):
+            pair = self._pairs.get(index)
+            if index in spread:
+                columns.append(spread[index])
+            elif pair is not None and index == pair[1]:
+                first = columns[pair[0]]
+                room = cumulative(entry.prior, 1 - first)
                 share = torch.special.ndtr(value)
-                if self._triangles[first, index]:
-                    columns.append((1 - columns[first]) * share)
-                else:
-                    room = cumulative(entry.prior, 1 - columns[first])
-                    columns.append(torch.minimum(entry.prior.quantile(room * share), 1 - columns[first]))
+                columns.append(torch.minimum(entry.prior.quantile(room * share), 1 - first))
             else:
                 columns.append(natural(entry.prior, value))
         return torch.stack(columns, -1) if columns else g.clone()
@@ -56,15 +77,14 @@ class NormalScores:
         columns: list[Tensor] = []
         values = theta.unbind(-1)
         for index, (entry, value) in enumerate(zip(self.parameters.free, values, strict=True)):
-            first = self._first.get(index)
-            if index in self._starts:
-                columns.append(-normal_quantile((1 - value).clamp(0, 1) ** 2))
-            elif first is not None:
-                room = (1 - values[first]).clamp(min=1e-12)
-                if not self._triangles[first, index]:
-                    room = cumulative(entry.prior, room).clamp(min=1e-300)
-                    value = cumulative(entry.prior, value)
-                columns.append(normal_quantile(value / room))
+            pair = self._pairs.get(index)
+            if pair is not None and self._triangles[pair]:
+                scores = reflectance_scores(values[pair[0]], values[pair[1]], pair in self.parameters.coupled)
+                columns.append(scores[pair.index(index)])
+            elif pair is not None and index == pair[1]:
+                room = (1 - values[pair[0]]).clamp(min=1e-12)
+                room = cumulative(entry.prior, room).clamp(min=1e-300)
+                columns.append(normal_quantile(cumulative(entry.prior, value) / room))
             elif unbounded(entry.prior):
                 scale = entry.prior.to_scale(value)
                 columns.append((scale - entry.prior.flat_centre) / entry.prior.sigma)
@@ -82,6 +102,62 @@ class NormalScores:
                 room = cumulative(self.parameters.free[second].prior, 1 - value)
                 total = total + torch.log(room.clamp(min=1e-300))
         return total
+
+
+def reflectances(g_first: Tensor, g_second: Tensor, coupled: bool) -> tuple[Tensor, Tensor]:
+    """The pair (...) at two coordinates (...). Diffuse light is in proportion to the second, or, ``coupled``, to d = second (1 - first), of which
+    the triangle holds d (1 - ln d) below d; above it, the first is below 1 - d^(u/2) in the share u."""
+    share = torch.special.ndtr(g_first)
+    if not coupled:
+        second = 1 - torch.sqrt(torch.special.ndtr(-g_second))
+        return (1 - second) * share, second
+    log_d = log_diffuse(g_second)
+    return -torch.expm1(0.5 * share * log_d), torch.exp(log_d * (1 - 0.5 * share))
+
+
+def reflectance_scores(first: Tensor, second: Tensor, coupled: bool) -> tuple[Tensor, Tensor]:
+    """The coordinates (...) of a pair (...): :func:`reflectances` undone."""
+    if not coupled:
+        g_second = -normal_quantile((1 - second).clamp(0, 1) ** 2)
+        return normal_quantile(first / (1 - second).clamp(min=1e-12)), g_second
+    d = (second * (1 - first)).clamp(1e-300, 1.0)
+    g_second = normal_quantile(d * (1 - torch.log(d)))
+    # of a bound, from where its coordinate ends
+    share = 2 * torch.log1p(-first.clamp(max=1 - 1e-12)) / log_diffuse(g_second)
+    return normal_quantile(share), g_second
+
+
+def log_diffuse(g: Tensor) -> Tensor:
+    """ln d (...) with d (1 - ln d) = Phi(g): from a table, then a step of Newton's method, which carries the slope."""
+    log_share = torch.log(torch.special.ndtr(g))
+    with torch.no_grad():
+        nodes, w, slope = (one.to(g) for one in _table())
+        step = float(nodes[1] - nodes[0])
+        place = ((g - nodes[0]) / step).clamp(0, NODES - 1.001)
+        k = place.to(torch.long)
+        t = place - k
+        # the cubic that has values and slopes of both ends
+        low, high, a, b = w[k], w[k + 1], slope[k] * step, slope[k + 1] * step
+        known = low + t * (a + t * (3 * (high - low) - 2 * a - b + t * (a + b - 2 * (high - low))))
+    return _newton(known, log_share)
+
+
+@lru_cache
+def _table() -> tuple[Tensor, Tensor, Tensor]:
+    """Coordinates (NODES,), ln d there and its slope."""
+    g = torch.linspace(-FARTHEST, FARTHEST, NODES, dtype=torch.float64, device="cpu")
+    log_share = torch.log(torch.special.ndtr(g))
+    near_one = -torch.sqrt(-2 * log_share)
+    w = torch.where(log_share > -0.5, near_one, log_share - torch.log1p(-log_share))
+    for _ in range(NEWTON_STEPS):
+        w = _newton(w, log_share)
+    density = torch.exp(-0.5 * g**2) / math.sqrt(2 * math.pi)
+    return g, w, density / (-w * torch.exp(w))
+
+
+def _newton(w: Tensor, log_share: Tensor) -> Tensor:
+    """A step towards w + ln(1 - w) = log_share."""
+    return w + (w + torch.log1p(-w) - log_share) * (1 - w) / w
 
 
 def natural(prior: Prior, g: Tensor) -> Tensor:

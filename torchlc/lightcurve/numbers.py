@@ -60,17 +60,17 @@ class Numbers:
     def parameters(self, effects: Sequence[Effect]) -> ParameterSet:
         """The vector of the free ones, with the pairs of reflectances whose sum is at most 1."""
         own = {origin: name for name, origin in self.scene.origins().items()}
-        pairs = [
-            (own[Origin("materials", material, a)], own[Origin("materials", material, b)])
-            for material in self.scene.materials
-            for a, b in pairwise(self.models[material].simplex)
-        ]
-        pairs += [
-            (effect.full_name(a), effect.full_name(b))
-            for effect in effects
-            for a, b in pairwise(effect.simplex)
-        ]
-        return ParameterSet(self.free, self.fixed, pairs)
+        pairs, coupled = [], set()
+        for material in self.scene.materials:
+            model = self.models[material]
+            for a, b in pairwise(model.simplex):
+                pairs.append((own[Origin("materials", material, a)], own[Origin("materials", material, b)]))
+                coupled |= {pairs[-1]} if model.coupled else set()
+        for effect in effects:
+            for a, b in pairwise(effect.simplex):
+                pairs.append((effect.full_name(a), effect.full_name(b)))
+                coupled |= {pairs[-1]} if effect.coupled else set()
+        return ParameterSet(self.free, self.fixed, pairs, coupled=coupled)
 
     def add_scene(self) -> None:
         numbers = self.scene.numbers()

@@ -9,7 +9,7 @@ P) by ``torch.distributions`` transforms. The two reflectances of one material a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -36,7 +36,7 @@ class ParameterSet:
     """The free parameters in order, the fixed ones beside them.
 
     ``simplex`` lists pairs (first, second) of names whose sum may not exceed 1; a pair with one member fixed
-    narrows the other.
+    narrows the other. Of those that are ``coupled`` light is in proportion to second (1 - first).
     """
 
     def __init__(
@@ -46,11 +46,13 @@ class ParameterSet:
         simplex: Iterable[tuple[str, str]] = (),
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
+        coupled: Collection[tuple[str, str]] = (),
     ) -> None:
         self.fixed = dict(fixed)
         self.dtype, self.device = dtype, torch.device(device)
         entries = {parameter.name: parameter for parameter in free}
         self.pairs: list[tuple[int, int]] = []
+        self.coupled: set[tuple[int, int]] = set()
         order = [parameter.name for parameter in free]
         for first, second in simplex:
             for name, other in ((first, second), (second, first)):
@@ -60,6 +62,8 @@ class ParameterSet:
                 entries[first] = _narrowed(entries[first], 1.0 - max(entries[second].prior.low, 0.0))
                 entries[second] = _narrowed(entries[second], 1.0 - max(entries[first].prior.low, 0.0))
                 self.pairs.append((order.index(first), order.index(second)))
+                if (first, second) in coupled:
+                    self.coupled.add(self.pairs[-1])
         self.free = [entries[name] for name in order]
         self.names = order
         self.quantities = [parameter.origin.quantity for parameter in self.free]

@@ -191,7 +191,7 @@ class Effect(nn.Module):
     after the first row, the instant from which on the effect acts, alike whenever that is: it has to be tried at every row, for no descent finds it; ``turning`` marks a ``swing``,
     whose quantities are amplitude, period, phase, longitude and latitude of the axis, or a ``jump``, whose are turns
     about the body axes and the time; ``brdf`` is the
-    reflection model of a surface that it adds; ``simplex`` names quantities whose sum may not exceed 1; ``linear`` marks an effect of the geometry whose parameters
+    reflection model of a surface that it adds; ``simplex`` names quantities whose sum may not exceed 1, ``coupled`` where light is in proportion to the last times one minus the first; ``linear`` marks an effect of the geometry whose parameters
     only scale its light; ``divisible`` an offset that each curve or night may have for itself (``by`` names
     the division of this one, ``width`` the spread of its values); ``taken`` holds what the scene calls its own numbers and
     components; ``unable`` says why what is not among its
@@ -224,6 +224,7 @@ class Effect(nn.Module):
     turning: ClassVar[str] = ""
     brdf: ClassVar[type[Brdf] | None] = None
     simplex: ClassVar[tuple[str, ...]] = ()
+    coupled: ClassVar[bool] = False
     linear: ClassVar[bool] = False
     divisible: ClassVar[bool] = False
     by: str | None = None

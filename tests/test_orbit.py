@@ -274,7 +274,7 @@ def test_vectors_give_the_geometry_of_the_elements_they_were_made_of():
         **{name: array.numpy() for name, array in columns.items()},
     )
     track = make_track(scene('vectors = "icrs"'), rows)
-    for what in ("position", "velocity", "time_offset", "along_track", "elevation"):
+    for what in ("position", "velocity", "motion", "along_track", "elevation"):
         assert track.supports(what)
     for field in ("range_km", "phase_angle_deg", "elevation_deg", "airmass"):
         np.testing.assert_allclose(getattr(track, field), getattr(elements, field), rtol=1e-9)
@@ -305,7 +305,7 @@ def test_positions_without_velocities_move_by_the_neighbouring_rows():
     rows = recording("2006-06-27T00:00:00", hours(12.0, 12.1, 1.0), **columns)
     track = make_track(scene('vectors = "icrs"'), rows)
     assert (
-        track.supports("time_offset") and not track.supports("velocity") and not track.supports("along_track")
+        track.supports("motion") and not track.supports("velocity") and not track.supports("along_track")
     )
     moved = track.at(20.0, 20.0, 0.0)
     # central differences of rows 1 s apart are good to 1e-6 in the middle, two bodies to 2 m in 20 s
@@ -314,7 +314,7 @@ def test_positions_without_velocities_move_by_the_neighbouring_rows():
     lonely = recording(
         "2006-06-27T00:00:00", hours(12.0, 12.1, 1.0)[::300], **{k: v[::300] for k, v in columns.items()}
     )
-    assert not make_track(scene('vectors = "icrs"'), lonely).supports("time_offset")
+    assert not make_track(scene('vectors = "icrs"'), lonely).supports("motion")
 
 
 @needs_shared
@@ -368,7 +368,7 @@ def test_asteroid_rows_move_like_their_neighbours():
     columns = load_scene(folder / "scene.toml")
     rows = load_recording(folder / "recording.ecsv", columns)
     track = make_track(columns, rows)
-    assert track.supports("time_offset") and not track.supports("position") and track.airmass is None
+    assert track.supports("motion") and not track.supports("position") and track.airmass is None
     assert 1.0 < float(track.phase_angle_deg.min()) < 1.2 and 56 < float(track.phase_angle_deg.max()) < 58
     long = np.argmax(np.bincount(rows.curve))
     here, there = np.flatnonzero(rows.curve == long)[[20, 21]]
@@ -405,7 +405,7 @@ def test_altitude_azimuth_and_height_as_in_the_source_of_the_recording():
     assert (
         float(below.min()) > -32 and float(below.max()) < -9.5
     )  # "the Sun is 10 to 31 degrees below the horizon"
-    assert not track.supports("time_offset") and state.velocity is None
+    assert not track.supports("motion") and state.velocity is None
 
 
 def test_an_object_below_its_station_is_bad_input():

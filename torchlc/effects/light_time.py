@@ -28,7 +28,7 @@ class LightTime(Effect):
     def missing(self, context):
         if context.light_time_corrected or context.mode in TURNING:
             return "the times are already those at the object"
-        if not context.track.supports("time_offset"):
+        if not context.track.supports("motion"):
             return "the recording gives no motion from which to step back by the light time"
         return None
 

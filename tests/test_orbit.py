@@ -304,9 +304,7 @@ def test_positions_without_velocities_move_by_the_neighbouring_rows():
     columns = {"sun": state.sun.numpy(), "obs": state.observer.numpy(), "position": state.position.numpy()}
     rows = recording("2006-06-27T00:00:00", hours(12.0, 12.1, 1.0), **columns)
     track = make_track(scene('vectors = "icrs"'), rows)
-    assert (
-        track.supports("motion") and not track.supports("velocity") and not track.supports("along_track")
-    )
+    assert track.supports("motion") and not track.supports("velocity") and not track.supports("along_track")
     moved = track.at(20.0, 20.0, 0.0)
     # central differences of rows 1 s apart are good to 1e-6 in the middle, two bodies to 2 m in 20 s
     np.testing.assert_allclose(moved.position[5:-25], state.position[25:-5], atol=0.02)

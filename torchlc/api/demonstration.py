@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from torchlc.api.diagnosis import diagnose
 from torchlc.api.fitting import fit
 from torchlc.api.inputs import Progress
-from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, OutputDirectory, resources
+from torchlc.files.disk import resources
+from torchlc.files.writing import DIAGNOSIS_FILES, FIT_FILES, OutputDirectory
 from torchlc.results.fit_result import FitResult
 
 if TYPE_CHECKING:

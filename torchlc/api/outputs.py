@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchlc.files.disk import resources
 from torchlc.files.steps import Steps
-from torchlc.files.writing import STEPS_FILE, OutputDirectory, resources
+from torchlc.files.writing import STEPS_FILE, OutputDirectory
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 from torchlc.version import __version__

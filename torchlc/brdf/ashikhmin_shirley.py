@@ -10,16 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from torchlc.brdf.base import (
-    Brdf,
-    Incidence,
-    coupled_diffuse,
-    lobe,
-    per_epoch,
-    per_pair,
-    schlick_weight,
-    weighed,
-)
+from torchlc.brdf.angles import Incidence, coupled_diffuse, lobe, per_epoch, per_pair, schlick_weight, weighed
+from torchlc.brdf.base import Brdf
 from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 from torchlc.tensors.autodiff_state import transformed
 

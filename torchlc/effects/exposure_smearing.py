@@ -15,8 +15,9 @@ from torchlc.geometry.rotation.spin import fastest
 from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
-from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect
+from torchlc.stages.effect import Context, Effect
 from torchlc.stages.instants import Instants, Nodes
+from torchlc.stages.order import GEOMETRY_STAGES
 from torchlc.stages.showing import SPIN, Shown
 
 DIFFUSE_RAD = 0.1

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchlc.brdf.angles import per_pair
 from torchlc.brdf.ashikhmin_shirley import AshikhminShirley, cosine_power, exponents, widened
-from torchlc.brdf.base import per_pair
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown

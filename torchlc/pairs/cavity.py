@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, incidence
+from torchlc.brdf.angles import Incidence, incidence
+from torchlc.brdf.base import Brdf
 from torchlc.occlusion import visible_fractions
 from torchlc.occlusion.rays import Traced
 from torchlc.pairs.double_reflection import NEAR, form_factor

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Incidence, incidence
+from torchlc.brdf.angles import Incidence, incidence
 from torchlc.occlusion.batched_rows import picked, rowwise
 from torchlc.occlusion.lines import blocked, planes
 from torchlc.occlusion.outline import Joints, cuts, outline

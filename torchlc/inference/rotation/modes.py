@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.rotation.rigid_body import FreeRotation, frequencies
-from torchlc.inference.rotation.model_fit import Candidate, Count
+from torchlc.inference.rotation.model_fit import Candidate
 from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.trials import Count
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 

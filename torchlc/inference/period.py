@@ -91,9 +91,35 @@ def find_period(
     power = _powers(search, frequency)
     search = about.search(float(frequency[np.argmax(power)]))
     power = _powers(search, frequency)
-    several_nights = len(recording.night_ids) > 1
     sampling = float(np.median(np.diff(np.unique(seconds))))
     turned = _bisector_turns(recording, rows)
+    found = [
+        candidate
+        if turned is None
+        else replace(candidate, sidereal_within_s=turned / span * candidate.period_s**2)
+        for candidate in _candidates(search, frequency, power, sampling, span, len(recording.night_ids) > 1)
+    ]
+    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
+    if fast:
+        periods = ", ".join(spoken(alias.period_s) for alias in fast)
+        warnings.append(
+            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
+            f"and {periods} would explain the best candidate as well"
+        )
+    searched = (1 / high, 1 / low)
+    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+
+
+def _candidates(
+    search: LombScargle,
+    frequency: np.ndarray,
+    power: np.ndarray,
+    sampling: float,
+    span: float,
+    several_nights: bool,
+) -> list[Candidate]:
+    """Peaks of the ``power`` at an even grid of frequencies (N,), highest first, but for those that are aliases of a higher one."""
+    low, high = float(frequency[0]), float(frequency[-1])
     found: list[Candidate] = []
     taken: list[float] = []
     for group in _groups(search, frequency, power, span):
@@ -105,20 +131,10 @@ def find_period(
             continue  # rows at two phases of it only: at twice the step no sinusoid is told from its shift
         taken += [peak, *related]
         beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
-        within = None if turned is None else turned / span * candidate.period_s**2
-        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond), sidereal_within_s=within))
+        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond)))
         if len(found) == MOST_CANDIDATES:
             break
-    found.sort(key=lambda one: -one.power)
-    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
-    if fast:
-        periods = ", ".join(spoken(alias.period_s) for alias in fast)
-        warnings.append(
-            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
-            f"and {periods} would explain the best candidate as well"
-        )
-    searched = (1 / high, 1 / low)
-    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+    return sorted(found, key=lambda one: -one.power)
 
 
 def _powers(search: LombScargle, frequency: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SCHEMA = "torchlc-campaign/1"
 SUMMARY = "campaign.json"
 FAILURES_TOLD = 20
+"""A screen holds them; campaign.json has all."""
 
 
 @dataclass(frozen=True)

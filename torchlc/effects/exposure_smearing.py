@@ -35,7 +35,9 @@ EDGE = 0.03
 LEAF_WIDTHS = 6.0
 """Widths of the sharpest lobe up to which a panel is not divided on trial."""
 MOST_LEAVES = 256
+"""Of an exposure; one that sweeps more than 1,500 lobe widths has longer ones."""
 MOST_NODES = 801
+"""Of one panel: a rule of more takes longer than 0.05 s to make."""
 MOST_PAIRS = 2e7
 """Facets and instants together (160 MB an angle), beyond which fewer instants are taken."""
 MOST_AT_ONCE = 2**18

@@ -20,6 +20,7 @@ from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200
+"""Whose pairs of facets are held together."""
 
 
 class Interreflection(Effect):

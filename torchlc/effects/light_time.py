@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.geometry.orbit.earth import LIGHT_KM_S
 from torchlc.geometry.rotation.attitude import TURNING
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import SPIN, Shown
-
-LIGHT_KM_S = 299_792.458
 
 
 class LightTime(Effect):

@@ -33,6 +33,7 @@ LOCK_NAME = ".torchlc.lock"
 MANIFEST_NAME = "torchlc-manifest.json"
 MANIFEST_SCHEMA = "torchlc-manifest/1"
 MOST_MANIFEST_BYTES = 1 << 20
+"""A manifest holds some 150 bytes a file."""
 LONGEST_LOCK = 200
 """Bytes; a process and its start are 60."""
 CHAIN_FILE = "chain.h5"

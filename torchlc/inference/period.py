@@ -19,6 +19,7 @@ import numpy as np
 
 from torchlc.digits import number_of
 from torchlc.errors import InputError
+from torchlc.geometry.orbit.earth import DAY_S
 from torchlc.inference.periodogram import Alias, Candidate, Periodogram, spoken
 from torchlc.inference.slow_changes import MIN_ROWS, Detrended
 from torchlc.readers import Recording
@@ -27,15 +28,21 @@ if TYPE_CHECKING:
     from astropy.timeseries import LombScargle
 
 OVERSAMPLING = 4
+"""Frequencies in 1/span: a peak is 1/span wide, and missed by 1/8 of it at most, where 5 % of its power are gone."""
 MOST_FREQUENCIES = 2_000_000
+"""Twice 9 s of the fast method."""
 FEW_FREQUENCIES, BLOCK = 2000, 100_000
+"""Up to which astropy chooses the method; and of a block, 90 MB of its fast one."""
 FEW_ROWS = 120
 """Sums took 37 ns a row and frequency, astropy's fast method 4.5 us a frequency."""
 LEAST_TURNS = 2.0
 """Turns that the longest uninterrupted run must hold, unless the search is asked for more."""
 RUN_GAP_H = 6.0
+"""Between two nights there are more hours, within one there are fewer."""
 MOST_CANDIDATES = 5
+"""That a person looks through; what is no candidate is an alias of one, or weaker."""
 MOST_GROUPS, MOST_PEAKS = 15, 8
+"""Peaks that are refined, and those beside each that may be other counts of turns."""
 HARMONICS = (("double", 0.5), ("half", 2.0), ("three times", 1 / 3), ("four times", 0.25))
 """What a period could be instead, and the factor on its frequency: bodies with two, three or four like
 sides.
@@ -46,7 +53,6 @@ DAILY = (
     (2, "two turns a day more"),
     (-2, "two turns a day fewer"),
 )
-DAY_S = 86400.0
 EQUAL = 0.8
 """Share of a peak's power from which a frequency beyond Nyquist is listed: uneven steps tell it apart below."""
 SAME = 0.01

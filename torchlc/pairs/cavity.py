@@ -28,6 +28,7 @@ from torchlc.stages.light import View
 PATCHES = 96
 """Into how many patches a part is divided: halving them moves the light of a white bowl by 2e-3."""
 MOST_COMPARED = 1024
+"""Facets of a part against which its concavity is looked for."""
 RAYS = 2048
 """Rays from a patch: the shares that reach others are good to 1/sqrt(RAYS) of the largest."""
 COSINES = 6

@@ -30,6 +30,7 @@ from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, so
 
 Progress = Callable[[str, float], None]
 LONGEST_HOURS = 24.0 * 31
+"""A month: elements are not good for longer."""
 MOST_ELEMENTS_TOLD = 5
 FAST_DEG = 5.0
 """Turn between rows beyond which lobes of the usual widths fall between them."""

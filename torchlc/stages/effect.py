@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 Parameters = Mapping[str, Tensor]
 MANY_FACETS = 100
+"""Flat ones, from where effects that take several lights a facet take fewer."""
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,12 @@ KEPT_CHI2 = 25.0
 LEAST_PROBABILITY = 0.01
 """Of a rotation that counts beside the best when it is asked whether the data decide."""
 SAME_DEG = 1.5
+"""Two fits with poles this near, and periods alike to SAME_PERIOD, are of one minimum found twice."""
 SAME_PERIOD = 1e-3
 CHANGED = 16.0
 """Fall of chi-square that a change of the period has to bring."""
 ALIKE_DEG = 12.0
+"""A mirror image is one of the geometry in the middle of a pass, which changes by some degrees on the way."""
 LEAST_CYCLES = 2.0
 """Of the longer period of a free rotation that a pass has to hold for the light to have repeated: less is one stretch without
 a second to hold it against."""

@@ -285,8 +285,13 @@ def outcome() -> str:
     fixed = {name: value_of(number) for name, number in scene.materials["body"].parameters.items()}
     body = scene.materials["body"].model_copy(update={"parameters": fixed})  # few numbers are quick to fit
     fewer = scene.model_copy(update={"materials": {**scene.materials, "body": body}})
+    others = [made(case, scene, recording) for case in OTHERS]
+    for other in others:
+        other().sum().backward()
     numbers = {
         "mag": curve.mag.tolist(),
+        "others": [other().tolist() for other in others],
+        "slopes": [[float(one.grad) for one in other.free.parameters()] for other in others],
         "value": value.tolist(),
         "slope": [float(one.grad) for one in model.free.parameters()],
         "log_prob": Likelihood(model).log_prob(theta).tolist(),

@@ -7,7 +7,7 @@ PYTHON := $(or $(PYTHON),$(shell for p in python3 python3.13 python3.12 python3.
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done))
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
-CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit attitude shape brdf brdf_energy brdf_gradients brdf_module rough_surfaces model fit output cli))
+CORE := $(addprefix tests/test_,$(addsuffix .py,scene recording orbit orbit_vectors attitude shape brdf brdf_energy brdf_gradients brdf_module rough_surfaces model model_equations fit output cli))
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: demo test long lint format examples verdicts docs bench wheel minimum clean

@@ -11,7 +11,7 @@ import torch
 
 from tests.paper_orbits import ORBIT_1
 from torchlc.brdf import MODELS, Brdf
-from torchlc.brdf.base import lambert, per_epoch
+from torchlc.brdf.angles import lambert, per_epoch
 from torchlc.effects import Effect, registry
 from torchlc.files.numbers import Size
 from torchlc.naming import Registry

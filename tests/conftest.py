@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import signal
+import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from skyfield.api import Loader
+from skyfield_data import get_skyfield_data_path
 
 from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.noisy_rows import FREE
 from tests.small_case import write_case
 from tests.warm import server
+from torchlc.diagnosis.clock import Clock
+from torchlc.diagnosis.engine import Search
+from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
+from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import Recording, load_recording
-from torchlc.scene import Scene
+from torchlc.scene import Scene, load_scene
+
+DEMO = Path(__file__).parents[1] / "torchlc" / "demo"
 
 
 def pytest_configure() -> None:
@@ -57,3 +68,38 @@ def seven(tmp_path_factory: pytest.TempPathFactory):
     scene = still(PLATE, FREE)
     folder = tmp_path_factory.mktemp("seven")
     return scene, seen_from(scene, folder, tilted(np.linspace(5, 65, 7)), tilted(10, 180))
+
+
+@pytest.fixture(scope="module")
+def demo():
+    """The demo's scene with the light of its own model at half of what its priors allow, normal errors added."""
+    scene = load_scene(DEMO / "scene.toml")
+    recording = load_recording(DEMO / "recording.ecsv", scene)
+    model = LightCurve(scene, recording)
+    with torch.no_grad():
+        light = model(model.parameter_set.start()).numpy()
+    noise = recording.error * np.random.default_rng(3).normal(size=len(light))
+    return scene, replace(recording, observed=light + noise)
+
+
+@pytest.fixture(scope="module")
+def demo_search(demo):
+    search = Search(Workbench(*demo), Clock(None), 0)
+    search.null()
+    return search
+
+
+@pytest.fixture(scope="module")
+def demo_refit(demo_search):
+    return demo_search.visited[Hypothesis()]
+
+
+@pytest.fixture(scope="module")
+def sky():
+    """Skyfield's time scale and its ephemeris of the planets."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # its table of the Earth's rotation ends before today
+        load = Loader(get_skyfield_data_path(), verbose=False)
+    ephemeris = load("de421.bsp")
+    yield load.timescale(builtin=True), ephemeris
+    ephemeris.close()

@@ -66,3 +66,8 @@ def recorded(
 
 def listed(effects: str):
     return still(PLATE, KNOWN, "").to_toml().replace("effects = []", f"effects = {effects}")
+
+
+def changed(refit, u):
+    """A fit with other residuals over their errors (T,)."""
+    return replace(refit, found=replace(refit.found, delta=u * refit.wide))

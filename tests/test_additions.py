@@ -172,6 +172,44 @@ def test_a_class_that_is_defined_again_replaces_the_first_with_a_word():
         FIGURES.enter("fit/spread", Spread)
 
 
+CELL = """
+from dataclasses import replace
+from torchlc.effects import Effect
+from torchlc.parameters import Quantity
+
+class Veil(Effect):
+    \"\"\"A veil dims everything.
+
+    Neglects its colour.
+    \"\"\"
+
+    name = "veil"
+    stage = "detector"
+    quantities = (Quantity("mag", "mag", 0.0, 1.0, "dimming", off=0.0, typical=0.2),)
+
+    def detector(self, brightness, p, context):
+        return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * FACTOR * p["mag"]))
+"""
+
+
+def test_a_class_of_a_notebook_is_known_at_once_and_what_its_cell_says_last_counts():
+    """Run as a kernel does, in one namespace named ``__main__``: what is made before keeps to the class that it was made with."""
+    night = {"start": "2020-10-17T14:00:00", "hours": 2.0, "cadence": 1200.0}
+    notebook = {"__name__": "__main__"}
+    with EFFECTS.restored():
+        exec(CELL.replace("FACTOR", "1"), notebook)
+        scene = scene_with('["veil"]', '"veil.mag" = 0.25')
+        first = LightCurve(scene, rows(scene, cadence_s=1800.0))
+        clear, veiled = (torchlc.simulate(one, **night).mag for one in (scene_with(), scene))
+        np.testing.assert_allclose(veiled - clear, 0.25, atol=1e-12)
+        before = first().detach()
+        with pytest.warns(Replaced, match="veil"):
+            exec(CELL.replace("FACTOR", "2"), notebook)
+        np.testing.assert_allclose(torchlc.simulate(scene, **night).mag - clear, 0.5, atol=1e-12)
+        torch.testing.assert_close(first().detach(), before, rtol=0, atol=0)
+    assert "veil" not in EFFECTS
+
+
 def test_an_effect_of_no_stage_is_refused_at_once():
     with pytest.raises(TypeError, match="effect 'astray': stage 'nowhere'; expected one of clock, "):
         type("Astray", (Effect,), {"name": "astray", "stage": "nowhere"})

@@ -16,22 +16,19 @@ from scipy import special
 
 import torchlc
 from tests.good_input import SCENE
+from tests.noisy_rows import changed
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
-from torchlc.diagnosis.gate import Battery, gate, log_tail, runs
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.joint import joint_sets
 from torchlc.diagnosis.plan import Forecast, next_nights, told_by
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
 from torchlc.diagnosis.probes import Probe
-from torchlc.diagnosis.proof import log_density, make_blocks
 from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
-from torchlc.files.steps import Steps
 from torchlc.inference.density import Posterior
-from torchlc.inference.posterior import fit, fitted_at, integrated
-from torchlc.lightcurve.assembly import assemble
+from torchlc.inference.posterior import fit, fitted_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import load_recording
 from torchlc.scene import Scene, load_scene
@@ -144,53 +141,9 @@ def test_a_faint_effect_beside_a_strong_one_is_named() -> None:
     asked = ["exposure_smearing", "zero_point_step", "background", "saturation"]
     found = diagnose(scene, shifted, effects=asked)
     assert found.named == (*answer["effects"], "zero_point_step")
+    # known to a sixth of itself: within 2.4 standard deviations
     assert found_values(found)["zero_point_step.mag"] == pytest.approx(step, rel=0.4)
     assert diagnose(scene, recording, effects=asked).named == tuple(answer["effects"])
-
-
-@pytest.fixture(scope="module")
-def demo():
-    """The demo's scene with the light of its own model at half of what its priors allow, normal errors added."""
-    scene = load_scene(DEMO / "scene.toml")
-    recording = load_recording(DEMO / "recording.ecsv", scene)
-    model = LightCurve(scene, recording)
-    with torch.no_grad():
-        light = model(model.parameter_set.start()).numpy()
-    noise = recording.error * np.random.default_rng(3).normal(size=len(light))
-    return scene, replace(recording, observed=light + noise)
-
-
-@pytest.fixture(scope="module")
-def demo_search(demo):
-    search = Search(Workbench(*demo), Clock(None), 0)
-    search.null()
-    return search
-
-
-@pytest.fixture(scope="module")
-def demo_refit(demo_search):
-    return demo_search.visited[Hypothesis()]
-
-
-@pytest.mark.long
-def test_a_hypothesis_that_shares_tables_shines_as_one_that_stands_alone() -> None:
-    scene = load_scene(DEMO / "scene.toml")
-    recording = load_recording(DEMO / "recording.ecsv", scene)
-    bench = Workbench(scene, recording)
-    base = bench.likelihood(Hypothesis()).model
-    base(base.parameter_set.start())  # its tables are there to be shared
-    own = [effect.entry for effect in bench.base.effects]
-    generator = torch.Generator().manual_seed(3)
-    for entry in bench.candidates(None):
-        model = bench.likelihood(Hypothesis((entry,))).model
-        alone = LightCurve(scene, recording, assembly=assemble(scene, recording, [*own, entry]))
-        theta = model.parameter_set.sample_prior(3, generator)
-        with torch.no_grad():
-            light = model(theta)
-            torch.testing.assert_close(light, alone(theta), msg=entry)
-            if entry == "interreflection":
-                bare = base(theta[:, [model.names.index(name) for name in base.names]])
-                assert float((light - bare).abs().max()) > 1e-6, "it does something here"
 
 
 def test_nights_are_planned_with_the_exposures_of_the_recording(demo_search) -> None:
@@ -292,121 +245,6 @@ def test_a_scene_without_anything_free_gets_a_verdict() -> None:
     assert found.gate.global_p < 0.01, "where the priors begin is not what was recorded"
 
 
-def test_slopes_and_curvature_are_those_of_finite_differences(demo_search) -> None:
-    """At a minimum with outliers and a scale: slopes of residuals by central differences; the peak's gradient is 0, and its
-    second differences along noise coordinates are the inverse of the covariance."""
-    at = demo_search.visited[Hypothesis().under(*demo_search.robust)]
-    posterior, step = at.posterior, 1e-4
-    for column in range(posterior.size):
-        axis = torch.zeros_like(at.g)
-        axis[column] = step
-        with torch.no_grad():
-            moved = posterior.residuals(at.g + axis).delta - posterior.residuals(at.g - axis).delta
-            up, middle, down = posterior.log_density(torch.stack([at.g + axis, at.g, at.g - axis]))
-        slope = moved / (2 * step)
-        torch.testing.assert_close(
-            at.slopes[:, column], slope, rtol=1e-3, atol=1e-5 * float(slope.abs().max()) + 1e-9
-        )
-        sd = float(1 / torch.sqrt(torch.linalg.inv(at.covariance)[column, column]))
-        assert abs(float(up - down)) / (2 * step) * sd < 0.2  # standard deviations from the top
-        if column in posterior.noise_columns:
-            curvature = -float(up - 2 * middle + down) / step**2
-            assert curvature == pytest.approx(
-                float(torch.linalg.inv(at.covariance)[column, column]), rel=0.05
-            )
-
-
-def test_laplace_and_importance_sampling_agree(demo_search) -> None:
-    """Two estimators of one evidence; the demo's posterior is nearly normal: off by a tenth for each of its numbers at most."""
-    found = integrated(demo_search.visited[Hypothesis()], 2000, 1)
-    assert found.evidence is not None and found.evidence.error < 0.1
-    laplace = demo_search.visited[Hypothesis()]
-    assert found.log_z == pytest.approx(laplace.log_z, abs=0.1 * len(laplace.g))
-
-
-def test_unseen_rows_have_the_density_of_the_dense_normal(demo_search) -> None:
-    """N(0, S + J C J') of a block written out with full matrices; the product of rows' densities under a mixture without
-    outliers is the same."""
-    at = demo_search.visited[Hypothesis()]
-    rows = torch.arange(20, 60)
-    slopes = at.slopes[rows]
-    dense = torch.diag(at.wide[rows] ** 2) + slopes @ at.covariance @ slopes.T
-    expected = torch.distributions.MultivariateNormal(torch.zeros(40).double(), dense).log_prob(
-        at.delta[rows]
-    )
-    assert float(log_density(at, at, rows)) == pytest.approx(float(expected), abs=1e-6)
-    seconds, curve = at.model.assembly.context.seconds, at.likelihood.curve
-    blocks = make_blocks(seconds, curve)
-    assert torch.equal(torch.sort(torch.cat([one for one, _ in blocks])).values, torch.arange(len(seconds)))
-
-
-def test_a_budget_ends_among_the_effects_that_promise_least(demo, tmp_path: Path) -> None:
-    """Panels 1.5 deg off the Sun: refits of single effects come in the order of what their signatures promise, whether they turn
-    the geometry or not. A search that is cut short has then asked the likeliest."""
-    scene, recording = demo
-    model = scene.model.model_copy(
-        update={
-            "effects": [*scene.model.effects, "panel_offset"],
-            "parameters": {**scene.model.parameters, "panel_offset.deg": 1.5},
-        }
-    )
-    hidden = torchlc.simulate(scene.model_copy(update={"model": model}), recording, noise=0.01)
-    search = Search(
-        Workbench(scene, load_recording(hidden.write(tmp_path / "hidden.ecsv"), scene)), Clock(None), 0
-    )
-    search.null()
-    search.singles(["zero_point_drift", "saturation", "background", "panel_offset"], lambda _: 0.0)
-    refitted = [one.added[0] for one in search.visited if len(one.added) == 1]
-    judged = [one.added[0] for one in search.linear]  # of too little promise beside the first to be refitted
-    assert refitted[0] == "panel_offset" and len(refitted) + len(judged) > 2
-    promised = [search.probes[entry].score for entry in (*refitted, *judged)]
-    assert promised == sorted(promised, reverse=True)
-
-
-@pytest.mark.long
-def test_a_search_goes_on_from_what_it_had_finished(demo, tmp_path: Path) -> None:
-    """Of all steps none is done again, and of half of them, as a kill leaves them, the other half is; the answer is that of
-    the run left alone, to the rounding of a refit that is read instead of made. Steps of another search are not known."""
-    file = tmp_path / "search.pt"
-
-    def run(steps: Steps):
-        found = diagnose(*demo, effects=["panel_offset", "saturation"], steps=steps).to_json()
-        return found["verdict"], found["named"], found["probabilities"], found["materials"]
-
-    alone = run(Steps("one", file, lambda fill: fill(file)))
-    stored = torch.load(file, weights_only=True)
-    names = list(stored["steps"])
-    assert len(names) > 6
-    made: list[str] = []
-
-    class Watched(Steps):
-        def of(self, name, kind, make):
-            return super().of(name, kind, lambda: (made.append(name), make())[1])
-
-    assert_close(run(Watched("one", file)), alone)
-    assert not made
-    stored["steps"] = {name: stored["steps"][name] for name in names[: len(names) // 2]}
-    torch.save(stored, file)
-    assert_close(run(Watched("one", file)), alone)
-    assert made == names[len(names) // 2 :]
-    assert not Steps("another", file).resumed
-
-
-def assert_close(found, expected) -> None:
-    """Equal, numbers to a millionth."""
-    if isinstance(expected, dict):
-        assert found.keys() == expected.keys()
-        found, expected = list(found.values()), list(expected.values())
-    if isinstance(expected, (list, tuple)):
-        assert len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            assert_close(one, other)
-    elif isinstance(expected, float):
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    else:
-        assert found == expected
-
-
 def test_outlying_rows_are_found_and_the_rest_is_fitted(demo) -> None:
     """Seven rows of the demo moved by 0.5 to 1 mag: these are told, no other, and materials are as without them."""
     scene, recording = demo
@@ -474,87 +312,6 @@ def test_a_runner_up_was_refitted(demo_search) -> None:
 def test_what_a_p_value_can_stand_for_is_the_published_bound(p: float, factor: float) -> None:
     """Sellke, Bayarri & Berger (2001), table 1, whose numbers are of the null's odds: 0.407, 0.125, 0.0188."""
     assert math.exp(worth_of_p(p)) == pytest.approx(factor, rel=0.01)
-
-
-def test_an_interruption_gives_the_verdict_so_far(demo) -> None:
-    """Ctrl-C while candidates are refitted: a verdict, with what was examined and what was not."""
-
-    def stop(text: str, _: float) -> None:
-        if text.startswith("leads"):
-            raise KeyboardInterrupt
-
-    found = diagnose(*demo, effects=["zero_point_drift", "background", "saturation"], progress=stop)
-    assert found.verdict in ("adequate", "noise_model")
-    refitted = {
-        row["effect"] for row in found.to_json()["candidates"] if row["delta_log_evidence"] is not None
-    }
-    late = {row["effect"] for row in found.to_json()["unexamined"]}
-    assert (
-        late and late | refitted >= {"zero_point_drift", "background", "saturation"} and not late & refitted
-    )
-    assert any(text.startswith("interrupted") for text in found.warnings)
-
-
-def test_a_budget_that_is_spent_says_what_was_not_examined(demo) -> None:
-    """Less than the null takes: every candidate is told, and none is hidden behind a verdict."""
-    found = diagnose(*demo, budget=1e-3, effects=["panel_offset", "background"])
-    content = found.to_json()
-    assert {row["effect"] for row in content["unexamined"]} == {"panel_offset", "background"}
-    told = [text for text in found.warnings if "not examined" in text]
-    assert len(told) == 1 and all(name in told[0] for name in ("panel_offset", "background"))
-    assert any(text.startswith("the search was ended after") for text in found.warnings)
-    assert any("Probabilities, among what was examined: " in text for text in found.lines())
-
-
-def changed(refit, u):
-    """A fit with other residuals over their errors (T,)."""
-    return replace(refit, found=replace(refit.found, delta=u * refit.wide))
-
-
-def test_gate_is_uniform_when_nothing_is_missing(demo_refit) -> None:
-    """Residuals drawn off the baseline's tangent: p-values uniform by Kolmogorov and Smirnov at 1 %."""
-    refit = demo_refit
-    context = refit.model.assembly.context
-    battery = Battery(context.seconds, context.curve, {"time": context.seconds}, {}, True)
-    generator = torch.Generator().manual_seed(1)
-    q = torch.linalg.qr(refit.slopes / refit.sigma[:, None])[0]
-    found = []
-    for number in range(60):
-        z = torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
-        z = z - q @ (q.T @ z)
-        found.append(gate(changed(refit, z), battery, seed=number, draws=400).global_p)
-    ordered = np.sort(found)
-    steps = np.arange(1, 61) / 60
-    distance = max(np.abs(ordered - steps).max(), np.abs(ordered - steps + 1 / 60).max())
-    assert distance < 1.63 / math.sqrt(60)
-
-
-def test_gate_sees_a_short_dip_that_chi_square_does_not(demo_refit) -> None:
-    refit = demo_refit
-    context = refit.model.assembly.context
-    battery = Battery(context.seconds, context.curve, {}, {}, True)
-    generator = torch.Generator().manual_seed(4)
-    z = torch.randn(len(refit.delta), generator=generator, dtype=torch.float64)
-    quiet = gate(changed(refit, z), battery)
-    dipped = z.clone()
-    dipped[100:112] += 1.5
-    loud = gate(changed(refit, dipped), battery)
-    assert loud.marginal["chi2"] > 0.001
-    assert loud.global_p < 0.01 < quiet.global_p
-    assert any(a <= 112 and b >= 100 for a, b, _ in loud.windows)
-
-
-def test_tail_of_exponential_draws_is_the_exponential() -> None:
-    draws = torch.sort(
-        torch.distributions.Exponential(torch.tensor(1.0, dtype=torch.float64)).sample((40000,))
-    ).values
-    value = torch.tensor([0.5, 2.0, 8.0, 20.0], dtype=torch.float64)
-    assert torch.allclose(log_tail(draws, value), -value, rtol=0.08, atol=0.02)
-
-
-def test_runs_of_a_mask() -> None:
-    assert runs(torch.tensor([1, 1, 0, 0, 1, 0, 1], dtype=torch.bool)) == [(0, 1), (4, 4), (6, 6)]
-    assert runs(torch.zeros(3, dtype=torch.bool)) == []
 
 
 @pytest.mark.parametrize(

@@ -401,6 +401,7 @@ def test_errors_that_are_too_small_get_a_jitter(tmp_path):
     quoted = replace(recording, error=recording.error / 3)
     result = torchlc.fit(scene, quoted, steps=400)
     jitter = result.parameters()["jitter.mag"]
+    # 1 / sqrt(2 * 57 rows) is 9 %
     assert jitter["median"] == pytest.approx(0.03 * math.sqrt(1 - 1 / 9), rel=0.35)
     assert any("jitter was added" in warning for warning in result.all_warnings)
 

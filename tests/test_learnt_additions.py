@@ -12,7 +12,7 @@ from torch import nn
 
 from tests.additions import ADDITIONS, ConstantGlow, known, scene_with, taken_out
 from tests.effects.passes import rows
-from torchlc.brdf.base import per_epoch
+from torchlc.brdf.angles import per_epoch
 from torchlc.effects import Effect
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble

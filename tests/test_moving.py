@@ -46,8 +46,58 @@ CASES = {
     "noise": ["jitter", "background", "zero_point_drift"],
 }
 """Effects of a model: tables kept, stepped, and worked out anew."""
+SIZED = DEMO.replace("[1.72, 6.60]", "[1.72, { value = 6.6, low = 3.0, high = 9.0 }]", 1).replace(
+    "size = [2.010,", "size = [{ value = 2.01, low = 1.0, high = 3.0 },"
+)
+_components = DEMO[DEMO.index("[[components]]") : DEMO.index("[materials.body]")]
+ROCKET = DEMO.replace(
+    'mode = "nadir"',
+    """mode = "spin-pole"
+pole = [{ value = 200.0, low = 150.0, high = 250.0 }, { value = 30.0, low = -20.0, high = 80.0 }]
+period = { value = 0.05, low = 0.045, high = 0.055 }
+phase = { value = 20.0, low = 0.0, high = 360.0 }
+epoch = "2020-10-17T13:00:00\"""",
+).replace(
+    _components,
+    """[[components]]
+name = "stage"
+shape = "cylinder"
+radius = 1.2
+length = { value = 8.0, low = 4.0, high = 12.0 }
+axis = [1, 0, 0]
+centre = [0, 0, 0]
+material = "body"
+
+""",
+)
+ROCKET = ROCKET.replace(ROCKET[ROCKET.index("[materials.panel]") : ROCKET.index("[model]")], "").replace(
+    '"light_time", ', ""
+)
+_station = DEMO[DEMO.index("[[stations]]") : DEMO.index("[attitude]")]
+STATIONS = DEMO.replace(
+    _station,
+    _station + _station.replace('"weihai"', '"kunming"').replace("122.05", "102.8").replace("37.536", "25.0"),
+).replace("zero_point = { value = 0.0,", 'zero_point = { per = "station", value = 0.0,')
+OTHERS = {
+    "free sizes": (SIZED, KNOWN),
+    "free sizes and all known": (SIZED, [*KNOWN, "self_shadowing", "exposure_smearing"]),
+    "a rocket body": (ROCKET, ["sun_distance", "earth_shadow"]),
+    "a rocket body in exposures": (ROCKET, ["exposure_smearing", "finite_sun"]),
+    "stations": (STATIONS, [*KNOWN, "time_offset@station"]),
+}
+"""Scenes with geometries of their own, and the effects on them."""
+SPUN_MAG = 1e-3
+"""Of a body that has turned 40 times: 1e-7 of that is 1.5e-5 rad, of which a lobe n = 1000 makes up to 60 times as much in mag."""
 SINGLE_MAG = 5e-5
 """Single precision has 1e-7 of a number; of n = 1000 the power of a cosine multiplies it by n: 1e-4, in mag."""
+
+
+def recorded(scene: Scene) -> Recording:
+    """Two hours with 20 mmag of noise, in exposures of 5 s."""
+    curve = torchlc.simulate(
+        scene, start="2020-10-17T13:00:00", hours=2.0, cadence=1200.0, noise=0.02, seed=1
+    )
+    return replace(curve.recording, observed=curve.mag, exptime=np.full(len(curve.mag), 5.0))
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +107,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def recording(scene: Scene) -> Recording:
-    curve = torchlc.simulate(
-        scene, start="2020-10-17T13:00:00", hours=2.0, cadence=1200.0, noise=0.02, seed=1
-    )
-    return replace(curve.recording, observed=curve.mag)
+    return replace(recorded(scene), exptime=None)
 
 
 def tensors(thing: object, seen: set[int]) -> list[Tensor]:
@@ -86,10 +133,19 @@ def all_tensors(model: LightCurve) -> list[Tensor]:
     return tensors(vars(model), set())
 
 
-@pytest.mark.parametrize("case", CASES)
+def made(case: str, scene: Scene, recording: Recording) -> LightCurve:
+    """The model of a case of CASES on a scene, or of OTHERS."""
+    if case in CASES:
+        return LightCurve(scene, recording, effects=CASES[case])
+    text, effects = OTHERS[case]
+    other = Scene.from_toml(text, known_effects=registry())
+    return LightCurve(other, recorded(other), effects=effects)
+
+
+@pytest.mark.parametrize("case", [*CASES, *OTHERS])
 def test_everything_moves_to_a_device_without_numbers(case: str, scene: Scene, recording: Recording) -> None:
-    model = LightCurve(scene, recording, effects=CASES[case])
-    rows, count = len(recording), len(model.names)
+    model = made(case, scene, recording)
+    rows, count = len(model.recording), len(model.names)
     model.to("meta")
     held = all_tensors(model)
     assert held and all(tensor.is_meta for tensor in held)
@@ -106,16 +162,18 @@ def test_everything_moves_to_a_device_without_numbers(case: str, scene: Scene, r
         assert variance is None or variance.is_meta
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, *OTHERS])
 def test_single_precision_is_near_double(case: str, scene: Scene, recording: Recording) -> None:
-    model = LightCurve(scene, recording, effects=CASES[case])
-    single = LightCurve(scene, recording, assembly=model.assembly).to(torch.float32)
+    model = made(case, scene, recording)
+    single = LightCurve(model.scene, model.recording, assembly=model.assembly).to(torch.float32)
     theta = model.theta().detach()
     theta = torch.stack([theta, 0.99 * theta])
     with torch.no_grad():
         expected = model(theta)
         found = single(theta.float())
-        np.testing.assert_allclose(found.double(), expected, rtol=0, atol=SINGLE_MAG)
+        np.testing.assert_allclose(
+            found.double(), expected, rtol=0, atol=SPUN_MAG if "rocket" in case else SINGLE_MAG
+        )
     assert found.dtype == torch.float32
     assert not any(one.dtype == torch.float64 for one in all_tensors(single))
     assert any(one.dtype == torch.long for one in all_tensors(single)), "places stay whole numbers"
@@ -227,8 +285,13 @@ def outcome() -> str:
     fixed = {name: value_of(number) for name, number in scene.materials["body"].parameters.items()}
     body = scene.materials["body"].model_copy(update={"parameters": fixed})  # few numbers are quick to fit
     fewer = scene.model_copy(update={"materials": {**scene.materials, "body": body}})
+    others = [made(case, scene, recording) for case in OTHERS]
+    for other in others:
+        other().sum().backward()
     numbers = {
         "mag": curve.mag.tolist(),
+        "others": [other().tolist() for other in others],
+        "slopes": [[float(one.grad) for one in other.free.parameters()] for other in others],
         "value": value.tolist(),
         "slope": [float(one.grad) for one in model.free.parameters()],
         "log_prob": Likelihood(model).log_prob(theta).tolist(),

@@ -186,7 +186,7 @@ def test_of_several_runs_at_once_over_a_stale_lock_one_goes_in(tmp_path: Path):
 
 
 def test_memory_that_runs_out_is_told():
-    from torchlc.files.writing import resources
+    from torchlc.files.disk import resources
 
     for error in (MemoryError(), RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory")):
         with pytest.raises(ResourceError, match="out of memory"), resources():

@@ -4,81 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-import re
-import time
-import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.table import Table
 from astropy.time import Time
 from scipy.stats import norm
-from skyfield.api import EarthSatellite, Loader, wgs84
-from skyfield_data import get_skyfield_data_path
+from skyfield.api import EarthSatellite, wgs84
 
 import torchlc
 from tests.paper_orbits import HEIGHT, LATITUDE, LONGITUDE, LOW, ORBIT_1
+from tests.prediction_case import SPAN, SPHERE, STATION, at, scene
 from tests.small_case import write_case
+from tests.test_predicted_glints import by_the_equinox
+from tests.test_predicted_objects import NIGHT, catalogue
 from torchlc.cli import run
-from torchlc.errors import InputError
-from torchlc.scene.tle import checksum
-
-STATION = f"weihai,{LATITUDE},{LONGITUDE},{HEIGHT}"
-SPAN = {"start": "2006-06-27T00:00:00", "hours": 24.0}
-SPHERE = """
-[[components]]
-name = "ball"
-shape = "sphere"
-radius = 0.5
-centre = [0, 0, 0]
-material = "white"
-[materials.white]
-model = "lambert"
-albedo = 0.6
-[model]
-effects = []
-[model.parameters]
-band_sun_magnitude = -26.76
-"""
-
-
-def scene(tle=LOW, parts=SPHERE, attitude='mode = "nadir"') -> torchlc.Scene:
-    return torchlc.Scene.from_toml(f"""
-format = "torchlc-scene/1"
-name = "object"
-[orbit]
-tle = ["{tle[0]}", "{tle[1]}"]
-[[stations]]
-id = "weihai"
-latitude = {LATITUDE}
-longitude = {LONGITUDE}
-height = {HEIGHT}
-[attitude]
-{attitude}
-{parts}""")
-
-
-@pytest.fixture(scope="module")
-def sky():
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # its table of the Earth's rotation ends before today
-        load = Loader(get_skyfield_data_path(), verbose=False)
-    ephemeris = load("de421.bsp")
-    yield load.timescale(builtin=True), ephemeris
-    ephemeris.close()
 
 
 @pytest.fixture(scope="module")
 def day():
     """Every pass of a day, by night and by day."""
     return torchlc.predict(scene(), **SPAN, sun=90.0)
-
-
-def at(sky, prediction, seconds):
-    """Skyfield's times of seconds after the start of a prediction."""
-    timescale, _ = sky
-    return timescale.from_astropy(Time(prediction.iso(np.asarray(seconds)), format="isot", scale="utc"))
 
 
 def test_passes_begin_culminate_and_end_when_skyfield_says(sky, day):
@@ -196,118 +142,6 @@ def test_extinction_is_added_for_the_air():
     np.testing.assert_allclose(added[steep], plane[steep], rtol=4e-3)
 
 
-def test_a_mirror_glints_when_it_bisects_sun_and_observer(sky):
-    """A plate at rest among the stars whose normal is Skyfield's bisector at one instant: the glint is at that instant. 20 m
-    of station and 0.3" of the Sun move the bisector by 5", the grid of 10 s is interpolated: within 0.5 s."""
-    timescale, ephemeris = sky
-    satellite, station = EarthSatellite(*LOW, ts=timescale), wgs84.latlon(LATITUDE, LONGITUDE, HEIGHT)
-    plain = torchlc.predict(scene(), **SPAN, sun=90.0)
-    path = next(one.path for one in plain.passes if one.path.lit.all() and one.path.top_elevation > 40)
-    moment = path.begin + 0.37 * (path.end - path.begin)
-    when = at(sky, plain, [moment])[0]
-    place = satellite.at(when).position.km
-    sun = ephemeris["earth"].at(when).observe(ephemeris["sun"]).apparent().position.km - place
-    observer = station.at(when).position.km - place
-    normal = sun / np.linalg.norm(sun) + observer / np.linalg.norm(observer)
-    normal /= np.linalg.norm(normal)
-    u = np.cross(normal, [0.0, 0.0, 1.0])
-    u /= np.linalg.norm(u)
-    v = np.cross(normal, u)
-    plate = f"""
-[[components]]
-name = "mirror"
-shape = "plate"
-size = [1.0, 1.0]
-centre = [0, 0, 0]
-u = {u.tolist()}
-v = {v.tolist()}
-material = "m"
-[materials.m]
-n = 5000.0
-r_spec = 0.5
-r_diff = 0.1
-[model]
-effects = []
-"""
-    found = torchlc.predict(scene(parts=plate, attitude='mode = "inertial"'), **SPAN, sun=90.0)
-    glints = [glint for one in found.passes for glint in one.glints]
-    (glint,) = [one for one in glints if abs(one.seconds - moment) < 300]
-    assert glint.seconds == pytest.approx(moment, abs=0.5)
-    # the bisector passes the normal within what 10 s of a parabola leave
-    assert glint.degrees < 0.1
-    assert glint.width_deg == pytest.approx(math.degrees(1 / math.sqrt(5000)), rel=1e-6)
-    assert (glint.component, glint.face, glint.probability) == ("mirror", "front", 1.0)
-    # an hour from the epoch the elements are 0.02 to 0.02 deg off along an orbit of 100.3 min: 0.33 s
-    assert glint.time_sd_s == pytest.approx(0.02 / 360 * 86400 / 14.35478, rel=0.02)
-    brightest = min((one for one in found.passes), key=lambda one: one.brightest[2])
-    row = found.span.seconds[brightest.path.index[brightest.row]]
-    assert abs(row - moment) < found.span.cadence_s
-
-
-BOX_WING = """
-[[components]]
-name = "body"
-shape = "box"
-size = [2.0, 2.0, 2.5]
-centre = [0, 0, 0]
-material = "m"
-[[components]]
-name = "wing"
-shape = "plate"
-size = [2.0, 6.0]
-centre = [0, 4.5, 0]
-u = [1, 0, 0]
-v = [0, 1, 0]
-tracks = { target = "sun", axis = [0, 1, 0] }
-material = "m"
-[materials.m]
-n = N
-r_spec = 0.3
-r_diff = 0.3
-[model]
-effects = []
-"""
-ANY_GLOSS = '{ value = 100.0, low = 1.0, high = 1e6, prior = "loguniform" }'
-
-
-def by_the_equinox(gloss: str, **given):
-    """The night of a geostationary box-wing in eclipse season: both faces are nearest to their glints in the umbra."""
-    tle = (
-        "1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999",
-        "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325",
-    )
-    roof = torchlc.scene.Station(id="roof", latitude=48.2, longitude=16.37, height=210.0)
-    parts = BOX_WING.replace("n = N", f"n = {gloss}")
-    return torchlc.predict(scene(tle, parts=parts), stations=[roof], date="2026-03-16", **given)
-
-
-@pytest.mark.parametrize("gloss", ["150.0", ANY_GLOSS])
-def test_nothing_glints_in_the_umbra(gloss):
-    """The closest approach lies in the dark, so that what is left ends at the umbra, and is told so: in JSON, table, calendar
-    and figure."""
-    found = by_the_equinox(gloss)
-    (one,) = found.passes
-    dark = {word: seconds for seconds, word in one.path.events if word.endswith(" umbra")}
-    begin, end = str(found.iso(dark["enters umbra"])), str(found.iso(dark["leaves umbra"]))
-    told = found.to_json()["passes"][0]["glints"]
-    assert {(glint["component"], glint["face"]) for glint in told} >= {("body", "+Z"), ("wing", "front")}
-    for glint in told:
-        assert not begin < glint["time"] < end
-        edge = "it enters the umbra" if glint["time"] < begin else "it leaves the umbra"
-        assert glint["closest_when"] == edge
-        # two widths of lobes of at most 5 deg
-        assert glint["degrees"] < 10
-    calendar = found.to_ics().replace("\r\n ", "").replace("\\,", ",")
-    for cells in (str(found.passes_table()["glints"][0]).split("; "), calendar.split("Glint: ")[1:]):
-        assert len(cells) == len(told)
-        for cell, glint in zip(cells, told, strict=True):
-            assert f"{glint['time'][11:19]} ± 5 s, closest when {glint['closest_when']}" in cell
-    (panel,) = found.panels()
-    first = found.span.seconds[one.path.index[0]]
-    marked = first + 60 * np.array(panel.glints)
-    assert not ((marked > dark["enters umbra"]) & (marked < dark["leaves umbra"])).any()
-
-
 def test_an_eclipse_between_two_rows_parts_them_too():
     """At a step of 600 s rows are further apart than a short umbra is long: the same night, its umbra cut to one step."""
     from dataclasses import replace
@@ -323,74 +157,6 @@ def test_an_eclipse_between_two_rows_parts_them_too():
     assert [(run.rows.start, run.rows.stop) for run in runs] == [(0, 21), (21, len(seconds))]
     assert [run.begins for run in runs] == ["the night begins", "it leaves the umbra"]
     assert [run.ends for run in runs] == ["it enters the umbra", "the night ends"]
-
-
-def test_only_draws_with_a_sharp_lobe_in_reach_glint():
-    """n is log-uniform from 1 to 1e6 and a lobe 1/sqrt(n) wide: at an angle a, those count whose n lies between (1/5 deg)^2
-    and (2/a)^2. Their share and their median width are in closed form; 4000 draws, four standard deviations."""
-    found = by_the_equinox(ANY_GLOSS, draws=4000)
-    glints = found.passes[0].glints
-    assert glints
-    for glint in glints:
-        low, high = (1 / math.radians(5.0)) ** 2, (2 / math.radians(glint.degrees)) ** 2
-        share = math.log(high / low) / math.log(1e6)
-        assert glint.probability == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / 4000))
-        # log n of the median is off by 1.25 of its standard deviation over the root of their number; half of it is the width's
-        off = 2.5 * math.log(high / low) / math.sqrt(12 * 4000 * share)
-        assert glint.width_deg == pytest.approx(math.degrees((low * high) ** -0.25), rel=off)
-
-
-@pytest.mark.long
-def test_a_spinning_mirror_glints_every_turn():
-    """A plate that spins about the axis of the sky: its normal crosses the bisector's meridian twice a turn, once with
-    each side; where the bisector is far from the plane of the normal's circle it never comes near. By brute force on
-    the same track at 0.25 s: the number of glints and their times."""
-    plate = """
-[[components]]
-name = "mirror"
-shape = "plate"
-size = [1.0, 1.0]
-centre = [0, 0, 0]
-u = [0, 1, 0]
-v = [-0.3, 0, 1]
-rotation = [0, 20, 0]
-material = "m"
-[materials.m]
-n = 300.0
-r_spec = 0.5
-r_diff = 0.1
-[model]
-effects = []
-"""
-    spinning = scene(parts=plate, attitude='mode = "inertial"\nspin_axis = [0, 0, 1]\nspin_rate = 40.0')
-    found = torchlc.predict(spinning, **SPAN, sun=90.0, cadence=1.0)
-    assert any("the spin has no epoch" in text for text in found.warnings)
-    one = next(one for one in found.passes if one.path.lit.all() and len(one.glints) > 1)
-    fine = torchlc.visibility(
-        spinning.with_spin_epoch(found.iso(0.0)),
-        start=found.iso(one.path.begin),
-        hours=(one.path.end - one.path.begin) / 3600,
-        cadence=0.25,
-    )
-    bisector = (fine.to_sun + fine.to_observer).numpy()
-    bisector /= np.linalg.norm(bisector, axis=1, keepdims=True)
-    u, v = np.array([0.0, 1.0, 0.0]), np.array([-0.3, 0.0, 1.0])
-    turn = np.radians(20.0)
-    about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-    normal = about_y @ (np.cross(u, v) / np.linalg.norm(np.cross(u, v)))
-    expected = []
-    for side in (1.0, -1.0):
-        facing = np.minimum(side * (fine.to_sun.numpy() @ normal), side * (fine.to_observer.numpy() @ normal))
-        angle = np.degrees(np.arccos(np.clip(side * bisector @ normal, -1, 1)))
-        angle[facing <= 0] = 180.0
-        lows = np.flatnonzero((angle[1:-1] < angle[:-2]) & (angle[1:-1] <= angle[2:])) + 1
-        expected += [
-            one.path.begin + 0.25 * k for k in lows if angle[k] < 2 * math.degrees(1 / math.sqrt(300))
-        ]
-    inner = [glint.seconds for glint in one.glints if one.path.begin + 2 < glint.seconds < one.path.end - 2]
-    expected = sorted(when for when in expected if one.path.begin + 2 < when < one.path.end - 2)
-    assert len(inner) == len(expected) > 1
-    np.testing.assert_allclose(inner, expected, atol=0.5)  # the fine grid's 0.25 s, and half a row
 
 
 @pytest.mark.long
@@ -411,97 +177,6 @@ def test_a_fit_predicts_from_its_posterior(tmp_path):
     assert (np.abs(truth - mag[2]) < 3 * deviation).mean() > 0.95
     wide = torchlc.predict(text, **later).passes[0].mag
     assert np.median(mag[4] - mag[0]) < 0.3 * np.median(wide[4] - wide[0])
-
-
-def catalogue(folder: Path, count: int) -> Path:
-    """Elements of a low shell, epochs at the night that is predicted."""
-    generator = np.random.default_rng(4)
-    lines = []
-    for k in range(count):
-        node, anomaly = generator.uniform(0, 360, 2)
-        pair = (
-            f"1 {60000 + k}U 23001A   23100.50000000  .00001000  00000-0  10000-3 0  999",
-            f"2 {60000 + k}  53.0500 {node:8.4f} 0001000   0.0000 {anomaly:8.4f} 15.06000000 1000",
-        )
-        lines += [f"SHELL {k}", *(f"{line:68}{checksum(f'{line:68}')}" for line in pair)]
-    path = folder / "shell.txt"
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-NIGHT = {"date": "2023-04-10"}
-
-
-def test_many_objects_come_brightest_first_and_as_each_alone(tmp_path):
-    path = catalogue(tmp_path, 12)
-    found = torchlc.predict(scene(), elements=path, **NIGHT)
-    medians = [one.brightest[2] for one in found.passes]
-    assert medians == sorted(medians)
-    assert sum(map(math.isfinite, medians)) > 5
-    told = found.to_json()
-    assert told["objects_searched"] == 12
-    assert [one["mag"] for one in told["objects"]] == sorted(one["mag"] for one in told["objects"])
-    text = path.read_text().splitlines()
-    number = found.passes[0].path.orbiter
-    alone = torchlc.predict(scene(text[3 * number + 1 : 3 * number + 3]), **NIGHT)
-    here = next(one for one in alone.passes if one.path.begin == found.passes[0].path.begin)
-    np.testing.assert_allclose(here.mag, found.passes[0].mag, rtol=1e-12)
-    model = scene().name
-    assert (
-        found.headline().startswith(f"12 objects like {model}: ")
-        and " of them; brightest " in found.headline()
-    )
-    assert alone.headline().startswith(f"{model}: ")
-    path.write_text("\n".join(text[3 * number : 3 * number + 3]))
-    named = torchlc.predict(scene(), elements=path, **NIGHT).headline()
-    assert named.startswith(f"{text[3 * number].strip()}, like {model}: ")
-
-
-def test_objects_of_one_name_are_told_apart_by_their_numbers(tmp_path):
-    """In the printed table, the headline, the calendar and the figure; a long name leaves room for the number."""
-    path = catalogue(tmp_path, 6)
-    text = path.read_text()
-    numbers = [line.split()[1] for line in text.splitlines() if line.startswith("2 ")]
-    for name in ("SL-16 R/B", "SL-16 R/B of the Zenit-2 kind"):
-        shared = re.sub(r"SHELL [0-4]", name, text)
-        path.write_text(shared)
-        found = torchlc.predict(scene(), elements=path, **NIGHT)
-        seen = {found.orbiters[one.path.orbiter].number for one in found.passes if one.visible}
-        assert len(seen) > 2
-        rows = found.lines(most=1000)[1:]
-        for row, one in zip(rows, found.passes, strict=True):
-            number = found.orbiters[one.path.orbiter].number
-            cell = row[31:55].strip()
-            assert cell == ("SHELL 5" if number == numbers[5] else f"{name[: 24 - 6].strip()} {number}")
-        first = found.orbiters[found.passes[0].path.orbiter]
-        assert first.name == name and f"{name} {first.number}, " in found.headline()
-        assert f"SUMMARY:{name} {first.number}\\, " in found.to_ics().replace("\r\n ", "")
-        assert found.panels()[0].title == f"{name} {first.number} over weihai"
-
-
-def test_what_has_no_orbit_is_left_out_and_named(tmp_path):
-    path = catalogue(tmp_path, 3)
-    decaying = (
-        "1 70000U 23001A   22001.50000000  .09000000  00000-0  90000-1 0  999",
-        "2 70000  53.0500  10.0000 0001000   0.0000  10.0000 16.40000000 1000",
-    )
-    gone = [f"{line:68}{checksum(f'{line:68}')}" for line in decaying]
-    path.write_text(path.read_text() + "\n".join(["GONE", *gone]) + "\n")
-    found = torchlc.predict(scene(), elements=path, **NIGHT)
-    assert any("left out: GONE" in text for text in found.warnings)
-    with pytest.raises(InputError, match="SGP4 fails"):
-        torchlc.predict(scene(gone), **NIGHT)
-
-
-def test_the_set_nearest_to_the_night_is_taken(tmp_path):
-    path = catalogue(tmp_path, 1)
-    name, first, second = path.read_text().splitlines()
-    old = first.replace("23100.5", "23001.5")
-    old = f"{old[:68]}{checksum(old[:68])}"
-    path.write_text("\n".join([name, old, second, name, first, second]) + "\n")
-    found = torchlc.predict(scene(), elements=path, **NIGHT)
-    assert found.orbiters[0].age_days < 2
-    assert any("1 element sets are left out" in text for text in found.warnings)
 
 
 def test_files_are_read_by_others(tmp_path, capsys):
@@ -606,28 +281,6 @@ def test_bad_requests_are_one_line_and_write_nothing(changes, message, tmp_path,
     assert message.lower() in said.lower()
     assert "\n" not in said
     assert not (tmp_path / "out").exists()
-
-
-def test_elements_need_to_be_told_what_they_are(tmp_path, capsys):
-    assert run(["predict", str(catalogue(tmp_path, 1)), "--date", "2023-04-10"]) == 2
-    assert "--preset takes" in capsys.readouterr().err
-    (tmp_path / "empty").mkdir()
-    assert run(["predict", str(tmp_path / "empty"), "--date", "2023-04-10"]) == 2
-    assert "posterior.nc" in capsys.readouterr().err
-
-
-def test_a_night_of_a_thousand_objects_takes_two_minutes(tmp_path):
-    """On two cores, 240 s of CPU time: 0.24 s an object. Start-up is in the measurement."""
-    from torchlc.cli import scaffold
-
-    path = catalogue(tmp_path, 40)
-    asked = scaffold.prediction_of(path, "starlink-v2-mini", None, [STATION], False)
-    began = time.process_time()
-    found = torchlc.predict(
-        asked.scene, elements=path, stations=asked.stations, scatter=asked.scatter, **NIGHT
-    )
-    assert len(found.passes) > 40
-    assert time.process_time() - began < 0.24 * 40
 
 
 def test_intervals_hold_recorded_magnitudes_of_starlinks():

@@ -12,9 +12,10 @@ import torchlc
 from tests.rotating_bodies import Circle, box, recording, scene, steady, unit_of
 from torchlc.api import usable
 from torchlc.inference.rotation.connect import connections
-from torchlc.inference.rotation.model_fit import fitted, loose_trial, sharpened
+from torchlc.inference.rotation.model_fit import fitted, sharpened
 from torchlc.inference.rotation.passes import rows_of
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.trials import loose_trial
 from torchlc.inference.rotation.turn_fits import period_at
 from torchlc.lightcurve.model import LightCurve
 from torchlc.readers import iso_times

@@ -56,6 +56,7 @@ def test_a_swing_is_found_among_noise(truth) -> None:
     found = swings(target, MINUTES, 1.25, (1.0, 720.0), 5)
     deg, period, _, lon, lat = found[0].tolist()
     assert period == pytest.approx(truth[1], rel=truth[1] / 300.0 / 3)
+    # a descent starts from here: its slope is right within half of the swing
     assert deg == pytest.approx(truth[0], rel=0.25)
     assert abs(axis_of(lon, lat) @ axis_of(truth[3], truth[4])) > 0.9
     again = swung(found[:1], along)[0]

@@ -9,15 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import (
-    Brdf,
-    Incidence,
-    coupled_diffuse,
-    lobe,
-    per_epoch,
-    per_pair,
-    schlick_weight,
-)
+from torchlc.brdf.angles import Incidence, coupled_diffuse, lobe, per_epoch, per_pair, schlick_weight
+from torchlc.brdf.base import Brdf
 from torchlc.brdf.fresnel import conductor, dielectric, least_schlick
 from torchlc.parameters import FRESNEL, INDEX, REFLECTANCE, WIDTH, Quantity
 

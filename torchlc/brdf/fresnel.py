@@ -10,7 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import TINY_COS
+from torchlc.brdf.angles import TINY_COS
 
 
 def dielectric(c: Tensor, ior: Tensor) -> Tensor:

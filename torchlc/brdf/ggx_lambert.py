@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchlc.brdf.base import Incidence, per_epoch
+from torchlc.brdf.angles import Incidence, per_epoch
 from torchlc.brdf.ggx import Ggx
 
 

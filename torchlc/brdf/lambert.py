@@ -8,7 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, lambert, per_epoch
+from torchlc.brdf.angles import Incidence, lambert, per_epoch
+from torchlc.brdf.base import Brdf
 from torchlc.parameters import REFLECTANCE, Quantity
 
 

@@ -9,7 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import TINY_COS, Brdf, Incidence, lambert, per_epoch, retro
+from torchlc.brdf.angles import TINY_COS, Incidence, lambert, per_epoch, retro
+from torchlc.brdf.base import Brdf
 from torchlc.parameters import REFLECTANCE, Quantity
 
 MOST_SIGMA = 40.0

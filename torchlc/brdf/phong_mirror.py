@@ -9,7 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, lambert, lobe, per_epoch, per_pair
+from torchlc.brdf.angles import Incidence, lambert, lobe, per_epoch, per_pair
+from torchlc.brdf.base import Brdf
 from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, REFLECTANCE, Quantity
 
 

@@ -29,6 +29,7 @@ AHEAD = 2
 LOOK_EVERY_S = 2.0
 """How often the number of workers is asked for."""
 CONNECT_S = 15.0
+"""For a scheduler to answer, over whatever network."""
 
 Task = TypeVar("Task")
 Heard = Callable[[Any, float], None]

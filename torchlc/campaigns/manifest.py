@@ -32,6 +32,7 @@ FORMAT = "a CSV file with the columns scene, recording, task and, if wanted, id 
 LONGEST_NAME = 120
 """Characters of a directory's name; file systems allow 255."""
 MOST_SEED = 2**32 - 1
+"""The largest that NumPy's and emcee's generators take."""
 
 
 @dataclass(frozen=True)

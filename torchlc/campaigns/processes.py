@@ -32,6 +32,7 @@ FIRST_TO_GO = "1000"
 LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 TERMINATED = 128 + signal.SIGTERM
 TELL_EVERY_S = 0.5
+"""A line of progress is not read faster."""
 
 Tell = Callable[[float], None]
 """What a task calls with the share of it that is done."""

@@ -19,8 +19,9 @@ from torchlc.campaigns.processes import Tell
 from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
 from torchlc.digits import number_of
 from torchlc.errors import BusyError, InputError
+from torchlc.files.disk import resources
 from torchlc.files.reading import kind_of
-from torchlc.files.writing import OutputDirectory, resources, without_nan
+from torchlc.files.writing import OutputDirectory, without_nan
 from torchlc.version import __version__
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 SCHEMA = "torchlc-campaign/1"
 SUMMARY = "campaign.json"
 FAILURES_TOLD = 20
+"""A screen holds them; campaign.json has all."""
 
 
 @dataclass(frozen=True)

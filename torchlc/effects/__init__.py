@@ -6,8 +6,9 @@ from __future__ import annotations
 from torchlc import noise
 from torchlc.naming import import_modules
 from torchlc.noise.kind import NoiseKind
-from torchlc.stages.effect import EFFECTS, GEOMETRY_STAGES, STAGES, Context, Effect
+from torchlc.stages.effect import EFFECTS, Context, Effect
 from torchlc.stages.entry import Entry
+from torchlc.stages.order import GEOMETRY_STAGES, STAGES
 
 import_modules(noise.__name__, noise.__path__)
 import_modules(__name__, __path__)

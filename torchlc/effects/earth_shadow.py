@@ -28,7 +28,9 @@ from torchlc.stages.showing import ECLIPSE, Shown
 from torchlc.tensors.autodiff_state import readable, traced
 
 GREEN_NM = 550.0
+"""To which the height of the edge belongs: the middle of the visible."""
 RAYLEIGH_POWER = 4.0
+"""Of the wavelength: scattering by molecules goes as its inverse."""
 SOFTEST_HARD_KM = 1.0
 """Scale height below which the edge is taken as hard: in a low orbit its mean lies 0.6 km higher, 0.1 s of an entry."""
 STRIP_HEIGHTS = 1.5
@@ -44,6 +46,7 @@ CELLS = 4
 """Cells for averaging over an exposure while the limb crosses the Sun's disc, with CELL_NODES Gauss-Legendre times each."""
 CELL_NODES = 4
 MOST_CELLS = 200
+"""Of one exposure: it then crosses 50 discs of the Sun."""
 SHIFT_STEP_S, SHIFT_BEND_KM = 60.0, 5.0
 """Steps by which a clock is moved to see where it may bring an object into the shadow; and what the height of a ray bends by
 within one: in the lowest orbit, of 1.2e-3 rad/s and 6,500 km, by 9e-3 km/s^2 x 60^2 / 8 = 4.2 km."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +11,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from torchlc.geometry.rotation.spin import fastest
 from torchlc.parameters import Quantity
 from torchlc.shapes import tracking_pose
 from torchlc.shapes.part import like
-from torchlc.stages.effect import GEOMETRY_STAGES, Context, Effect
+from torchlc.stages.effect import Context, Effect
 from torchlc.stages.instants import Instants, Nodes
+from torchlc.stages.order import GEOMETRY_STAGES
 from torchlc.stages.showing import SPIN, Shown
 
 DIFFUSE_RAD = 0.1
@@ -34,7 +35,9 @@ EDGE = 0.03
 LEAF_WIDTHS = 6.0
 """Widths of the sharpest lobe up to which a panel is not divided on trial."""
 MOST_LEAVES = 256
+"""Of an exposure; one that sweeps more than 1,500 lobe widths has longer ones."""
 MOST_NODES = 801
+"""Of one panel: a rule of more takes longer than 0.05 s to make."""
 MOST_PAIRS = 2e7
 """Facets and instants together (160 MB an angle), beyond which fewer instants are taken."""
 MOST_AT_ONCE = 2**18
@@ -68,7 +71,7 @@ class ExposureSmearing(Effect):
         return context.exptime is not None
 
     def missing(self, context):
-        if not context.track.supports("time_offset"):
+        if not context.track.supports("motion"):
             return "the recording gives no motion within an exposure"
         if context.exptime is None:
             return None if context.cadence > 0 else "there is neither an exptime column nor a cadence"
@@ -292,12 +295,9 @@ def _some_paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) 
     place = torch.tensor([-0.5, 0.0, 0.5], dtype=offset.dtype)[:, None] * length + offset
     times = torch.cat([place - step / 2, place + step / 2])
     state = track.at(times, times, 0.0)
-    steady = all(
-        context.bounds[name][0] == context.bounds[name][1]
-        for name in context.bounds
-        if name.startswith("attitude.")
-    ) and not context.turned(*GEOMETRY_STAGES)
-    rotations = [context.attitude.rotation(state, values) for values in _attitudes(context)]
+    bounds = {name: context.bounds[name] for name in context.attitude.numbers}
+    steady = all(low == high for low, high in bounds.values()) and not context.turned(*GEOMETRY_STAGES)
+    rotations = [context.attitude.rotation(state, values) for values in fastest(bounds)]
     sun, observer = normalize(state.sun, dim=-1), normalize(state.observer, dim=-1)
     paths: list[Tensor] = []
     lobes: list[float] = []
@@ -330,22 +330,6 @@ def _some_paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) 
             add(target, DIFFUSE_RAD, DIFFUSE_RAD)
     column = torch.tensor([lobes, smooth], dtype=offset.dtype)[..., None]
     return torch.stack(paths), Widths(column[0], torch.stack(away), column[1])
-
-
-def _attitudes(context: Context) -> Sequence[dict[str, Tensor]]:
-    """Values of the attitude with which the body turns fastest: those that are fixed, and a free rate's bounds."""
-
-    def number(value: float) -> Tensor:
-        return torch.tensor(value, dtype=torch.float64)
-
-    attitude = {name: bound for name, bound in context.bounds.items() if name.startswith("attitude.")}
-    given = [{name: number(low) for name, (low, high) in attitude.items() if low == high}]
-    for name in ("attitude.spin_rate", "attitude.period"):
-        low, high = context.bounds.get(name, (0.0, 0.0))
-        if low != high:
-            fast = (low, high) if name == "attitude.spin_rate" else (low,)
-            given += [given[0] | {name: number(value)} for value in fast if value != 0]
-    return given
 
 
 def _from_glint(half: Tensor, normal: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from torchlc.stages.effect import Effect
 from torchlc.stages.showing import PASS, Shown
 
 LEAST_SPREAD = 1e-3
+"""Of the airmass: its slope could not be told from the zero point, for 1 mag an airmass would be 1e-3 mag."""
 
 
 class ExtinctionResidual(Effect):

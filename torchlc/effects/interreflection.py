@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence
+from torchlc.brdf.angles import Incidence
+from torchlc.brdf.base import Brdf
 from torchlc.pairs.cavity import Cavity, albedo_table, cavities, exchanged, returned, sources_and_sinks
 from torchlc.pairs.double_reflection import BLANK, FIRST, SECOND, Posed, Ways, facing_sides
 from torchlc.pairs.slots import joined, slotted
@@ -19,6 +20,7 @@ from torchlc.stages.showing import PASS, WHITE, Shown
 from torchlc.tensors.autodiff_state import traced
 
 ROWS_AT_ONCE = 200
+"""Whose pairs of facets are held together."""
 
 
 class Interreflection(Effect):

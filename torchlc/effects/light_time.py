@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.geometry.orbit.earth import LIGHT_KM_S
 from torchlc.geometry.rotation.attitude import TURNING
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import SPIN, Shown
-
-LIGHT_KM_S = 299_792.458
 
 
 class LightTime(Effect):
@@ -28,7 +27,7 @@ class LightTime(Effect):
     def missing(self, context):
         if context.light_time_corrected or context.mode in TURNING:
             return "the times are already those at the object"
-        if not context.track.supports("time_offset"):
+        if not context.track.supports("motion"):
             return "the recording gives no motion from which to step back by the light time"
         return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torchlc.geometry.rotation.attitude import MS_A_DAY
+from torchlc.geometry.rotation.spin import slowing
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import STAGE_WEEK, TIME, Shown
@@ -10,6 +11,7 @@ from torchlc.stages.showing import STAGE_WEEK, TIME, Shown
 FAST_MS_A_DAY = 10.0
 """Tumbling rocket bodies slow down by 0.1 to 5 ms a day."""
 LEAST_TURNS = 1e-3
+"""A turn of 0.4 deg: glints move by less than the width of their lobes, for n up to 20,000."""
 
 
 class PeriodDrift(Effect):
@@ -44,5 +46,4 @@ class PeriodDrift(Effect):
         return None
 
     def spin(self, values, p, context):
-        rate = values.get("attitude.period_rate", context.attitude.numbers.get("attitude.period_rate", 0.0))
-        return {**values, "attitude.period_rate": rate + p["ms_per_day"]}
+        return slowing(values, context.attitude.numbers, p["ms_per_day"])

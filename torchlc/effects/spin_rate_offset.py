@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-
+from torchlc.geometry.rotation.spin import faster
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import SPIN, TIME, Shown
-
-SLOWEST = 1e-9
-"""Revolutions in the time of one of the scene's, below which an object is taken to stand still."""
 
 
 class SpinRateOffset(Effect):
@@ -34,9 +30,4 @@ class SpinRateOffset(Effect):
         return None if context.attitude.spins else "the attitude has no spin"
 
     def spin(self, values, p, context):
-        if "attitude.period" in values:
-            period = values["attitude.period"]
-            turns = 1 + period * p["rev_per_hour"]
-            turns = torch.where(turns.abs() < SLOWEST, SLOWEST, turns)
-            return {**values, "attitude.period": period / turns}
-        return {**values, "attitude.spin_rate": values["attitude.spin_rate"] + p["rev_per_hour"]}
+        return faster(values, p["rev_per_hour"])

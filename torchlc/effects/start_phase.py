@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torchlc.geometry.rotation.spin import ahead
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import LABORATORY, TIME, Shown
@@ -36,5 +37,4 @@ class StartPhase(Effect):
         return None if context.attitude.spins else "the attitude has no spin"
 
     def spin(self, values, p, context):
-        key = next(key for key in ("attitude.spin_phase", "attitude.phase") if key in values)
-        return {**values, key: values[key] + p["deg"]}
+        return ahead(values, p["deg"])

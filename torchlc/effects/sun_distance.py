@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import torch
 
+from torchlc.geometry.orbit.earth import AU_KM
 from torchlc.stages.effect import Effect
 from torchlc.stages.showing import YEAR, Shown
-
-AU_KM = 149_597_870.7
 
 
 class SunDistance(Effect):

@@ -32,7 +32,7 @@ class TimeOffset(Effect):
     )  # fmt: skip
 
     def missing(self, context):
-        if not context.track.supports("time_offset"):
+        if not context.track.supports("motion"):
             return "the recording gives no motion between its stamps"
         return None
 

@@ -11,6 +11,7 @@ from torchlc.stages.effect import Effect
 from torchlc.stages.showing import NIGHT, TIME, Shown
 
 WIDTH_IN_CADENCES = 0.1
+"""The step is smooth so that its time has a slope; rows are a cadence apart, so that but one can be within."""
 
 
 class ZeroPointStep(Effect):

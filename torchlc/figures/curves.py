@@ -17,9 +17,11 @@ from torchlc.figures.style import BEFORE, DATA, MARK, MODEL, PALETTE, plain, sty
 from torchlc.readers import Recording, iso_times
 
 MOST_PANELS = 24
+"""What fits on a page; the first are shown."""
 LONGEST_GAP = 5.0
 """A line breaks where the time between rows exceeds this many times their median."""
 SHORTEST_BREAK_S = 60.0
+"""No line breaks at a shorter gap: it would not be seen."""
 UNITS = (("hours", 3600.0, 7200.0), ("minutes", 60.0, 300.0), ("seconds", 1.0, 0.0))
 """Of the time axis: name, length in s, and the shortest stretch it is used for."""
 CROWDED = 600

@@ -14,6 +14,7 @@ from torchlc.figures.saving import drawn, save
 from torchlc.figures.style import DATA, MARK, MODEL, plain, style
 
 COLUMNS = 3
+"""Of panels, across a page."""
 PNG_DPI = 130
 
 

@@ -19,7 +19,9 @@ from torchlc.readers import iso_times
 from torchlc.stages.light import View
 
 MOST_ROWS = 240
+"""More are not told apart with a slider."""
 MOST_TRIANGLES = 6000
+"""Larger meshes are simplified to so many: all are in the page, and drawn at every turn."""
 
 
 def viewer_data(model: LightCurve, view: View, prediction: np.ndarray) -> dict[str, Any]:

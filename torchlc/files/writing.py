@@ -25,14 +25,15 @@ from typing import Any
 
 import numpy as np
 
-from torchlc.errors import BusyError, InputError, ResourceError
+from torchlc.errors import BusyError, InputError
+from torchlc.files.disk import PARTIAL, resources, unusable
 from torchlc.files.reading import kind_of, sha256_of
 
 LOCK_NAME = ".torchlc.lock"
 MANIFEST_NAME = "torchlc-manifest.json"
 MANIFEST_SCHEMA = "torchlc-manifest/1"
 MOST_MANIFEST_BYTES = 1 << 20
-LONGEST_NAME_TOLD = 200
+"""A manifest holds some 150 bytes a file."""
 LONGEST_LOCK = 200
 """Bytes; a process and its start are 60."""
 CHAIN_FILE = "chain.h5"
@@ -49,10 +50,7 @@ ROTATION_FILES = frozenset(
 )
 RESULT_FILES = FIT_FILES | DIAGNOSIS_FILES
 """What a fit or a diagnosis may write; of these a directory holds what one run wrote."""
-PARTIAL = ".partial"
 CHANGED = ".changed"
-FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
-FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 KEPT_HASHES = 2
 """Of each file, newest first: the content that is about to be put in place, and the one before."""
 
@@ -184,7 +182,7 @@ class OutputDirectory:
         except ValueError:
             raise InputError(None, "-o", "a name with a null byte", "the name of a directory") from None
         except OSError as error:
-            raise _unusable(self.path, error) from None
+            raise unusable(self.path, error) from None
         self._made = missing
 
     def _unmake(self) -> None:
@@ -202,7 +200,7 @@ class OutputDirectory:
             except OSError as error:
                 if os.path.lexists(lock) and not _is_regular(lock):
                     raise _strange(lock) from None
-                raise _unusable(self.path, error) from None
+                raise unusable(self.path, error) from None
             try:
                 holder = _holder(lock, descriptor)
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -216,7 +214,7 @@ class OutputDirectory:
             except BaseException as error:
                 if self._descriptor < 0:
                     os.close(descriptor)
-                raise _unusable(self.path, error) if isinstance(error, OSError) else error from None
+                raise unusable(self.path, error) if isinstance(error, OSError) else error from None
 
     def _take(self, descriptor: int, before: Mapping[str, Any]) -> None:
         """Make the lock this process's, and remove what the process that held it before left half-written."""
@@ -254,7 +252,7 @@ def read_manifest(folder: Path) -> dict[str, list[str]]:
     except FileNotFoundError:
         return {}
     except OSError as error:
-        raise _unusable(path, error) from None
+        raise unusable(path, error) from None
     try:
         content = json.loads(text)
         files = content["files"]
@@ -289,7 +287,7 @@ def check_replaceable(path: Path, inputs: Iterable[Path] = ()) -> None:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise _unusable(path, error) from None
+        raise unusable(path, error) from None
     away = "Move it away, or write elsewhere"
     if not stat.S_ISREG(mode):
         raise InputError(path, None, kind_of(mode), "a regular file, or none", away)
@@ -345,46 +343,6 @@ def _replace(partial: Path, path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def resources(path: Path | None = None) -> Iterator[None]:
-    """Turn a full disk, a file limit or memory that runs out into ResourceError, whoever reports it."""
-    try:
-        yield
-    except MemoryError:
-        raise ResourceError(
-            "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
-        ) from None
-    except (OSError, RuntimeError) as error:
-        text = str(error).lower()
-        if getattr(error, "errno", None) in FULL or any(os.strerror(code).lower() in text for code in FULL):
-            where = path or getattr(error, "filename", None)
-            raise ResourceError(
-                f"no room on disk{f' for {_final(Path(where))}' if where else ''}; nothing of it was written"
-            ) from None
-        if "can't allocate memory" in text or "not enough memory" in text:
-            raise ResourceError(
-                "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
-            ) from None
-        if isinstance(error, OSError) and error.errno in FORBIDDEN and path is not None:
-            raise _unusable(_final(path), error, None) from None
-        raise
-
-
-def _final(path: Path) -> Path:
-    """Where a file that is being written will be in the end; a path of any other file as it is."""
-    match = re.fullmatch(rf"\.(.+)\.\d+(-\d+)?{re.escape(PARTIAL)}", path.name)
-    return path.with_name(match[1]) if match else path
-
-
-def _unusable(path: Path, error: OSError, option: str | None = "-o") -> InputError | ResourceError:
-    if error.errno in FULL:
-        return ResourceError(f"no room on disk for {path}")
-    name = str(path) if len(str(path)) <= LONGEST_NAME_TOLD else f"{str(path)[:LONGEST_NAME_TOLD]}..."
-    return InputError(
-        None, option, f"{name} cannot be written: {error.strerror}", "a directory that can be written"
-    )
 
 
 def _is_regular(path: Path) -> bool:

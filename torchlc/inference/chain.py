@@ -34,6 +34,7 @@ BACKEND_NAME = "mcmc"
 ORIGIN, SEAL, BLOCKS = "torchlc_origin", "torchlc_seal", "torchlc_blocks"
 """Attributes with what decides the chain (JSON) and the hash of all but the steps; dataset with the steps' hashes."""
 WRITE_EVERY_S = 30.0
+"""What a run that is killed loses at most."""
 BLOCK_STEPS = 100
 """Steps hashed together: 150 kB of a chain of 32 walkers over 6 parameters."""
 STATE_PARTS = 5

@@ -23,6 +23,7 @@ TAILS = 5
 """Degrees of freedom of the proposal: its tails fall off as a power, so that no ratio grows without bound where the
 density has tails of a normal one, or of one known by a few rows."""
 TRUSTED_K = 0.7
+"""Of the Pareto tail of importance weights (Vehtari et al. 2024, JMLR 25, 72): beyond, their mean does not settle."""
 THIN = 0.1
 """Share of effective draws below which a proposal is adapted once more although its weights are to be trusted: where a density is bent, the draws
 that miss it altogether are in no weight."""
@@ -35,6 +36,7 @@ LEFT = 0.5
 MOVES = 6
 """Of every draw at every step. With one, what draws share by descent makes the evidence of a plateau 0.3 off."""
 MOST_STEPS = 40
+"""Of the temperature, from the proposal to the posterior."""
 
 
 @dataclass(frozen=True)

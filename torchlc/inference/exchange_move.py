@@ -44,6 +44,7 @@ KINDS = {
     "all from their priors": 0.1,
     "two of a kind exchanged": 0.2,
 }
+"""Kinds of proposals, and how often each is made: small steps most, which are accepted most; whole draws from the priors seldom."""
 
 
 class Redraw:

@@ -43,12 +43,15 @@ of the rows.
 FAR_GLINT_DEG = 10.0
 """A closest glint beyond this, or beyond two lobe widths, is a reason not to know a lobe."""
 PRIOR_DRAWS = 4000
+"""Its quantiles at 16 and 84 % are then within 0.024 standard deviations."""
 TOLD_MAG = 0.002
 """Change of an exposure's light by twice the instants that is told."""
 LOOKED_AT = 400
+"""Rows, half of them those with most instants, half spread evenly."""
 FAINT, FAINTEST_LOOKED_AT = 1e-2, 1e-4
 """Shares of the median row's light below which an exposure is told of apart, and below which it is not looked at."""
 FACETS_AT_ONCE = 2_000_000
+"""Facets and rows, or directions: 16 MB a tensor."""
 SCALES = frozenset({REFLECTANCE, LOBE_REFLECTANCE})
 """Roles of numbers that are factors of light."""
 OF_LOBE = frozenset({EXPONENT, WIDTH, INDEX, LOBE_REFLECTANCE, FRESNEL})

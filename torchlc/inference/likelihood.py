@@ -149,11 +149,6 @@ class Likelihood(Rows):
         """Measured rows less free parameters less gains."""
         return int(self.measured.sum()) - len(self.model.names) - self.gains
 
-    @property
-    def chi2_sd(self) -> float:
-        """Standard deviation of chi-square; that of a single row where parameters outnumber the rows."""
-        return math.sqrt(2 * max(self.degrees_of_freedom, 1))
-
     def colours(self, prior_rows: bool) -> Colours | None:
         """Columns of the Jacobian that belong to single curves, stations or nights, grouped by parameter;
         None if there are none.

@@ -26,7 +26,9 @@ from torchlc.parameters import FRESNEL, LOBE_REFLECTANCE
 from torchlc.tensors.least_squares import Minimum
 
 LEADERS = 6
+"""Points that are polished to the end: the best so far may be on the way to a worse minimum than the next."""
 LONG_POLISH = 300
+"""Iterations; what has not converged by then lies in a flat valley, and is told of."""
 ADAM_SHARE = 0.4
 """Of a budget, for the first of the two stages of the search."""
 Progress = Callable[[str, float], None]

@@ -19,6 +19,7 @@ import numpy as np
 
 from torchlc.digits import number_of
 from torchlc.errors import InputError
+from torchlc.geometry.orbit.earth import DAY_S
 from torchlc.inference.periodogram import Alias, Candidate, Periodogram, spoken
 from torchlc.inference.slow_changes import MIN_ROWS, Detrended
 from torchlc.readers import Recording
@@ -27,15 +28,21 @@ if TYPE_CHECKING:
     from astropy.timeseries import LombScargle
 
 OVERSAMPLING = 4
+"""Frequencies in 1/span: a peak is 1/span wide, and missed by 1/8 of it at most, where 5 % of its power are gone."""
 MOST_FREQUENCIES = 2_000_000
+"""Twice 9 s of the fast method."""
 FEW_FREQUENCIES, BLOCK = 2000, 100_000
+"""Up to which astropy chooses the method; and of a block, 90 MB of its fast one."""
 FEW_ROWS = 120
 """Sums took 37 ns a row and frequency, astropy's fast method 4.5 us a frequency."""
 LEAST_TURNS = 2.0
 """Turns that the longest uninterrupted run must hold, unless the search is asked for more."""
 RUN_GAP_H = 6.0
+"""Between two nights there are more hours, within one there are fewer."""
 MOST_CANDIDATES = 5
+"""That a person looks through; what is no candidate is an alias of one, or weaker."""
 MOST_GROUPS, MOST_PEAKS = 15, 8
+"""Peaks that are refined, and those beside each that may be other counts of turns."""
 HARMONICS = (("double", 0.5), ("half", 2.0), ("three times", 1 / 3), ("four times", 0.25))
 """What a period could be instead, and the factor on its frequency: bodies with two, three or four like
 sides.
@@ -46,7 +53,6 @@ DAILY = (
     (2, "two turns a day more"),
     (-2, "two turns a day fewer"),
 )
-DAY_S = 86400.0
 EQUAL = 0.8
 """Share of a peak's power from which a frequency beyond Nyquist is listed: uneven steps tell it apart below."""
 SAME = 0.01
@@ -91,9 +97,35 @@ def find_period(
     power = _powers(search, frequency)
     search = about.search(float(frequency[np.argmax(power)]))
     power = _powers(search, frequency)
-    several_nights = len(recording.night_ids) > 1
     sampling = float(np.median(np.diff(np.unique(seconds))))
     turned = _bisector_turns(recording, rows)
+    found = [
+        candidate
+        if turned is None
+        else replace(candidate, sidereal_within_s=turned / span * candidate.period_s**2)
+        for candidate in _candidates(search, frequency, power, sampling, span, len(recording.night_ids) > 1)
+    ]
+    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
+    if fast:
+        periods = ", ".join(spoken(alias.period_s) for alias in fast)
+        warnings.append(
+            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
+            f"and {periods} would explain the best candidate as well"
+        )
+    searched = (1 / high, 1 / low)
+    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+
+
+def _candidates(
+    search: LombScargle,
+    frequency: np.ndarray,
+    power: np.ndarray,
+    sampling: float,
+    span: float,
+    several_nights: bool,
+) -> list[Candidate]:
+    """Peaks of the ``power`` at an even grid of frequencies (N,), highest first, but for those that are aliases of a higher one."""
+    low, high = float(frequency[0]), float(frequency[-1])
     found: list[Candidate] = []
     taken: list[float] = []
     for group in _groups(search, frequency, power, span):
@@ -105,20 +137,10 @@ def find_period(
             continue  # rows at two phases of it only: at twice the step no sinusoid is told from its shift
         taken += [peak, *related]
         beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
-        within = None if turned is None else turned / span * candidate.period_s**2
-        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond), sidereal_within_s=within))
+        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond)))
         if len(found) == MOST_CANDIDATES:
             break
-    found.sort(key=lambda one: -one.power)
-    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
-    if fast:
-        periods = ", ".join(spoken(alias.period_s) for alias in fast)
-        warnings.append(
-            f"rows are {spoken(sampling)} apart: turns faster than one in {spoken(2 * sampling)} look like slower ones, "
-            f"and {periods} would explain the best candidate as well"
-        )
-    searched = (1 / high, 1 / low)
-    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+    return sorted(found, key=lambda one: -one.power)
 
 
 def _powers(search: LombScargle, frequency: np.ndarray) -> np.ndarray:

@@ -52,10 +52,15 @@ FARTHER = 5.0
 LONGEST = 4.0
 """How many times what slopes promise a fit is believed to gain at most, on its way from where it was begun."""
 MOST_POLISHED = 2
+"""Turns of noise and descent beyond those that are asked for, while there is more than LEFT to gain."""
 NOISE_STEPS = 8
+"""At residuals that are held; the noise is found again at every turn."""
 FIRST_STEPS, STEPS, LAST_STEPS = 6, 25, 8
+"""Iterations of a descent: of many starts, of the few that are left of these, and where slopes are dear or a fit is near its end."""
 MOST_MINIMA = 4
+"""That are integrated together: each has slopes of its own, which take as long as its fit."""
 PRIOR_SHARE = 0.1
+"""Of the draws of a proposal: a plateau of a posterior is found, at the cost of a tenth of the others."""
 MOST_TOGETHER = 400
 """Rows that err together, up to which 1,000 covariances are factorised in some 5 s."""
 DEAR_SHARE = 2

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from astropy.timeseries import LombScargle
 
 MIN_ROWS = 8
+"""Of a curve that has an offset and a slope of its own: as many rows as are left for a period."""
 LOWEST_DEG = 3.0
 """Elevation below which the airmass counts as that there: 1/sin grows without end."""
 

@@ -19,11 +19,7 @@ from torchlc.inference.reflectances import REWEIGHTED, about, linear_columns, li
 from torchlc.noise.error_law import MAG_PER_LN
 
 SWEEPS = 25
-PARENTS = 3
-"""Times the number of starts that are asked for: the best trials, of which further ones are made."""
-STRIDE = 0.5
-MOST_CROSSED = 4e6
-"""Facet-row pairs whose angles are worked out for descendants with geometries of their own."""
+"""Over all coordinates: starts need no more digits, for Adam goes on from them."""
 
 
 def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:

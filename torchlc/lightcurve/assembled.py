@@ -70,9 +70,7 @@ class Assembly:
     @cached_property
     def apart(self) -> Columns | None:
         """Every instant as a column of the tables; None if rows have one."""
-        if self.instants is None:
-            return None
-        return Columns.joined(self.instants, torch.ones(self.T, dtype=torch.bool))
+        return None if self.instants is None else Columns.of_each(self.instants)
 
     @cached_property
     def columns(self) -> Columns | None:

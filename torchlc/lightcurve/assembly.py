@@ -28,6 +28,7 @@ from torchlc.stages.effect import Context, Effect
 from torchlc.tensors.moving import on_cpu
 
 DEFAULT_SUN_MAGNITUDE = -26.7
+"""mag in V at 1 au, as the paper has it (Willmer 2018: -26.76); told where it is taken."""
 
 
 @on_cpu

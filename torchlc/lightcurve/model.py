@@ -29,8 +29,9 @@ from torchlc.lightcurve.tables import Tables
 from torchlc.parameters import ParameterSet
 from torchlc.readers import Recording
 from torchlc.scene import Scene
-from torchlc.stages.effect import GEOMETRY_STAGES, Effect, Noise
+from torchlc.stages.effect import Effect, Noise
 from torchlc.stages.light import Brightness, View
+from torchlc.stages.order import GEOMETRY_STAGES
 from torchlc.tensors.moving import CPU, moved, on
 
 MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))

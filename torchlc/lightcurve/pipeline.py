@@ -215,11 +215,7 @@ class Pipeline:
         a = self.assembly
         columns = tables.columns
         row = None if columns is None else columns.row
-        sunlight: Tensor | None = None
-        for effect in a.stage("shade"):
-            factor = effect.shade(tables.sky, a.own(effect, values, row), a.context)
-            if factor.ndim:
-                sunlight = factor if sunlight is None else sunlight * factor
+        sunlight = self._sunlight(tables, values, row)
         by_column: dict[str, Tensor] = {}
         by_component: dict[str, Tensor] = {}
 
@@ -271,6 +267,16 @@ class Pipeline:
         for effect in a.stage("detector"):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
+
+    def _sunlight(self, tables: Tables, values: Mapping[str, Tensor], row: Tensor | None) -> Tensor | None:
+        """Share of the Sun that the object sees, (..., T) or at the tables' columns; None where nothing takes any."""
+        a = self.assembly
+        sunlight: Tensor | None = None
+        for effect in a.stage("shade"):
+            factor = effect.shade(tables.sky, a.own(effect, values, row), a.context)
+            if factor.ndim:
+                sunlight = factor if sunlight is None else sunlight * factor
+        return sunlight
 
     def _lights(
         self, surfaces: Sequence[Surface], values: Mapping[str, Tensor], row: Tensor | None

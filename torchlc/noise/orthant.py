@@ -19,11 +19,13 @@ from torchlc.tensors.autodiff_state import readable
 from torchlc.tensors.normal_tail import hazard, hazard_fall, log_ndtr
 
 POINTS = 1024
+"""Eight limits in correlated noise: ln P is within 1e-3 of what 8 times as many give."""
 FAR_LOG_P = -15.0
 """ln of a probability, 5 standard deviations out, below which its quantile is found from the logarithm."""
 LEAST_LOG_P = -600.0
 """ln of a probability whose exponential is no longer told from 0."""
 NEWTON, STEP_LENGTHS = 12, 6
+"""Steps towards the saddle point, each the best of so many lengths; where it is missed the sum is right but less precise."""
 POLISH = 4
 """Newton steps of a quantile: from the tail's leading term to rounding."""
 

@@ -25,6 +25,7 @@ VALUES_AT_ONCE = (
     500_000  # (row, facet, corner of a hull) triples: a few MB a tensor, which the allocator keeps at hand
 )
 TENSORS_PER_PART = 5
+"""That a part is handed over as, for ``vmap`` takes no objects."""
 
 
 @dataclass(frozen=True)

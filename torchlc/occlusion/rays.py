@@ -23,9 +23,12 @@ from torchlc.shapes import Part
 
 LARGE = 0.1  # a facet whose size is more than this of the object's radius gets a grid of points
 GRID = 16
+"""Along each side of a large facet: 256 rays, of which the edge of a shadow crosses some 16."""
 LIFT = 1e-3  # of a facet's size, and of LARGE at most: how far off the surface rays start
 RAYS_AT_ONCE = 1_000_000
+"""24 MB of directions."""
 TENSORS_PER_PART = 3
+"""That a part is handed over as, for ``vmap`` takes no objects."""
 
 
 def ray_fractions(parts: Sequence[Part], still: Sequence[bool], *tensors: Tensor) -> tuple[Tensor, ...]:

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, incidence
+from torchlc.brdf.angles import Incidence, incidence
+from torchlc.brdf.base import Brdf
 from torchlc.occlusion import visible_fractions
 from torchlc.occlusion.rays import Traced
 from torchlc.pairs.double_reflection import NEAR, form_factor
@@ -27,6 +28,7 @@ from torchlc.stages.light import View
 PATCHES = 96
 """Into how many patches a part is divided: halving them moves the light of a white bowl by 2e-3."""
 MOST_COMPARED = 1024
+"""Facets of a part against which its concavity is looked for."""
 RAYS = 2048
 """Rays from a patch: the shares that reach others are good to 1/sqrt(RAYS) of the largest."""
 COSINES = 6

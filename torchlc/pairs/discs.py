@@ -17,7 +17,8 @@ from dataclasses import dataclass, field, fields, replace
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, projected
+from torchlc.brdf.angles import Incidence, projected
+from torchlc.brdf.base import Brdf
 from torchlc.stages.light import Disc, Surface
 
 LEFT_OUT, LEFT_OUT_MAG = 5e-6, 1e-4

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Incidence, incidence
+from torchlc.brdf.angles import Incidence, incidence
 from torchlc.occlusion.batched_rows import picked, rowwise
 from torchlc.occlusion.lines import blocked, planes
 from torchlc.occlusion.outline import Joints, cuts, outline
@@ -42,7 +42,9 @@ SMOOTH = 0.6
 SUNS = 64
 """Directions to the Sun for which sides are tried."""
 NEAR = 1e-6
+"""Of a length or a cosine: below it is 0, but for rounding."""
 FAR = 1e3
+"""Of the size of the object: where half-planes are cut off."""
 BLANK = EMPTY + EMPTY + (0.0,) * 4
 """What a way holds: angles, least variance of the lobe and weight of the first reflection and of the
 second, and which products count: lobe then diffuse, diffuse then lobe, lobe twice, diffuse twice."""

@@ -12,7 +12,8 @@ from functools import reduce
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Brdf, Incidence, projected
+from torchlc.brdf.angles import Incidence, projected
+from torchlc.brdf.base import Brdf
 from torchlc.pairs.discs import DiscPairs
 from torchlc.pairs.patch_pairs import (
     as_one_facet,

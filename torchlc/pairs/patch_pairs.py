@@ -43,7 +43,7 @@ def falling_light(patch: Patch, light: Light) -> Light:
 
 
 def pair_projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Tensor, ...]:
-    """What :func:`~torchlc.brdf.base.projected` asks for, of directions to light (L, Q, T, 3) and observer
+    """What :func:`~torchlc.brdf.angles.projected` asks for, of directions to light (L, Q, T, 3) and observer
     (Q, T, 3) in the patch's frame: (L, Q, F, T) each, with an axis of 1 where it is the same along it."""
     bisector = source + observer
     v = torch.linalg.cross(patch.normal, patch.u)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import projected
+from torchlc.brdf.angles import projected
 from torchlc.pairs.patch_pairs import into_part
 from torchlc.stages.light import Light, Patch, View
 from torchlc.tensors.autodiff_state import followed, readable, transformed

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchlc.brdf.base import Incidence
+from torchlc.brdf.angles import Incidence
 
 MOST_COMPARED = 64
 """Slots up to which equal pairs are looked for."""

@@ -28,9 +28,11 @@ from torchlc.stages.entry import Entry
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 """Ends of the 95 % interval and of the 68 % interval, and the median."""
 ROWS_AT_ONCE = 20_000
+"""Rows of passes that one model has."""
 MOST_MOVED = 400_000
 """Draws times rows where every draw has its own geometry: 30 s to 2 min on one core."""
 LEAST_DRAWS = 16
+"""From which quantiles are told, however many rows there are."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,10 @@ NEAR_WIDTHS = 2.0
 SHARP_DEG = 5.0
 """Lobes wider than this make no glint, but a broad maximum."""
 LEAST_PROBABILITY = 0.05
+"""Below it a glint is not told: it would be waited for twenty times in vain."""
 EDGE_ON = "the face turns edge-on"
 MOST_GEOMETRIES = 24
+"""Draws of which each has its own sizes and attitude, which are searched for glints one by one."""
 MESH_FACETS = 200
 """Flat facets of one mesh beyond which its glints are not looked for."""
 

@@ -20,6 +20,7 @@ from torchlc.scene import Scene
 POSTERIOR_FILE = "posterior.nc"
 EXPECTED = "the directory of a finished fit"
 MOST_BYTES = 2_000_000_000
+"""Of a posterior.nc: what is larger was not written here."""
 
 
 def read_fit(

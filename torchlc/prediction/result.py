@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import html
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +19,12 @@ from astropy.table import Table
 from torchlc.digits import number_of
 from torchlc.files.writing import OutputDirectory, without_nan, write_whole
 from torchlc.geometry.orbit import airmass
-from torchlc.geometry.orbit.earth import after, in_scale
 from torchlc.geometry.orbit.sunlight import sunlit_fraction
 from torchlc.prediction.calendar import Event, calendar
 from torchlc.prediction.ecsv import masked_column, write_table
 from torchlc.prediction.glints import Glint
-from torchlc.prediction.passes import AIR_KM, Orbiter, Pass, Span, along_track_sd_s
+from torchlc.prediction.passes import AIR_KM, Pass, along_track_sd_s
+from torchlc.prediction.predicted import PredictedPass, PredictedPasses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,97 +35,13 @@ SCHEMA = "torchlc-prediction/1"
 QUANTILES = ("mag_q025", "mag_q16", "mag", "mag_q84", "mag_q975")
 """Columns of the 95 % interval, the 68 % interval and the median; small magnitudes are bright."""
 MOST_PANELS = 12
+"""Of the figure: six rows of two fill a page."""
 PREDICTION_FILES = ("prediction.json", "prediction.ecsv", "passes.ecsv", "passes.ics", "passes.png")
 
 
 @dataclass(frozen=True)
-class PredictedPass:
-    """A pass with its light: ``mag`` (Q, R), infinite where no light comes, ``brightest`` (Q,) of the pass's brightest row,
-    and the ``row`` that is brightest at the median, None if all is dark."""
-
-    path: Pass
-    mag: np.ndarray
-    brightest: np.ndarray
-    row: int | None
-    glints: Sequence[Glint] = ()
-
-    @property
-    def visible(self) -> bool:
-        return self.row is not None
-
-
-@dataclass(frozen=True)
-class Prediction:
+class Prediction(PredictedPasses):
     """Passes of objects over stations, brightest first; see docs/formats/results.md for the files."""
-
-    name: str
-    span: Span
-    orbiters: Sequence[Orbiter]
-    passes: Sequence[PredictedPass]
-    uncertainty: str
-    """Where the intervals come from: "posterior", "priors" or "none", to which the scatter is added."""
-    draws: int
-    scatter_mag: float
-    extinction: float
-    elevation_deg: float
-    sun_deg: float
-    faintest_mag: float | None = None
-    warnings: Sequence[str] = ()
-    seed: int = 0
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    # ------------------------------------------------------------------ times and places
-
-    def iso(self, seconds: float | np.ndarray) -> Any:
-        """ISO UTC of seconds after the start of the span, to the millisecond."""
-        seconds = np.asarray(seconds, dtype=float)
-        if self._leaps:
-            time: Any = in_scale(after(self.span.time[0], seconds), "utc")  # pyright: ignore[reportArgumentType]
-            return time.isot
-        milliseconds = np.rint(1e3 * (seconds + self._start[1])).astype(np.int64)
-        found = (self._start[0] + milliseconds.astype("timedelta64[ms]")).astype(str)
-        return found if found.ndim else str(found)
-
-    @cached_property
-    def _start(self) -> tuple[np.datetime64, float]:
-        """The start of the span: its millisecond, and what is left, s."""
-        first: Any = self.span.time[0]
-        whole = first.copy(format="isot")
-        whole.precision = 3
-        return np.datetime64(whole.value, "ms"), float((first - type(first)(whole.value, scale="utc")).sec)
-
-    @cached_property
-    def _leaps(self) -> bool:
-        """Is there a leap second in the span, which dates alone do not count?"""
-        last: Any = self.span.time[-1]
-        if ":60" in last.isot:
-            return True
-        elapsed = (np.datetime64(last.isot[:23], "ms") - self._start[0]) / np.timedelta64(1, "s")
-        return abs(elapsed - self.span.seconds[-1]) > 0.5
-
-    def time_sd_s(self, orbiter: Orbiter) -> float:
-        """How far ahead or behind on its way an object may be, s: see :func:`along_track_sd_s`."""
-        return along_track_sd_s(orbiter)
-
-    def _name(self, one: PredictedPass) -> str:
-        return self.orbiters[one.path.orbiter].name
-
-    @cached_property
-    def _shared_names(self) -> set[str]:
-        """Names that several objects have, such as all rocket bodies of one kind."""
-        counts = Counter(orbiter.name for orbiter in self.orbiters)
-        return {name for name, count in counts.items() if count > 1}
-
-    def _called(self, one: PredictedPass, most: int | None = None) -> str:
-        """What a person tells the object by: its name, cut to ``most`` letters, with its number where others share that."""
-        orbiter = self.orbiters[one.path.orbiter]
-        if orbiter.name not in self._shared_names or not orbiter.number:
-            return orbiter.name[:most]
-        room = None if most is None else most - len(orbiter.number) - 1
-        return f"{orbiter.name[:room].rstrip()} {orbiter.number}"
-
-    def _station(self, one: PredictedPass) -> str:
-        return self.span.stations[one.path.station].id
 
     # ------------------------------------------------------------------ tables
 

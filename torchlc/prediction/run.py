@@ -30,6 +30,7 @@ from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, so
 
 Progress = Callable[[str, float], None]
 LONGEST_HOURS = 24.0 * 31
+"""A month: elements are not good for longer."""
 MOST_ELEMENTS_TOLD = 5
 FAST_DEG = 5.0
 """Turn between rows beyond which lobes of the usual widths fall between them."""
@@ -183,12 +184,7 @@ def run(
     """Passes of the orbiters, each of which is taken for an object of the scene's shape and materials."""
     passes, said = _all_passes(orbiters, span, wanted, progress)
     if not passes:
-        limit = f"above {wanted.elevation_deg:g} deg while the Sun is below {wanted.sun_deg:g} deg"
-        said.append(
-            f"no object is {limit}"
-            if _is_dark(span, wanted)
-            else f"the Sun is never below {wanted.sun_deg:g} deg"
-        )
+        said.append(_why_none(span, wanted))
     plain, notes = brightness.predicting_scene(scene)
     said += notes
     if plain.attitude.spins_from_first_row:
@@ -200,15 +196,8 @@ def run(
     finished: dict[int, PredictedPass] = {}
     draws, free = 1, False
     for number, group in enumerate(groups):
-        model, theta, notes = _model(
-            plain,
-            span,
-            [passes[k] for k in group],
-            [lit[k] for k in group],
-            wanted,
-            posterior,
-            sum(map(len, lit)),
-        )
+        those, rows = [passes[k] for k in group], [lit[k] for k in group]
+        model, theta, notes = _model(plain, span, those, rows, wanted, posterior, sum(map(len, lit)))
         said += [text for text in notes if text not in said]
         draws, free = max(draws, len(theta)), bool(model.names)
         learnt = brightness.between_objects(posterior, len(theta), wanted.seed)
@@ -242,6 +231,13 @@ def run(
         warnings=list(dict.fromkeys([*said, *scene.warnings, *span.frame.warnings])),
         seed=wanted.seed,
     )
+
+
+def _why_none(span: Span, wanted: Wanted) -> str:
+    """Why there is no pass at all."""
+    if not _is_dark(span, wanted):
+        return f"the Sun is never below {wanted.sun_deg:g} deg"
+    return f"no object is above {wanted.elevation_deg:g} deg while the Sun is below {wanted.sun_deg:g} deg"
 
 
 def _fast_turns(scene: Scene, span: Span) -> list[str]:

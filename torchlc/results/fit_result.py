@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 MOST_CORNER = 10
 """Parameters of a corner plot: more panels than 10 x 10 cannot be read on a page."""
 BAND_DRAWS = 200
+"""Of the curve: the ends of its 68 % band are right to a tenth of a standard deviation."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from torchlc.geometry.rotation.attitude import epochs_seconds, since_nearest
 from torchlc.inference.rotation.modes import RotationMode, RotationSearch
 from torchlc.inference.rotation.passes import Rows, rows_of
 from torchlc.inference.rotation.pole_grid import frame_of
+from torchlc.inference.rotation.trials import Count
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene import Free, Scene
 from torchlc.scene.parts import Attitude
@@ -98,28 +99,11 @@ class RotationResult:
                 for (period, sd_), light in zip(mode.periods, self._synodic(mode), strict=True)
             ],
             "per_night": list(mode.apart),
-            "nights": [
-                {
-                    "night": night,
-                    "period_s": 3600 * _of_night(numbers, "period", night),
-                    "period_sd_s": 3600 * _of_night(sd, "period", night),
-                    "phase_deg": numbers[f"phase[{night}]"] % 360,
-                    "phase_sd_deg": sd[f"phase[{night}]"],
-                }
-                for night in mode.nights
-            ],
+            "nights": [_told_night(mode, night) for night in mode.nights],
             "probability": mode.probability,
             "turns_between_passes": list(mode.counts),
             "counts_possible": mode.possible,
-            "counts_likely": [
-                {
-                    "turns_more": list(one.more),
-                    "probability": one.probability,
-                    "period_s": one.period_s,
-                    "period_rate_ms_per_day": one.period_rate,
-                }
-                for one in mode.likely
-            ],
+            "counts_likely": [_told_count(one) for one in mode.likely],
             "mirror": mode.mirror,
         }
 
@@ -360,6 +344,27 @@ def _wider(number: Any, reach: float) -> Any:
 def _of_night(numbers: Mapping[str, float], key: str, night: str) -> float:
     """A number of a night, or that of all."""
     return numbers.get(f"{key}[{night}]", numbers.get(key, 0.0))
+
+
+def _told_night(mode: RotationMode, night: str) -> dict[str, Any]:
+    """What a night has for itself, as JSON holds it."""
+    return {
+        "night": night,
+        "period_s": 3600 * _of_night(mode.numbers, "period", night),
+        "period_sd_s": 3600 * _of_night(mode.sd, "period", night),
+        "phase_deg": mode.numbers[f"phase[{night}]"] % 360,
+        "phase_sd_deg": mode.sd[f"phase[{night}]"],
+    }
+
+
+def _told_count(count: Count) -> dict[str, Any]:
+    """A possible count of turns between passes, as JSON holds it."""
+    return {
+        "turns_more": list(count.more),
+        "probability": count.probability,
+        "period_s": count.period_s,
+        "period_rate_ms_per_day": count.period_rate,
+    }
 
 
 def _told_epoch(scene: Scene) -> str:

@@ -24,6 +24,7 @@ from torchlc.suggest import did_you_mean
 
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
+"""Of a file that a scene names: a mesh or an ephemeris is smaller."""
 TRUST = "Put the file there; or, of a scene that you trust, --trust lets it name files anywhere"
 MOST_NAMED = 10
 """New names that a warning lists."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 MOST_MISSING = 20
+"""Keys that one message lists."""
 EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -57,6 +58,7 @@ def of_validation(source: str | Path | None, error: ValidationError) -> InputErr
 
 
 MOST_BITS = 4096
+"""Of a whole number that is written out; Python refuses to write 4,300 digits."""
 
 
 def shown(value: Any) -> str:

@@ -22,6 +22,7 @@ from torchlc.scene.tables import SceneTables
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
 MAX_TOML_BYTES = 1 << 20
+"""Scenes are a few kB."""
 
 
 class Scene(SceneTables):

@@ -34,6 +34,7 @@ MERIDIANS, PARALLELS = 18, 16
 terminators at an angle: with 16 a lobe of n = 1 on a dish is 2.8e-3 mag off, with 18 1.9e-3. What a law has in it of edges
 that no rule is cut at, as the masking of V-shaped cavities, costs more (`Brdf.edged`)."""
 NEAR_KINK = 0.15
+"""rad: a kink nearer to a cut that is there needs none of its own."""
 AFTER = 8
 """Points beyond the azimuth at which n.s = n.o, where laws that take the smaller of the two have a kink."""
 BEHIND = 10

@@ -23,6 +23,7 @@ AXES_OF_A_MESH = "u = [x, y, z], projected on each facet, or u_around = [x, y, z
 """What a mesh needs for an anisotropic material."""
 FORMATS = {".obj", ".stl", ".ply"}
 MOST_BYTES = 100_000_000
+"""200,000 faces in text are 20 MB."""
 PERPENDICULAR = 1e-3
 """Sine of the angle between a facet's normal and a direction below which the direction gives the facet no axis. Files
 in single precision leave up to 1e-4 of it on facets that are meant to be perpendicular."""

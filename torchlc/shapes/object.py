@@ -13,6 +13,7 @@ from torchlc.shapes.part import SHAPES, Part, Surroundings, unit
 from torchlc.shapes.tracking import ALONG_AXIS
 
 MOST_FACETS = 1_000_000
+"""Of all components; a row then has 8 MB an angle."""
 
 
 class Shape:

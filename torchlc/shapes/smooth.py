@@ -22,6 +22,7 @@ from torch import Tensor
 from torchlc.shapes.part import Facets, Part, Surroundings, like
 
 LEAST_AROUND = 64
+"""Facets stand in for a round surface where it shades others: their outline is within 1.2e-3 of the circle's."""
 Around = Annotated[int, Field(strict=True, ge=3, le=100_000)]
 """Least number of facets around, as a scene may ask for."""
 

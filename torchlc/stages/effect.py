@@ -1,24 +1,7 @@
 """The contract of an effect: one class, its parameters, and one method of one stage.
 
-A light curve is computed in stages, in this order; an effect changes what passes through its own stage and
-nothing else:
-
-=============  ===========================================================================================
-stage          what passes through
-=============  ===========================================================================================
-``clock``      :class:`Nodes`: the instants at which a row is evaluated, and their weights
-``orbit``      :class:`Request`: where object and observer are taken
-``spin``       the values of the attitude
-``attitude``   rotation (Q, T, 3, 3), body to inertial
-``pointing``   poses of the parts that track the Sun
-``light``      :class:`Light` sources
-``surface``    :class:`Patch` surfaces: area, visible fraction
-``shade``      share of the Sun that the object sees, by row
-``scatter``    further sunlight that needs the whole geometry, added per component
-``material``   lobe and diffuse light of a patch as functions of its material
-``detector``   :class:`Brightness`: total flux and component shares
-``noise``      :class:`Noise`: variance, law and correlation of the residuals
-=============  ===========================================================================================
+Stages, their order and what passes through each: :mod:`torchlc.stages.order`. An effect changes what passes through its own
+stage and nothing else.
 
 Letters: B batch, L lights, Q instants within an exposure, T rows, F facets, C components. The tensors of
 ``p``, an effect's own parameters, end in a row axis of size 1 or T; any batch axes stand before it.
@@ -43,6 +26,7 @@ from torchlc.stages.instants import Instants, Nodes, Request
 from torchlc.stages.light import UNRESOLVED, Brightness, Light, Patch, Sky, Surface, View
 from torchlc.stages.memory import Memory
 from torchlc.stages.noise import Noise
+from torchlc.stages.order import SCALING_STAGES, STAGES
 from torchlc.stages.showing import Shown
 
 if TYPE_CHECKING:
@@ -51,14 +35,8 @@ if TYPE_CHECKING:
     from torchlc.shapes import Facets, Part, Shape
 
 Parameters = Mapping[str, Tensor]
-STAGES = (
-    "clock", "orbit", "spin", "attitude", "pointing", "light", "surface", "shade",
-    "scatter", "material", "detector", "noise",
-)  # fmt: skip
 MANY_FACETS = 100
-GEOMETRY_STAGES = frozenset(STAGES[: STAGES.index("shade")])
-SCALING_STAGES = frozenset(("light", "surface", "shade", "scatter", "detector"))
-"""Where more of an effect changes the light in proportion; elsewhere glints are moved or widened, which soon does not."""
+"""Flat ones, from where effects that take several lights a facet take fewer."""
 
 
 @dataclass(frozen=True)

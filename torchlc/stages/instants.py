@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from torchlc.tensors.autodiff_state import apart
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -43,13 +39,12 @@ class Instants:
     def middle(self) -> Tensor:
         """The instant nearest to mid-exposure of each row, (T,); the first of all for rows that have none."""
         with apart():
+            count = len(self.row)
             order = torch.argsort(self.place.abs(), stable=True)
-            order = order[torch.argsort(self.row[order], stable=True)]
-            row = self.row[order]
-            first = torch.ones_like(row, dtype=torch.bool)
-            first[1:] = row[1:] != row[:-1]
-            rows = int(row[-1]) + 1 if self.rows is None else self.rows
-            return row.new_zeros(rows).index_copy(0, row[first], order[first])
+            rank = torch.empty_like(order).scatter(0, order, torch.arange(count, device=order.device))
+            rows = int(self.row[-1]) + 1 if self.rows is None else self.rows
+            nearest = order.new_full((rows,), count).scatter_reduce(0, self.row, rank, "amin")
+            return torch.where(nearest < count, order[nearest.clamp(max=count - 1)], 0)
 
     def at(self, instants: Tensor) -> Instants:
         """Some of the instants (K,)."""
@@ -75,6 +70,12 @@ class Columns:
     row: Tensor
     weight: Tensor
     instant: Tensor
+
+    @classmethod
+    def of_each(cls, instants: Instants) -> Columns:
+        """Every instant a column of its own."""
+        number = torch.arange(len(instants.row), device=instants.row.device)
+        return cls(number, instants.row, instants.weight, number)
 
     @classmethod
     def joined(cls, instants: Instants, apart: Tensor) -> Columns:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchlc.tensors.autodiff_state import readable
 
 LARGEST_MEMORY = 400 * 2**20
+"""What all results that are kept may have together."""
 
 
 class Memory:

@@ -166,13 +166,6 @@ class Noise:
     def normal(self) -> bool:
         return isinstance(self.law, Normal)
 
-    @property
-    def loudest(self) -> float:
-        """The largest standard deviation, mag, that is added to any row."""
-        sizes = [process.sd for process in self.processes]
-        sizes += [] if self.variance is None else [torch.sqrt(self.variance)]
-        return max((float(size.max()) for size in sizes), default=0.0)
-
     def wider(self, mag: Tensor) -> Noise:
         """With independent errors of standard deviation ``mag`` (..., 1 or T) added in quadrature."""
         return replace(self, variance=mag**2 if self.variance is None else self.variance + mag**2)

@@ -16,6 +16,7 @@ from torchlc.geometry.orbit.ephemeris_polynomials import CELLS_PER_REVOLUTION, p
 from torchlc.geometry.orbit.motion import Piecewise
 
 FRESH_DAYS = 30.0
+"""Objects in high orbits get elements a few times a month; older ones are told with their likely error."""
 SAMPLES_PER_REVOLUTION, MOST_SAMPLES = 16, 20_000
 """Between the epoch and the instants asked for, where SGP4 is tried: a perigee below the ground takes more than
 a sixteenth of a revolution, and the days in which a decayed orbit has no position are as long as those before.

@@ -39,6 +39,7 @@ SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "TDB": "tdb", "GPS": "tai"}
 GPS_BEHIND_TAI_S = 19.0
 EPOCH = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?", re.ASCII)
 MOST_STATES = 500_000
+"""Nearly a year, one a minute."""
 AROUND_DAYS = 0.5
 """Of the rows: states further away are left."""
 EXPECTED = "an Orbit Ephemeris Message in keywords (CCSDS_OEM_VERS = ...)"

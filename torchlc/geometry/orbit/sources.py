@@ -57,7 +57,7 @@ def _track_of_orbit(scene: Scene, recording: Recording) -> Track:
         observer=_earth_fixed(_turn(frame.gcrs_from_itrs, observer_itrs), frame),
         object_=piecewise(sources, chosen, recording.time, recording.seconds, turn, exposure_s),
         sun=_geocentric_sun(recording),
-        known=frozenset({"position", "velocity", "time_offset", "along_track", "elevation"}),
+        known=frozenset({"position", "velocity", "motion", "along_track", "elevation"}),
         seconds_per_radian=torch.from_numpy(slowness),
         zenith=torch.from_numpy(_turn(frame.gcrs_from_itrs, earth.vertical_itrs(observer_itrs))),
         warnings=(*warnings, *frame.warnings),
@@ -159,7 +159,7 @@ def _heliocentric_track(recording: Recording, sun: np.ndarray, observer: np.ndar
         observer=Straight(torch.from_numpy(observer), torch.from_numpy(towards_observer - towards_sun)),
         object_=Straight(fixed, torch.from_numpy(-towards_sun)),
         sun=Straight(torch.from_numpy(sun), fixed),
-        known=frozenset({"time_offset"}),
+        known=frozenset({"motion"}),
     )
 
 
@@ -181,7 +181,7 @@ def _geocentric_track(
     known = {
         "position": True,
         "velocity": velocity is not None,
-        "time_offset": everywhere,
+        "motion": everywhere,
         "along_track": velocity is not None and bound,
         "elevation": zenith is not None,
     }

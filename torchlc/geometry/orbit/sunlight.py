@@ -11,11 +11,13 @@ from torch import Tensor
 from torchlc.geometry.orbit.shadow import EARTH_RADIUS_KM, SUN_RADIUS_KM
 
 LIMB_DARKENING = 0.6
+"""Linear, in green light: the limb is at 0.4 of the middle."""
 FLATTENING = 1 / 298.257223563
 REFRACTIVITY = 2.78e-4
 """n - 1 of air at sea level, 15 C, 550 nm (Ciddor 1996)."""
 LEAST_STRIPS, MOST_STRIPS = 64, 640
 WRIGHT_STEPS, NEWTON_STEPS = 6, 2
+"""5 leave rounding of Wright's omega for any argument, and NEWTON_STEPS the curvature's share."""
 MOST_CURVED = 0.5
 """Largest curvature of a ray over the Earth's that is followed: of rays 6 km under the ground."""
 

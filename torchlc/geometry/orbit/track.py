@@ -76,7 +76,7 @@ class Track(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def supports(self, what: str) -> bool:
-        """Are "position", "velocity", "elevation" known; are "time_offset", "along_track" possible?"""
+        """Are "position", "velocity", "elevation" known; are "motion", "along_track" possible?"""
         return what in self._known
 
     def at_rows(self, rows: Tensor) -> Track:

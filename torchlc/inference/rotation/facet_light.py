@@ -15,7 +15,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import Incidence, coupled_diffuse, lambert
+from torchlc.brdf.angles import Incidence, coupled_diffuse, lambert
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.parameters import EXPONENT, REFLECTANCE, WIDTH
 from torchlc.tensors.vectors import unit

@@ -35,6 +35,7 @@ STEPS_A_TURN = 12.0
 FLOOR, SHARP = 0.05, 0.01
 """Relative error of the light of facets, and where that alone explains the rows."""
 TILTED_DEG = 9.0
+"""Axes of a body that is not quite even: within half of MOST_TILT, from where a descent goes either way."""
 PAIRS, TUMBLE_STARTS, SECOND_STARTS = 16, 48, 30
 """Pairs of frequencies of a free rotation that are looked at; states of the grid that are refined, first over all bodies and then of
 the best body."""

@@ -11,17 +11,23 @@ import torch
 from torch import Tensor
 
 from torchlc.geometry.rotation.rigid_body import FreeRotation, frequencies
-from torchlc.inference.rotation.model_fit import Candidate, Count
+from torchlc.inference.rotation.model_fit import Candidate
 from torchlc.inference.rotation.passes import Rows
+from torchlc.inference.rotation.trials import Count
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 
 KEPT_CHI2 = 25.0
+"""A mode this far above the best is 4e-6 times as likely."""
+LEAST_PROBABILITY = 0.01
+"""Of a rotation that counts beside the best when it is asked whether the data decide."""
 SAME_DEG = 1.5
+"""Two fits with poles this near, and periods alike to SAME_PERIOD, are of one minimum found twice."""
 SAME_PERIOD = 1e-3
 CHANGED = 16.0
 """Fall of chi-square that a change of the period has to bring."""
 ALIKE_DEG = 12.0
+"""A mirror image is one of the geometry in the middle of a pass, which changes by some degrees on the way."""
 LEAST_CYCLES = 2.0
 """Of the longer period of a free rotation that a pass has to hold for the light to have repeated: less is one stretch without
 a second to hold it against."""
@@ -202,23 +208,9 @@ def verdict(
     """Whether the data decide, and what they say. ``longest_s``: of the longest pass; ``noise``: that of successive rows, mag, where
     errors are not given; ``all_s``: from the first row to the last, where there are several passes."""
     best = modes[0]
-    fits = fits_the_rows(best.chi2, best.rms, dof, noise)
-    poles = [mode for mode in modes if mode.probability > 0.01]
-    period = f"one turn in {best.period_s:.6g} s" + (" in the longest pass" if "period" in best.apart else "")
-    slowest_s = beat = 0.0
-    if best.tumbling:
-        rates = best.rates
-        assert rates is not None
-        way_s = 1 / float(rates.polhode)
-        slowest_s, fastest_s = max(best.period_s, way_s), min(best.period_s, way_s)
-        counted = best.possible == 1 and not best.apart
-        beat = (all_s if all_s is not None and counted else longest_s) / slowest_s
-        beat *= abs(slowest_s / fastest_s - round(slowest_s / fastest_s))
-        period = (
-            f"not about one axis: the long axis turns about the angular momentum in {best.period_s:.6g} s, and the latter "
-            f"about the body in {way_s:.6g} s"
-        )
-    if not fits:
+    poles = [mode for mode in modes if mode.probability > LEAST_PROBABILITY]
+    period, slowest_s, beat = _course(best, longest_s, all_s)
+    if not fits_the_rows(best.chi2, best.rms, dof, noise):
         return False, (
             f"cannot tell: the best rotation found, {period}, leaves "
             + (
@@ -253,3 +245,23 @@ def verdict(
         )
     joined = "" if passes < 2 else ", the turns between the passes counted"
     return True, f"{period}{joined}"
+
+
+def _course(mode: RotationMode, longest_s: float, all_s: float | None) -> tuple[str, float, float]:
+    """How a mode turns, in words; of a free rotation the longer of its two periods, s, and the turn by which these fall out of step in
+    the longest pass, or from first to last where turns between passes are counted; 0 of a turn about one axis."""
+    if not mode.tumbling:
+        in_pass = " in the longest pass" if "period" in mode.apart else ""
+        return f"one turn in {mode.period_s:.6g} s{in_pass}", 0.0, 0.0
+    rates = mode.rates
+    assert rates is not None
+    way_s = 1 / float(rates.polhode)
+    slowest_s, fastest_s = max(mode.period_s, way_s), min(mode.period_s, way_s)
+    counted = mode.possible == 1 and not mode.apart
+    beat = (all_s if all_s is not None and counted else longest_s) / slowest_s
+    beat *= abs(slowest_s / fastest_s - round(slowest_s / fastest_s))
+    words = (
+        f"not about one axis: the long axis turns about the angular momentum in {mode.period_s:.6g} s, and the latter "
+        f"about the body in {way_s:.6g} s"
+    )
+    return words, slowest_s, beat

@@ -10,7 +10,7 @@ import numpy as np
 
 from torchlc.inference.rotation.course import Course
 from torchlc.inference.rotation.fixed_axis import Turns
-from torchlc.inference.rotation.model_fit import Candidate, alike, fitted, loose_trial, sharpened
+from torchlc.inference.rotation.model_fit import Candidate, fitted, sharpened
 from torchlc.inference.rotation.modes import (
     CHANGED,
     SAME_DEG,
@@ -21,6 +21,7 @@ from torchlc.inference.rotation.modes import (
 )
 from torchlc.inference.rotation.problem import Problem
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.trials import alike, loose_trial
 from torchlc.inference.rotation.turn_fits import LOCALS, fits_of_turns
 
 APART = 2

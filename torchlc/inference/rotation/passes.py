@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchlc.geometry.orbit.earth import LIGHT_KM_S
+from torchlc.geometry.orbit.earth import DAY_S, LIGHT_KM_S
 from torchlc.inference.likelihood import MAG_PER_LN, Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.tensors.vectors import unit
@@ -17,8 +17,9 @@ from torchlc.tensors.vectors import unit
 LONGEST_GAP = 600.0
 """Seconds without a row that end a pass, if it was not much longer itself."""
 GAP_SHARE = 0.3
-DAY_S = 86400.0
+"""A long pass may have gaps that a short one does not bridge."""
 LEAST_NOISE = 0.01
+"""As a share of the light: calibrated cameras do not have smaller errors."""
 MEDIAN_OF_SQUARE = 0.4549
 """Median of the square of a normal number."""
 RATE_A_DAY = 3e-4

@@ -24,12 +24,15 @@ NODES = 10
 NODE_STEP = 0.08
 """Most instants of a pass at which the directions of Sun and observer are taken, and how far these may move between, rad."""
 EXPONENTS = (6.0, 60.0)
+"""Of the lobe of each material, one wide and one narrow: their mixture is like most lobes between."""
 FLOOR = 0.15
 """Error, as a share of the light, that a grid of these steps has of itself."""
 TYPICAL = 0.1
+"""Of the light that is typical: dim rows do not outweigh all others."""
 ROUNDING = 1e-12
 """Share of the largest sum below which a correlation by FFT, which errs by 1e-16 to 1e-15 of it, says nothing."""
 POLES_AT_ONCE = 8
+"""Whose light is held together."""
 DRIFT_SD = 2.0
 """Standard deviations by which the frequency of a pass may differ from that of the longest."""
 

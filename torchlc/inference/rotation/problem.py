@@ -20,6 +20,7 @@ from torchlc.readers import Recording
 from torchlc.scene import Free, Scene
 
 MIN_ROWS = 12
+"""A rotation with reflectances and lobes has eight numbers and more."""
 MOST_CHANGE = 0.1
 """Relative change of a period between passes up to which the scene's bounds, which are of its epoch, are widened: rocket bodies
 change by 5 % in six years."""

@@ -22,14 +22,18 @@ from torchlc.tensors.non_negative import non_negative
 from torchlc.tensors.vectors import unit
 
 START_N = 40.0
+"""A lobe 9 deg wide: narrower ones have no slope where no glint is."""
 LEAST_N, MOST_N = 2.0, 2000.0
+"""Wider is as diffuse light; narrower falls between the facets of a turn that is sampled."""
 FAINT = math.log(100.0)
 """ln of the ratio to the datum beyond which a dark model counts no more."""
 STAGES = ((0.25, 0.5), (0.25, 0.25), (0.5, 0.25))
 """Parts of the iterations, and the share of the starts that is kept after each: what is far above others after a quarter of
 them does not end below."""
 LEAST_KEPT = 6
+"""Starts, whatever share is kept."""
 MOST_TILT = math.radians(30.0)
+"""Beyond, it is another axis of the body that the spin is about."""
 PHASE_FLOOR = 2e-3
 """Error of a phase, turns, that the light of facets has of itself."""
 

@@ -16,13 +16,14 @@ from torchlc.inference.rotation import fixed_axis, pole_grid
 from torchlc.inference.rotation.course import Allowed, Course
 from torchlc.inference.rotation.fixed_axis import Turns, with_sides
 from torchlc.inference.rotation.kinds import Progress, free_rotations
-from torchlc.inference.rotation.model_fit import Candidate, alike, fitted, tumbling_trial
+from torchlc.inference.rotation.model_fit import Candidate, fitted
 from torchlc.inference.rotation.modes import CHANGED, NOISY, RotationSearch, verdict
 from torchlc.inference.rotation.modes import RotationMode as RotationMode
 from torchlc.inference.rotation.nights_apart import Settled, settled
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.problem import Problem
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.trials import alike, tumbling_trial
 from torchlc.inference.rotation.tumble_refine import Tumble
 from torchlc.inference.rotation.turn_fits import FITS, any_finite, fits_of_turns
 from torchlc.inference.rotation.windows import windows

@@ -26,14 +26,17 @@ WAY_STEPS, TURN_STEPS, HARMONICS = 36, 48, 16
 POLES, BODY = 110, 400
 """Directions of L in space, 20 deg apart, and in the body, 10 deg apart."""
 EXPONENT = 20.0
+"""Of every lobe: as wide as the grid of directions is fine."""
 MASSES = 9
 """Steps of the triangle of the second moments of mass about the planes of the body: 45 bodies."""
 NUTATIONS = 64
+"""Angles of nutation at which the two periods are worked out, 1.4 deg apart."""
 POLES_AT_ONCE = 22
 """Directions of L whose light is held at once: 120 MB a pass for each instant."""
 KEPT = 6
 """Places of a state that are kept, of different directions of L."""
 MOST_PASSES = 3
+"""The longest: a pass more takes as long as each before it, and the rest is joined afterwards."""
 DARK, ALONG = 0.1, 0.01
 """Share of the mean square of a column below which it is dark, and square of the sine between columns below which they are one: a
 series cut at its HARMONICS swings by so much beside a glint."""

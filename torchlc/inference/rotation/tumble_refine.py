@@ -29,6 +29,7 @@ from torchlc.tensors.vectors import unit
 STAGES = ((6, 0.5), (7, 0.25), (25, 0.1))
 """Iterations, and the share of the starts that is kept after them."""
 LEAST_KEPT = 4
+"""Starts, whatever share is kept."""
 SETTLING, SETTLED = 80, 1e-7
 """Iterations, and the relative gain at which they end, on the way down a valley."""
 MOST_LOG = 6.0
@@ -36,9 +37,11 @@ MOST_LOG = 6.0
 PHASE_FLOOR = 2e-3
 """Error of a phase, turns, that the light of facets has of itself."""
 WIDTH = 4.0
+"""Standard deviations of a phase within which whole turns are looked for: one in 16,000 lies outside."""
 WIDENED = (1.0, 16.0, 256.0)
 """Factors of the covariance of phases, in turn, until a count joins them: that of a bent valley is too narrow."""
 MOST_COUNTS = 400
+"""Kept at each pass; where there are more it is told that not all were looked at."""
 JOINED = 10
 """Counts of turns that one rotation is fitted to."""
 FIXED = 6

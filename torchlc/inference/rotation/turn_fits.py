@@ -12,18 +12,12 @@ import numpy as np
 from torchlc.inference.rotation.connect import Connection, Connections, connections, differences
 from torchlc.inference.rotation.course import Course
 from torchlc.inference.rotation.fixed_axis import Turns
-from torchlc.inference.rotation.model_fit import (
-    Candidate,
-    Count,
-    Trial,
-    epoch_seconds,
-    fitted,
-    steady_trial,
-)
+from torchlc.inference.rotation.model_fit import Candidate, fitted
 from torchlc.inference.rotation.modes import KEPT_CHI2
 from torchlc.inference.rotation.passes import Rows
 from torchlc.inference.rotation.problem import Problem
 from torchlc.inference.rotation.refine import Local
+from torchlc.inference.rotation.trials import Count, Trial, epoch_seconds, steady_trial
 from torchlc.scene import Free
 
 FITS = "fits of the model to the less likely"

@@ -32,7 +32,9 @@ LEADING = 80
 MOST_GRID = 200_000
 """Pairs of a grid; if there were more, its steps are wider."""
 RIDGE = 1e-4
+"""Of the number of rows, added to the normal equations: a pair whose terms coincide is no error."""
 AT_ONCE = 64
+"""Pairs whose sums are held together."""
 MOST_RATIO = 3.0
 """g over f up to which pairs are looked for: a rod of 1 to 5 whose long axis is 60 deg from the angular momentum has 2.4."""
 LEAST_TURNS = 0.7

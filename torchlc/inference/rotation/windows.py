@@ -10,12 +10,15 @@ from astropy.timeseries import LombScargle
 from torchlc.inference.rotation.passes import Rows
 
 TERMS = 2
+"""Of the Fourier series: two maxima a turn."""
 PEAKS = 4
+"""Highest maxima that are looked about."""
 MULTIPLES = (1, 2, 3, 4)
 """Maxima of light that a turn may hold: of bodies with up to four like sides."""
 WHOLE = 0.7
 """Turns over the longest pass by which the ends of a bracket may differ to be searched whole."""
 OVERSAMPLING = 5
+"""Frequencies in one over the longest pass: a peak is missed by a tenth of its width at most."""
 
 
 def power(rows: Rows, frequency: np.ndarray, passes: Sequence[int] | None = None) -> np.ndarray:

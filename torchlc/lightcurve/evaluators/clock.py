@@ -18,6 +18,7 @@ from torchlc.stages.light import Brightness
 from torchlc.tensors.autodiff_state import apart
 
 NODES = 9
+"""Offsets about the one that is asked for: four steps either way before a node is new."""
 CLOCK_TURN_DEG = 3.0
 MOST_TRACED_PAIRS = 1_000_000
 """Facet-row pairs of a mesh beyond which a clock offset is interpolated; 3 deg between nodes keep the cubic

@@ -101,7 +101,7 @@ RECORDING_CASES = [
     rows_case(
         "local time scale", "time_scale: utc", "time_scale: local", "metadata time_scale: 'local'", ECSV
     ),
-    rows_case("unknown time scale", "time_scale: utc", "time_scale: gps", "metadata time_scale: 'gps'", ECSV),
+    rows_case("unknown time scale", "time_scale: utc", "time_scale: lst", "metadata time_scale: 'lst'", ECSV),
     rows_case(
         "unknown time format",
         "time_scale: utc",

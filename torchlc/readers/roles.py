@@ -58,7 +58,7 @@ STAMPS: dict[str, Stamp] = {
     "bkjd": Stamp("jd-2454833", "tdb", light_path="barycentric"),
     **dict.fromkeys(("unix", "unixtime", "unixtimestamp", "unixseconds", "unixepoch", "posixtime", "timeunix"), Stamp("unix", "utc")),
     **dict.fromkeys(("unixms", "unixtimems", "unixmilliseconds"), Stamp("unix-ms", "utc")),
-    **dict.fromkeys(("gps", "gpstime", "gpsseconds", "timegps"), Stamp("gps", "tai")),
+    **dict.fromkeys(("gps", "gpstime", "gpsseconds", "timegps"), Stamp("gps")),
     "midpointmjdtai": Stamp("mjd", "tai", mark="mid"),
     "mjdtai": Stamp("mjd", "tai"),
     **dict.fromkeys(
@@ -211,8 +211,10 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
                 OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
             )
         taken[role] = _told(header, role, text)
+    _check_apart(header, taken)
+    told = {place for places in taken.values() for place in places}
     for role in ROLES:
-        if role not in taken and role in header.names:
+        if role not in taken and role in header.names and header.names.index(role) not in told:
             taken[role] = (header.names.index(role),)
     for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "limiting_mag"):
         if role not in taken:
@@ -256,6 +258,18 @@ def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
                 header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint
             )
     return tuple(places)
+
+
+def _check_apart(header: Header, told: Mapping[str, tuple[int, ...]]) -> None:
+    """InputError where the user tells one column to be two things."""
+    roles: dict[int, list[str]] = {}
+    for role, places in told.items():
+        for place in dict.fromkeys(places):
+            roles.setdefault(place, []).append(role)
+    for place, both in roles.items():
+        if len(both) > 1:
+            found = f"{header.names[place][:60]!r} told as {' and as '.join(both)}"
+            raise InputError(header.source, "columns", found, "one meaning for each column")
 
 
 def _found(

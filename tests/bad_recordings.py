@@ -65,7 +65,7 @@ RECORDING_CASES = [
     case_of("JD among ISO", "row 2, column time", recording=f"time,mag\n{SECOND},12\n2459140.125,12\n"),
     case_of(
         "no number",
-        "no usable row (2 non-finite); expected at least 1 with finite numbers. A row is left out if a cell is blank, NaN or infinite",
+        "no usable row (2 without a number); expected at least 1 with finite numbers. A row is left out if a cell is blank, NaN or infinite",
         recording=f"time,mag\n{FIRST},\n{SECOND},nan\n",
     ),
     case_of(

@@ -157,8 +157,12 @@ def test_all_missing_keys_of_a_scene_are_told_at_once():
 def test_all_unknown_keys_of_a_scene_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """In whatever tables they stand, beside keys that are missing and values that are wrong."""
     path = tmp_path / "s.toml"
-    text = SCENE.replace("r_diff = 0.3", "r_dif = 0.3\nshine = 2").replace("[attitude]", "[attitude]\nspinn = 1")
-    text = text.replace("zero_point =", "zeropoint = 1.0\nzero_point =").replace("height = 110.0", "hight = 1.0")
+    text = SCENE.replace("r_diff = 0.3", "r_dif = 0.3\nshine = 2").replace(
+        "[attitude]", "[attitude]\nspinn = 1"
+    )
+    text = text.replace("zero_point =", "zeropoint = 1.0\nzero_point =").replace(
+        "height = 110.0", "hight = 1.0"
+    )
     text = text.replace('name = "box-wing"', "colour = 1")
     path.write_text(text)
     assert run(["simulate", str(path), "none.csv", "-o", str(tmp_path / "out")]) == 2
@@ -181,7 +185,14 @@ def test_one_column_is_not_two_things(tmp_path: Path, capsys: pytest.CaptureFixt
     """Whatever two quantities; a column that is told is no longer that of its own name."""
     (tmp_path / "s.toml").write_text(SCENE)
     (tmp_path / "r.csv").write_text(table("JD,mag,mag_err"))
-    command = ["simulate", str(tmp_path / "s.toml"), str(tmp_path / "r.csv"), "-o", str(tmp_path / "out"), "--columns"]
+    command = [
+        "simulate",
+        str(tmp_path / "s.toml"),
+        str(tmp_path / "r.csv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--columns",
+    ]
     for columns, told in {
         "time=JD,mag=JD": "'JD' told as time and as mag",
         "mag=mag,mag_err=2": "'mag' told as mag and as mag_err",

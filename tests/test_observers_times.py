@@ -128,7 +128,7 @@ def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
 
 
 def test_a_julian_date_is_no_second_of_gps(read):
-    with pytest.raises(InputError, match="A whole Julian date: .*time_format=jd"):
+    with pytest.raises(InputError, match=r"A whole Julian date: .*time_format=jd"):
         read(f"GPS time,mag\n{JD[0]},{MAG[0]}\n")
 
 

@@ -32,7 +32,7 @@ from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.lightcurve.model import LightCurve
 from torchlc.lightcurve.numbers import divided_offset
-from torchlc.readers import Recording, left_out
+from torchlc.readers import Recording, left_out, place_of_row
 from torchlc.scene import Scene
 from torchlc.stages.effect import Effect
 from torchlc.stages.entry import Entry
@@ -358,7 +358,12 @@ class Diagnosis:
         bad = self.final.outlying()
         order = np.argsort(self.recording.seconds)
         return [
-            {"time": time[row], "station": stations[row], "probability": float(bad[row])}
+            {
+                "time": time[row],
+                "station": stations[row],
+                "place": place_of_row(self.recording, row),
+                "probability": float(bad[row]),
+            }
             for row in order.tolist()
             if float(bad[row]) > BAD_ROW
         ]

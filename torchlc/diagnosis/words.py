@@ -98,11 +98,13 @@ def bad_rows(content: Mapping[str, Any]) -> str:
     if not rows:
         return ""
     shown = ", ".join(
-        f"{row['time'][:19].replace('T', ' ')} ({probability(row['probability'])})"
+        f"{row['place']} ({when})" if row["place"] else when
         for row in rows[:MOST_ROWS]
+        for when in [f"{row['time'][:19].replace('T', ' ')}, {probability(row['probability'])}"]
     )
     more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
-    return f"{len(rows)} row{'s' if len(rows) != 1 else ''} probably bad: {shown}{more}."
+    are = "is" if len(rows) == 1 else "are"
+    return f"{number_of(len(rows), 'row')} {are} probably bad, further from the model than the errors allow: {shown}{more}."
 
 
 def _count_of_bad_rows(content: Mapping[str, Any]) -> str:

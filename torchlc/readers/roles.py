@@ -21,7 +21,17 @@ HORIZONTAL = ("alt", "az", "height")
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
 LABELS = ("station", "band", "curve", "object")
 """Columns of names: which of several a row belongs to."""
-ROLES = ("time", *BRIGHTNESS, "exptime", *LABELS, "upper_limit", "limiting_mag", *GEOMETRY, *HORIZONTAL)
+ROLES = (
+    "time",
+    *BRIGHTNESS,
+    "exptime",
+    *LABELS,
+    "upper_limit",
+    "bad",
+    "limiting_mag",
+    *GEOMETRY,
+    *HORIZONTAL,
+)
 """Columns of ours."""
 DELIVERED = "delivered "
 """What a column is called whose name is one of ours, but which the user replaced by another."""
@@ -95,6 +105,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),
     "limiting_mag": ("diffmaglim", "limitingmagnitude", "limmag", "maglim", "maglimit", "limitmag", "mag5sig"),
+    "bad": ("catflags",),
     "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
@@ -216,7 +227,7 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role in ROLES:
         if role not in taken and role in header.names and header.names.index(role) not in told:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "limiting_mag"):
+    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "bad", "limiting_mag"):
         if role not in taken:
             others = [*STAMPS, *filter(stamp_named, header.names)] if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):

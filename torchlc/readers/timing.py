@@ -30,7 +30,16 @@ began on 6 January 1980."""
 UNITS_A_DAY = {"seconds": DAY_S, "minutes": 1440.0, "hours": 24.0, "days": 1.0}
 OWN_SCALES = {"unix": "utc", "unix-ms": "utc", "gps": "gps"}
 """Time scales of formats that have one of their own."""
-SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb", "gps": "gps", "gpst": "gps"}
+SCALES = {
+    "utc": "utc",
+    "ut": "utc",
+    "tai": "tai",
+    "tt": "tt",
+    "tdt": "tt",
+    "tdb": "tdb",
+    "gps": "gps",
+    "gpst": "gps",
+}
 """Time scales that can be used, as people name them."""
 ON_A_CLOCK = re.compile(
     r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST)(?![A-Za-z])", re.IGNORECASE
@@ -138,7 +147,9 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     ``located``: the direction of the object is known, so that a reduction to the Sun can be taken back.
     """
     stamp = stamp_of(header)
-    named = "" if is_moment(_first_time(header)) else stamp.format  # a date under the name of a number is a date
+    named = (
+        "" if is_moment(_first_time(header)) else stamp.format
+    )  # a date under the name of a number is a date
     form = reading.time_format or _time_format(header) or named
     scale, known = _scale(header, reading, form, stamp.scale)
     mark = reading.time_mark or stamp.mark or "mid"
@@ -180,7 +191,9 @@ def _scale(header: Header, reading: Reading, form: str, stamped: str | None) -> 
             if "local" in scale
             else None
         )
-        raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai, tt or gps", hint)
+        raise InputError(
+            header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai, tt or gps", hint
+        )
     return SCALES[scale], bool(given or stamped)
 
 
@@ -372,9 +385,7 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
     if not named:
         return None
     said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
-    hint = (
-        f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai, tt or gps)"
-    )
+    hint = f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai, tt or gps)"
     if KEEPS_A_CLOCK in named:
         hint = (
             "Receivers of GPS mostly show UTC; GPS's own clock is 18 s ahead of it. "

@@ -267,9 +267,7 @@ class Material(Table):
         forms = brdf.MODELS[law].forms()
         numbers = list(dict.fromkeys(key for form in forms for key in form.keys_known()))
         return [
-            Unknown(str(key), numbers, of=law)
-            for key in data
-            if key not in (*numbers, *cls.of_the_table)
+            Unknown(str(key), numbers, of=law) for key in data if key not in (*numbers, *cls.of_the_table)
         ]
 
     @model_validator(mode="before")

@@ -112,7 +112,12 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
             return place, context["found"], context["expected"], context["hint"] or None
         case "unknown_key":
             place = place_of(location, context["key"])
-            return place, "unknown key", context["expected"], did_you_mean(context["typed"], context["allowed"])
+            return (
+                place,
+                "unknown key",
+                context["expected"],
+                did_you_mean(context["typed"], context["allowed"]),
+            )
         case "missing":
             return place, "missing", "a value", None
         case "literal_error":

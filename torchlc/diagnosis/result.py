@@ -102,7 +102,7 @@ class Diagnosis:
     @property
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
-        untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
+        untried = [f"{with_title(entry)} is no candidate: {reason}" for entry, reason in self.untried.items()]
         late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
         open_counts = self.turns(self.final).fit
@@ -406,7 +406,7 @@ class Diagnosis:
             if odd is not None and odd.log_gain > 0:
                 note += f"; it {odd.course(self.coordinates['time'])}"
         if at.hypothesis.noise:
-            kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
+            kinds = ["a free scale" if one == SCALE else with_title(one) for one in at.hypothesis.noise]
             note += f"; errors of rows are taken with {' and '.join(kinds)}"
         if SCALE in at.hypothesis.noise:
             note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]

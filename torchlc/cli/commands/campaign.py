@@ -62,7 +62,9 @@ def campaign(
     scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT.", show_default=False
+            metavar="ADDRESS",
+            help="A running Dask scheduler, tls://HOST:PORT or tcp://HOST:PORT.",
+            show_default=False,
         ),
     ] = None,
     workers: Annotated[

@@ -167,6 +167,7 @@ def test_a_spent_budget_says_what_it_left_out(ball) -> None:
     assert words(content, {})[-1] == f"What to do next: {terminal}."
     told = [text for text in found.warnings if "not examined" in text or "no candidate" in text]
     assert sum(text.count("(") for text in told) > 10
+    assert any("more, which diagnosis.json lists" in text for text in told)
     for name, cls in registry().items():
         title = rf"{name}(\[[^]]+\])?(@\w+)? \({re.escape(cls.title)}\)"
         assert "_" not in name or not re.search(rf"\b{name}\b", re.sub(title, "", " ".join(told)))

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from torchlc.brdf import MODELS
 from torchlc.diagnosis.coordinates import TIME, in_words
 from torchlc.digits import against_freedom, number_of, stated
 from torchlc.effects import registry, with_title
@@ -17,7 +18,7 @@ from torchlc.stages.entry import Entry
 MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""
 MOST_ROWS = 12
-"""Bad rows that are listed in a sentence."""
+"""Bad rows, or effects that were not examined, that are listed in a sentence."""
 STATISTICS = {
     "chi2": "chi-square, which is too large",
     "too_small": "chi-square, which is too small",
@@ -85,11 +86,15 @@ def odds(content: Mapping[str, Any]) -> str:
 
 
 def unexamined(reasons: Mapping[str, str]) -> list[str]:
-    """Candidates that were left out, by entry with the reason: a sentence for each reason."""
-    return [
-        f"not examined, for {reason}: {', '.join(with_title(entry) for entry, why in reasons.items() if why == reason)}"
-        for reason in dict.fromkeys(reasons.values())
-    ]
+    """Candidates that were left out, by entry with the reason: a sentence for each reason, with the first of them."""
+    told = []
+    for reason in dict.fromkeys(reasons.values()):
+        entries = [entry for entry, why in reasons.items() if why == reason]
+        listed = [f"the law {one}" if one in MODELS else with_title(one) for one in entries[:MOST_ROWS]]
+        more = len(entries) - MOST_ROWS
+        rest = f" and {more} more, which diagnosis.json lists" if more > 0 else ""
+        told.append(f"not examined, for {reason}: {', '.join(listed)}{rest}")
+    return told
 
 
 def bad_rows(content: Mapping[str, Any]) -> str:

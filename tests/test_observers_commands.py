@@ -200,6 +200,9 @@ def test_one_column_is_not_two_things(tmp_path: Path, capsys: pytest.CaptureFixt
     }.items():
         assert run([*command, columns]) == 2
         assert told in capsys.readouterr().err
+    assert run([*command, "timee=JD,colour=mag"]) == 2
+    told = capsys.readouterr().err
+    assert "'timee'; expected one of time, mag" in told and "Unknown too: 'colour'" in told
     (tmp_path / "r.csv").write_text(table("JD,mag,flux"))
     assert run([*command, "mag=flux"]) == 0
     assert "flux as mag" in capsys.readouterr().err

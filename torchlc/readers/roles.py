@@ -11,6 +11,7 @@ import astropy.units as u
 from torchlc.errors import InputError
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.table import Header, first_row, is_as_wide
+from torchlc.scene.problems import with_others
 from torchlc.scene.reading import OPTION, SETTINGS, Reading
 from torchlc.suggest import did_you_mean
 
@@ -215,12 +216,8 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     format's, and those that are in use elsewhere.
     """
     taken: dict[str, tuple[int, ...]] = {}
+    _check_roles([role for role in reading.columns if role not in ROLES])
     for role, text in reading.columns.items():
-        if role not in ROLES:
-            known = list(dict.fromkeys((*ROLES[:10], *SETTINGS)))
-            raise InputError(
-                OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
-            )
         taken[role] = _told(header, role, text)
     _check_apart(header, taken)
     told = {place for places in taken.values() for place in places}
@@ -248,6 +245,17 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
                 taken[role] = (signs[0],)
     taken |= _parts_of_date(header, taken) or _date_and_time(header, reading, taken)
     return _renamed(header, reading, taken)
+
+
+def _check_roles(unknown: Sequence[str]) -> None:
+    """InputError for all that the user tells and that is none of ours."""
+    if not unknown:
+        return
+    plain_roles = [role for role in ROLES if role not in (*GEOMETRY, *HORIZONTAL)]
+    known = list(dict.fromkeys((*plain_roles, *SETTINGS)))
+    more = [(repr(role[:40]), did_you_mean(role, known)) for role in unknown[1:]]
+    hint = with_others(did_you_mean(unknown[0], known), more)
+    raise InputError(OPTION, None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
 
 
 def _told(header: Header, role: str, text: str) -> tuple[int, ...]:

@@ -22,6 +22,7 @@ from torchlc.cli.options import (
     whole_number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
+from torchlc.digits import number_of
 from torchlc.terminal import printable, progress_bar, say, show_json
 
 
@@ -157,5 +158,5 @@ def init_campaign(
         warn(done.passed_over)
         if place is None:
             say("warning: the station of every scene is a placeholder: edit [[stations]], or give --station")
-        print(f"written: {done.manifest} and {len(done.matched)} scenes")
+        print(f"written: {done.manifest} and {number_of(len(done.matched), 'scene')}")
         print(f"next: torchlc campaign {shlex.quote(str(done.manifest))} -o results")

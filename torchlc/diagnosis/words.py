@@ -190,7 +190,10 @@ def _next_steps(content: Mapping[str, Any]) -> list[str]:
     that may be it were not examined."""
     steps = [content["next_observation"].rstrip(".")] if content["next_observation"] else []
     count, laws = len(content["unexamined"]), content["probabilities"]["other_laws"]
-    unexplained, likely = content["verdict"] == "unexplained", content["probabilities"]["not_examined"] > TOLD_LATE
+    unexplained, likely = (
+        content["verdict"] == "unexplained",
+        content["probabilities"]["not_examined"] > TOLD_LATE,
+    )
     if unexplained and sum(laws.values()) > 0.5:
         law = max(laws, key=lambda one: laws[one])
         steps.append(

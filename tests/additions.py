@@ -152,9 +152,9 @@ class NightLog(Format):
     @classmethod
     def read(cls, head):
         def rows():
-            for _, text in head.lines[1:]:
+            for number, text in head.lines[1:]:
                 mag, _, error, _, date = text.split()
-                yield [date, mag, error]
+                yield number, [date, mag, error]
 
         return Header(head.path, ("time", "mag", "mag_err"), ",", ecsv=False, rows=rows, format=cls.name)
 

@@ -65,7 +65,7 @@ RECORDING_CASES = [
     case_of("JD among ISO", "row 2, column time", recording=f"time,mag\n{SECOND},12\n2459140.125,12\n"),
     case_of(
         "no number",
-        "no usable row (2 non-finite); expected at least 1 with finite numbers. A row is left out if a cell is blank, NaN or infinite",
+        "no usable row (2 without a number); expected at least 1 with finite numbers. A row is left out if a cell is blank, NaN or infinite",
         recording=f"time,mag\n{FIRST},\n{SECOND},nan\n",
     ),
     case_of(
@@ -101,7 +101,7 @@ RECORDING_CASES = [
     rows_case(
         "local time scale", "time_scale: utc", "time_scale: local", "metadata time_scale: 'local'", ECSV
     ),
-    rows_case("unknown time scale", "time_scale: utc", "time_scale: gps", "metadata time_scale: 'gps'", ECSV),
+    rows_case("unknown time scale", "time_scale: utc", "time_scale: lst", "metadata time_scale: 'lst'", ECSV),
     rows_case(
         "unknown time format",
         "time_scale: utc",

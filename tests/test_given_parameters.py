@@ -7,6 +7,7 @@ import pytest
 
 import torchlc
 from torchlc.diagnosis.run import diagnose
+from torchlc.effects import with_title
 from torchlc.errors import InputError
 from torchlc.lightcurve.assembly import assemble
 from torchlc.readers import load_recording
@@ -113,5 +114,6 @@ def test_what_cannot_be_a_candidate_is_said(night):
     assert list(found.untried) == ["panel_offset", "lobe_tail", "sun_distance"]
     assert [one["effect"] for one in found.to_json()["untried"]] == list(found.untried)
     assert all(
-        any(text.startswith(f"{name} is no candidate: ") for text in found.warnings) for name in found.untried
+        any(text.startswith(f"{with_title(name)} is no candidate: ") for text in found.warnings)
+        for name in found.untried
     )

@@ -154,6 +154,60 @@ def test_all_missing_keys_of_a_scene_are_told_at_once():
     )
 
 
+def test_all_unknown_keys_of_a_scene_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """In whatever tables they stand, beside keys that are missing and values that are wrong."""
+    path = tmp_path / "s.toml"
+    text = SCENE.replace("r_diff = 0.3", "r_dif = 0.3\nshine = 2").replace(
+        "[attitude]", "[attitude]\nspinn = 1"
+    )
+    text = text.replace("zero_point =", "zeropoint = 1.0\nzero_point =").replace(
+        "height = 110.0", "hight = 1.0"
+    )
+    text = text.replace('name = "box-wing"', "colour = 1")
+    path.write_text(text)
+    assert run(["simulate", str(path), "none.csv", "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    for key in (
+        "colour", "stations[0].hight (did you mean 'height'?)", "attitude.spinn", "materials.body.shine",
+        "materials.body.r_dif (did you mean 'r_diff'?)", "model.parameters.zeropoint (did you mean 'zero_point'?)",
+        "Missing: name",
+    ):  # fmt: skip
+        assert key in told
+    assert len(told.splitlines()) == 1
+    two = 'effects = ["self_shadoing", "sun_distence"]'
+    path.write_text(SCENE.replace('effects = ["self_shadowing"]', two))
+    assert run(["simulate", str(path), "none.csv", "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "Did you mean 'self_shadowing'?" in told and "(did you mean 'sun_distance'?)" in told
+
+
+def test_one_column_is_not_two_things(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Whatever two quantities; a column that is told is no longer that of its own name."""
+    (tmp_path / "s.toml").write_text(SCENE)
+    (tmp_path / "r.csv").write_text(table("JD,mag,mag_err"))
+    command = [
+        "simulate",
+        str(tmp_path / "s.toml"),
+        str(tmp_path / "r.csv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--columns",
+    ]
+    for columns, told in {
+        "time=JD,mag=JD": "'JD' told as time and as mag",
+        "mag=mag,mag_err=2": "'mag' told as mag and as mag_err",
+        "station=mag_err,band=mag_err": "'mag_err' told as station and as band",
+    }.items():
+        assert run([*command, columns]) == 2
+        assert told in capsys.readouterr().err
+    assert run([*command, "timee=JD,colour=mag"]) == 2
+    told = capsys.readouterr().err
+    assert "'timee'; expected one of time, mag" in told and "Unknown too: 'colour'" in told
+    (tmp_path / "r.csv").write_text(table("JD,mag,flux"))
+    assert run([*command, "mag=flux"]) == 0
+    assert "flux as mag" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 def test_scenes_and_manifests_of_windows(tmp_path: Path, encoding: str):
     text = SCENE.replace("\n", "\r\n")

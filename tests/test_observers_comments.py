@@ -89,7 +89,8 @@ def test_what_cannot_be_taken_is_refused_and_the_advice_works(read, comment: str
         ("# Alle Zeiten in MEZ", "time_zone=+02:00"),
         ("# DATE-OBS is start", "time_mark=start"),
         ("# exposure start", "time_mark=start"),
-        ("# times are TDB", "time_scale=tai"),
+        ("# times are TDB", "time_scale=tdb"),
+        ("# times are on the clock of GPS", "time_scale=gps"),
         ("# heliocentric corrected", "light_path=heliocentric"),
     ],
 )

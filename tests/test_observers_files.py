@@ -286,9 +286,9 @@ class TestFormatsOfOthers:
             @classmethod
             def read(cls, head: Head) -> Header:
                 def rows():
-                    for _, text in head.lines[1:]:
+                    for number, text in head.lines[1:]:
                         mag, _, date = text.partition(" at ")
-                        yield [date, mag.removeprefix("I saw ")]
+                        yield number, [date, mag.removeprefix("I saw ")]
 
                 return Header(head.path, ("time", "mag"), ",", ecsv=False, rows=rows, format=cls.name)
 

@@ -127,6 +127,46 @@ def test_seconds_of_a_week_are_not_those_since_1980_and_the_advice_works(read):
     assert abs((recording.time[0] - Time(JD[0], format="jd", scale="utc")).to_value(u.s)) < 0.01
 
 
+def test_a_julian_date_is_no_second_of_gps(read):
+    with pytest.raises(InputError, match=r"A whole Julian date: .*time_format=jd"):
+        read(f"GPS time,mag\n{JD[0]},{MAG[0]}\n")
+
+
+@pytest.mark.parametrize("name", ["GPS time", "gps", "Time (GPS)", "gps_time", "GPS Date"])
+def test_dates_of_gps_are_asked_about_and_both_answers_work(read, name: str):
+    """A receiver shows UTC, or GPS's own clock, which has no leap seconds: 18 s ahead in 2026."""
+    columns = f'"time={name}"'
+    with pytest.raises(InputError, match="Say --columns time_scale=utc, or time_scale=gps"):
+        read(of_name(name), columns=columns)
+    utc = Time("2026-03-15T20:50:00", scale="utc")
+    for scale, ahead in (("utc", 0.0), ("gps", 18.0)):
+        recording = read(of_name(name), columns=f"{columns},time_scale={scale}")
+        assert abs((utc - recording.time[0]).to_value(u.s) - ahead) < 1e-6
+        assert scale.upper() in recording.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "ahead"),
+    [
+        ("TAI", "TAI", 37.0), ("Tai time", "TAI", 37.0), ("date_tai", "TAI", 37.0), ("MJD_TAI", "TAI", 37.0),
+        ("TT", "TT", 69.184), ("tt time", "TT", 69.184), ("date_tt", "TT", 69.184), ("JD_TT", "TT", 69.184),
+        ("tdt", "TT", 69.184), ("GPST", "GPS", 18.0), ("gpst", "GPS", 18.0),
+    ],
+)  # fmt: skip
+def test_dates_of_a_column_named_after_a_clock_are_read_on_it(read, name: str, scale: str, ahead: float):
+    """Differences to UTC since 2017 (IERS Bulletin C); whatever the case of the letters."""
+    recording = read(of_name(name), columns=f'"time={name}"')
+    utc = Time("2026-03-15T20:50:00", scale="utc")
+    assert abs((utc - recording.time[0]).to_value(u.s) - ahead) < 1e-6
+    assert f"ISO, {scale}" in recording.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["lst", "ut1", "tcb", "time_lst"])
+def test_a_clock_that_cannot_be_used_is_refused_in_small_letters_too(read, name: str):
+    with pytest.raises(InputError, match="one time scale"):
+        read(of_name(name), columns=f'"time={name}"')
+
+
 def of_name(name: str) -> str:
     return f"{name},mag,mag_err\n2026-03-15T20:50:00,14.9,0.02\n2026-03-15T20:52:00,14.8,0.02\n"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -110,6 +111,53 @@ def test_a_signal_at_every_line_between_start_and_end():
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert done.stdout.splitlines()[-1].endswith("[0, 130]")
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "exec('kill()')",
+        "type('Table', (), {'field': type('Field', (), {'__set_name__': lambda *_: kill()})()})",
+    ],
+)
+def test_a_signal_inside_of_exec_or_of_a_class_is_a_signal(where: str):
+    """Both are common while libraries are imported. Python ends by the signal after exec, whatever code it is given, and makes
+    a RuntimeError of it in a class."""
+    call = f"""
+import os, signal
+from torchlc.cli import signals
+from torchlc.terminal import exit_code
+
+def kill():
+    os.kill(os.getpid(), signal.SIGINT)
+
+code = exit_code(lambda: signals.unwinding(lambda: {where}))
+print("done", end="")
+signals.leave(code)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", call], env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "done", "torchlc: interrupted\n")
+
+
+@pytest.mark.long
+def test_ctrl_c_at_any_moment_of_the_first_half_second():
+    """As a whole process, many times: 130 in a line or none, or the end it would have come to. Until the first line of the program
+    runs, Python itself answers."""
+    before, ends = 0, set()
+    for number in range(60):
+        process = start(["-m", "torchlc", "effects"])
+        time.sleep(0.5 * number / 60)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+        reached = re.search(r'cli/__init__\.py", line \d+, in main', error)
+        if process.returncode == -signal.SIGINT or ("Traceback" in error and not reached):
+            before += 1
+            continue
+        assert error in ("", "torchlc: interrupted\n") and process.returncode in (0, 130), error
+        ends.add(process.returncode)
+    assert 130 in ends and before < 30
 
 
 def test_what_is_to_be_ignored_stays_ignored():

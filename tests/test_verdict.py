@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +23,8 @@ from torchlc.diagnosis.probes import AGAIN, beyond, probe
 from torchlc.diagnosis.run import _gate, diagnose
 from torchlc.diagnosis.unseen import UNSEEN, unseen_shares
 from torchlc.diagnosis.values import materials
-from torchlc.diagnosis.words import headline, lines
-from torchlc.effects import effect_class
+from torchlc.diagnosis.words import headline, lines, words
+from torchlc.effects import effect_class, registry
 from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
 from torchlc.lightcurve.evaluators import exact
@@ -159,7 +160,17 @@ def test_a_spent_budget_says_what_it_left_out(ball) -> None:
     assert content["verdict"] == "unexplained" and content["unexamined"]
     assert content["probabilities"]["not_examined"] > 0.5 > content["probabilities"]["not_in_library"]
     assert "may be one of those for which there was no time" in headline(content)
-    assert any(line.startswith("next: a longer --budget") for line in lines(content, {}, []))
+    (terminal,) = [
+        line.removeprefix("next: ") for line in lines(content, {}, []) if line.startswith("next: ")
+    ]
+    assert terminal.startswith("give torchlc diagnose more time with --budget, for ")
+    assert words(content, {})[-1] == f"What to do next: {terminal}."
+    told = [text for text in found.warnings if "not examined" in text or "no candidate" in text]
+    assert sum(text.count("(") for text in told) > 10
+    assert any("more, which diagnosis.json lists" in text for text in told)
+    for name, cls in registry().items():
+        title = rf"{name}(\[[^]]+\])?(@\w+)? \({re.escape(cls.title)}\)"
+        assert "_" not in name or not re.search(rf"\b{name}\b", re.sub(title, "", " ".join(told)))
 
 
 def test_tables_are_made_once_whichever_noise_asks_first(ball) -> None:

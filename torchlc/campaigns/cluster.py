@@ -63,12 +63,12 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
             logger.setLevel(logging.CRITICAL)
         try:
             client = stack.enter_context(Client(scheduler, timeout=CONNECT_S))
-        except (OSError, TimeoutError, TypeError, ValueError) as error:
+        except (OSError, RuntimeError, TimeoutError, TypeError, ValueError) as error:
             raise InputError(
                 None,
                 "--scheduler",
                 f"no Dask scheduler answers at {scheduler}: {error}"[:200],
-                "the address of one that runs, such as tcp://HOST:8786",
+                "the address of one that runs, such as tls://HOST:8786",
             ) from None
         yield client
 

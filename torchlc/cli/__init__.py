@@ -25,4 +25,4 @@ def main() -> None:
     prepare_process()
     code = program.run(sys.argv[1:], signals.unwinding)
     signals.ignore()
-    sys.exit(code)
+    signals.leave(code)

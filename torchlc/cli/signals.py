@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 
 TYPE_CHECKING = False
@@ -21,6 +22,8 @@ ENDING = ("SIGTERM", "SIGHUP")
 UNWIND_S = 5.0
 """Within this of a signal further ones change nothing: they would break off what takes locks and partial files away."""
 _last = -UNWIND_S
+_ending: BaseException | None = None
+"""What the last signal was."""
 
 
 def leave_at_once() -> None:
@@ -28,13 +31,38 @@ def leave_at_once() -> None:
     _handle(lambda number, frame: os._exit(INTERRUPTED), lambda number, frame: os._exit(TERMINATED))
 
 
+def leave(code: int) -> None:
+    """End the process with an exit code. Where Ctrl-C came inside of exec, which classes are made with, Python would end by the
+    signal itself whatever code it was given; what waits for the end of the process is done here in its place."""
+    if code != INTERRUPTED:
+        sys.exit(code)
+    import atexit
+    import contextlib
+
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
 def unwinding(action: Callable[[], object]) -> object:
     """What ``action`` returns. While it runs a signal is an exception, which the caller has to expect; after it a signal
-    changes nothing, for nobody would expect the exception.
+    changes nothing, for nobody would expect the exception. Libraries that are being imported make other exceptions of it, or
+    fail because they were broken off: an error that is neither told in words nor one of a file counts as the signal.
     """
+    from torchlc.errors import TorchlcError
+    from torchlc.terminal import UsageProblem
+
     unwind()
     try:
         return action()
+    except (TorchlcError, UsageProblem, OSError):
+        raise
+    except Exception:
+        if _ending is None:
+            raise
+        raise _ending from None
     finally:
         ignore()
 
@@ -44,12 +72,16 @@ def unwind() -> None:
     from torchlc.terminal import Terminated
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if _is_first():
-            raise KeyboardInterrupt
+        end(KeyboardInterrupt())
 
     def terminate(number: int, frame: FrameType | None) -> None:
+        end(Terminated(signal.Signals(number).name))
+
+    def end(ending: BaseException) -> None:
+        global _ending
         if _is_first():
-            raise Terminated(signal.Signals(number).name)
+            _ending = ending
+            raise ending
 
     _handle(interrupt, terminate)
 

@@ -32,7 +32,7 @@ from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
 from torchlc.lightcurve.model import LightCurve
 from torchlc.lightcurve.numbers import divided_offset
-from torchlc.readers import Recording, left_out
+from torchlc.readers import Recording, left_out, place_of_row
 from torchlc.scene import Scene
 from torchlc.stages.effect import Effect
 from torchlc.stages.entry import Entry
@@ -102,7 +102,7 @@ class Diagnosis:
     @property
     def warnings(self) -> list[str]:
         """What a reader should know of scene and recording, each once."""
-        untried = [f"{entry} is no candidate: {reason}" for entry, reason in self.untried.items()]
+        untried = [f"{with_title(entry)} is no candidate: {reason}" for entry, reason in self.untried.items()]
         late = unexamined(self.search.unexamined)
         warned = [*left_out(self.recording), *self.model.warnings, *untried, *late, *self.limits]
         open_counts = self.turns(self.final).fit
@@ -358,7 +358,12 @@ class Diagnosis:
         bad = self.final.outlying()
         order = np.argsort(self.recording.seconds)
         return [
-            {"time": time[row], "station": stations[row], "probability": float(bad[row])}
+            {
+                "time": time[row],
+                "station": stations[row],
+                "place": place_of_row(self.recording, row),
+                "probability": float(bad[row]),
+            }
             for row in order.tolist()
             if float(bad[row]) > BAD_ROW
         ]
@@ -401,7 +406,7 @@ class Diagnosis:
             if odd is not None and odd.log_gain > 0:
                 note += f"; it {odd.course(self.coordinates['time'])}"
         if at.hypothesis.noise:
-            kinds = [one if one == SCALE else one.replace("_", " ") for one in at.hypothesis.noise]
+            kinds = ["a free scale" if one == SCALE else with_title(one) for one in at.hypothesis.noise]
             note += f"; errors of rows are taken with {' and '.join(kinds)}"
         if SCALE in at.hypothesis.noise:
             note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]

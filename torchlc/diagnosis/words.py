@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from torchlc.brdf import MODELS
 from torchlc.diagnosis.coordinates import TIME, in_words
 from torchlc.digits import against_freedom, number_of, stated
 from torchlc.effects import registry, with_title
@@ -17,7 +18,7 @@ from torchlc.stages.entry import Entry
 MOST_PARTS = 4
 """Values of one parameter, of curves or nights, that are listed one by one."""
 MOST_ROWS = 12
-"""Bad rows that are listed in a sentence."""
+"""Bad rows, or effects that were not examined, that are listed in a sentence."""
 STATISTICS = {
     "chi2": "chi-square, which is too large",
     "too_small": "chi-square, which is too small",
@@ -85,11 +86,15 @@ def odds(content: Mapping[str, Any]) -> str:
 
 
 def unexamined(reasons: Mapping[str, str]) -> list[str]:
-    """Candidates that were left out, by entry with the reason: a sentence for each reason."""
-    return [
-        f"not examined, for {reason}: {', '.join(entry for entry, why in reasons.items() if why == reason)}"
-        for reason in dict.fromkeys(reasons.values())
-    ]
+    """Candidates that were left out, by entry with the reason: a sentence for each reason, with the first of them."""
+    told = []
+    for reason in dict.fromkeys(reasons.values()):
+        entries = [entry for entry, why in reasons.items() if why == reason]
+        listed = [f"the law {one}" if one in MODELS else with_title(one) for one in entries[:MOST_ROWS]]
+        more = len(entries) - MOST_ROWS
+        rest = f" and {more} more, which diagnosis.json lists" if more > 0 else ""
+        told.append(f"not examined, for {reason}: {', '.join(listed)}{rest}")
+    return told
 
 
 def bad_rows(content: Mapping[str, Any]) -> str:
@@ -98,11 +103,13 @@ def bad_rows(content: Mapping[str, Any]) -> str:
     if not rows:
         return ""
     shown = ", ".join(
-        f"{row['time'][:19].replace('T', ' ')} ({probability(row['probability'])})"
+        f"{row['place']} ({when})" if row["place"] else when
         for row in rows[:MOST_ROWS]
+        for when in [f"{row['time'][:19].replace('T', ' ')}, {probability(row['probability'])}"]
     )
     more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
-    return f"{len(rows)} row{'s' if len(rows) != 1 else ''} probably bad: {shown}{more}."
+    are = "is" if len(rows) == 1 else "are"
+    return f"{number_of(len(rows), 'row')} {are} probably bad, further from the model than the errors allow: {shown}{more}."
 
 
 def _count_of_bad_rows(content: Mapping[str, Any]) -> str:
@@ -118,7 +125,7 @@ def shape(content: Mapping[str, Any]) -> str:
     if odd is None:
         return ""
     size = max(map(abs, odd["mag"]))
-    beside = f" beside {' and '.join(odd['beside'])}" if odd["beside"] else ""
+    beside = f" beside {' and '.join(map(with_title, odd['beside']))}" if odd["beside"] else ""
     return f"Light that no effect explains{beside} {odd['course']}. It is up to {size:.2g} mag."
 
 
@@ -134,12 +141,7 @@ def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Seque
         widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
         told += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
     told.append(f"left: {content['remaining']['note']}")
-    if content["next_observation"]:
-        told.append(f"next: {content['next_observation']}")
-    if content["probabilities"]["not_examined"] > TOLD_LATE:
-        told.append(
-            f"next: a longer --budget, or none: {len(content['unexamined'])} effects were not examined"
-        )
+    told += [f"next: {step}" for step in _next_steps(content)]
     if content["verdict"] == "missing_physics":
         effects = json.dumps(list(completed))
         told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")
@@ -183,10 +185,33 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     return paragraphs
 
 
+def _next_steps(content: Mapping[str, Any]) -> list[str]:
+    """The observation that would separate what is left; and another law that the surfaces follow, or more time where effects
+    that may be it were not examined."""
+    steps = [content["next_observation"].rstrip(".")] if content["next_observation"] else []
+    count, laws = len(content["unexamined"]), content["probabilities"]["other_laws"]
+    unexplained, likely = (
+        content["verdict"] == "unexplained",
+        content["probabilities"]["not_examined"] > TOLD_LATE,
+    )
+    if unexplained and sum(laws.values()) > 0.5:
+        law = max(laws, key=lambda one: laws[one])
+        steps.append(
+            f'write model = "{law}" with its numbers into the materials of the scene, and diagnose again'
+        )
+    elif count and (likely or unexplained):
+        were = "was" if count == 1 else "were"
+        steps.append(
+            f"give torchlc diagnose more time with --budget, for {number_of(count, 'effect')} {were} not examined"
+        )
+    return steps
+
+
 def _advice(content: Mapping[str, Any]) -> str:
-    """What to do next: the observation that would separate what is left, else what the verdict asks for."""
-    if content["next_observation"]:
-        return content["next_observation"].rstrip(".")
+    """What to do next: what would separate what is left, else what the verdict asks for."""
+    steps = _next_steps(content)
+    if steps:
+        return "; ".join(steps)
     if content["verdict"] == "adequate":
         return (
             "more rows, or smaller errors, may show what these cannot"
@@ -195,13 +220,6 @@ def _advice(content: Mapping[str, Any]) -> str:
         )
     if content["verdict"] != "unexplained":
         return "put what is named into effects of the scene's [model], and fit again"
-    laws = content["probabilities"]["other_laws"]
-    if sum(laws.values()) > 0.5:
-        law = max(laws, key=lambda one: laws[one])
-        return f'write model = "{law}" with its numbers into the materials of the scene, and diagnose again'
-    if content["unexamined"]:
-        count = len(content["unexamined"])
-        return f"give torchlc diagnose more time with --budget, for {number_of(count, 'effect')} {'was' if count == 1 else 'were'} not examined"
     return "look when and where it shows, and ask what in the sizes, the attitude or the recording belongs to that"
 
 
@@ -307,7 +325,7 @@ def _or(family: Sequence[str]) -> str:
     return (
         with_title(family[0])
         if len(family) == 1
-        else f"{with_title(family[0])} (or {' or '.join(family[1:])}: these data cannot tell)"
+        else f"{with_title(family[0])}, or {' or '.join(map(with_title, family[1:]))}: these data cannot tell which"
     )
 
 

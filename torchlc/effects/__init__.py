@@ -42,10 +42,11 @@ def object_kind() -> type[NoiseKind]:
     return next(kind for kind in kinds if kind.between_objects)
 
 
-def with_title(name: str) -> str:
-    """The name of an effect and what it is in plain words; the name alone of one that the library does not have."""
-    cls = registry().get(name)
-    return name if cls is None else f"{name} ({cls.title})"
+def with_title(entry: str) -> str:
+    """The name of an effect, or an item of a list of them, and what it is in plain words; the item alone where the library does
+    not have the effect."""
+    cls = registry().get(Entry.parse(entry).name)
+    return entry if cls is None else f"{entry} ({cls.title})"
 
 
 __all__ = [

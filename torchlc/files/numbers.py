@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import math
 import unicodedata
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 MOST_NAME, MOST_TITLE = 100, 300
 """Characters of a name, which stands in tables and figures, and of a scene's title."""
@@ -30,21 +42,61 @@ def problem(found: str, expected: str, key: str = "", hint: str = "") -> Pydanti
     )
 
 
+@dataclass(frozen=True)
+class Unknown:
+    """A key that a table may not have, those that it may, and ``of`` what these are. ``typed`` is what the person wrote where
+    the place of the problem names the key already.
+    """
+
+    key: str
+    allowed: Sequence[str]
+    of: str = ""
+    typed: str = ""
+
+    def problem(self) -> PydanticCustomError:
+        of = f" ({self.of})" if self.of else ""
+        expected = f"one of {', '.join(self.allowed)}{of}"
+        context = {
+            "key": self.key,
+            "typed": self.typed or self.key,
+            "allowed": list(self.allowed),
+            "expected": expected,
+        }
+        return PydanticCustomError("unknown_key", "unknown key", context)
+
+
+def _again(detail: ErrorDetails) -> InitErrorDetails:
+    """A problem as it can be raised with others."""
+    kind, context = detail["type"], detail.get("ctx", {})
+    own = kind in ("torchlc", "unknown_key")
+    problem = PydanticCustomError(kind, detail["msg"], context) if own else kind  # type: ignore[arg-type]
+    return InitErrorDetails(type=problem, loc=detail["loc"], input=detail["input"], ctx=context)
+
+
 class Table(BaseModel):
-    """A TOML table: immutable, no key beyond its fields."""
+    """A TOML table: immutable, no key beyond those known, all others told at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    @model_validator(mode="before")
     @classmethod
-    def _keys_are_known(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key in data:
-                if key not in cls.model_fields:
-                    raise PydanticCustomError(
-                        "unknown_key", "unknown key", {"key": str(key), "allowed": list(cls.model_fields)}
-                    )
-        return data
+    def unknown_keys(cls, data: Mapping[str, Any]) -> list[Unknown]:
+        """Those of ``data`` that no such table has."""
+        return [Unknown(str(key), list(cls.model_fields)) for key in data if key not in cls.model_fields]
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_are_known(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """What else is wrong with the table is told beside its unknown keys."""
+        unknown = cls.unknown_keys(data) if isinstance(data, dict) else []
+        if not unknown:
+            return handler(data)
+        problems = [InitErrorDetails(type=one.problem(), input=None) for one in unknown]
+        strangers = {one.key for one in unknown}
+        try:
+            handler({key: value for key, value in data.items() if str(key) not in strangers})
+        except ValidationError as error:
+            problems += map(_again, error.errors(include_url=False))
+        raise ValidationError.from_exception_data(cls.__name__, problems)
 
 
 class Free(Table):

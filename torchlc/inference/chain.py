@@ -40,7 +40,9 @@ BLOCK_STEPS = 100
 STATE_PARTS = 5
 """Of NumPy's random state: name, key, position, whether it holds a second normal number, and that number."""
 ANEW = "Remove it to start anew"
-NOT_OF_CONTENT = frozenset({"meta", "dropped", "warnings", "source", "sha256"})
+NOT_OF_CONTENT = frozenset(
+    {"meta", "dropped", "dropped_at", "place", "placed_by", "warnings", "source", "sha256"}
+)
 """Fields of a recording that do not enter the likelihood."""
 Write = Callable[[Path, Callable[[Path], object]], object]
 """Puts a file in place: its path, and what fills it."""

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchlc.brdf import MODELS
 from torchlc.brdf.base import Brdf
+from torchlc.effects import with_title
 from torchlc.errors import InputError
 from torchlc.geometry.orbit import Track, make_track
 from torchlc.geometry.rotation.attitude import Attitude
@@ -67,7 +68,9 @@ def assemble(
     numbers = Numbers.of(scene, chosen, models, row_index, pinned or {})
     warnings += numbers.warnings
     if effects is None:
-        warnings += unused(scene, chosen) + [f"{entry} is left out: {why}" for entry, why in held.items()]
+        warnings += unused(scene, chosen) + [
+            f"{with_title(entry)} is left out: {why}" for entry, why in held.items()
+        ]
     warnings += edges_within_lobes(shape.parts, models, context.lobes)
     instants = next((one for effect in chosen if (one := effect.instants(context)) is not None), None)
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)

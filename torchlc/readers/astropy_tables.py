@@ -15,6 +15,7 @@ from astropy.utils.exceptions import AstropyWarning
 from erfa import ErfaWarning
 
 from torchlc.errors import InputError
+from torchlc.readers.table import Row
 
 KEPT = {"utc": "utc", "tai": "tai", "tt": "tt", "tdb": "tdb", "tcb": "tdb", "tcg": "tt", "ut1": "utc"}
 """Time scales of astropy and those that their instants are told in."""
@@ -62,8 +63,8 @@ def described(
         names, cells = ["time", *names], [lambda: texts, *cells]
         meta = {**meta, "time_scale": scale, "time_format": "iso"}
 
-    def rows() -> Iterator[list[str]]:
-        yield from map(list, zip(*(texts() for texts in cells), strict=True))
+    def rows() -> Iterator[Row]:
+        yield from enumerate(map(list, zip(*(texts() for texts in cells), strict=True)), 1)
 
     return {
         "source": source,
@@ -76,6 +77,7 @@ def described(
         },
         "meta": meta,
         "rows": rows,
+        "placed_by": "row",
     }
 
 

@@ -54,10 +54,10 @@ def are_apart(date: str, clock: str) -> bool:
 
 
 def moment_of(cells: Sequence[str]) -> str:
-    """The text of an instant that stands in several cells: a date and a time of day, or year, month, day, hour, minute
+    """The text of an instant that stands in one cell, or in several: a date and a time of day, or year, month, day, hour, minute
     and second, of which the last may have a share."""
     parts = [cell.strip() for cell in cells]
-    if PARTS.fullmatch(" ".join(parts)) is None:
+    if len(parts) == 1 or PARTS.fullmatch(" ".join(parts)) is None:
         return "T".join(parts)
     year, month, day, *clock = parts
     if not clock:

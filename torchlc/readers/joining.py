@@ -65,6 +65,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         object_ids=object_ids,
         upper_limit=together("upper_limit"),
         dropped=dict(sum((Counter(one.dropped) for one in recordings), Counter())),
+        place=None,
+        dropped_at={},
         warnings=tuple(dict.fromkeys(warnings)),
         **columns,
     )

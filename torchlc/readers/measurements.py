@@ -27,7 +27,8 @@ class Measurements:
     ``object`` indexes ``object_ids`` where the recording says of which object each row is, else None.
     ``error`` is None when the errors have to be fitted. ``sun`` and ``obs`` go from the object to the Sun and
     to the observer; ``position`` and ``velocity`` are geocentric; ``alt`` and ``az`` are in degrees and
-    ``height`` in km above the ellipsoid. ``sha256`` is the hash of the bytes that were read from ``source``.
+    ``height`` in km above the ellipsoid. ``dropped`` counts the rows left out by the reason; ``dropped_at`` says where these
+    stand, and ``place`` (T,) where the others do: lines of ``source`` counted from 1, or rows where ``placed_by`` is "row". ``sha256`` is the hash of the bytes that were read from ``source``.
     """
 
     time: Time
@@ -61,6 +62,9 @@ class Measurements:
     warnings: tuple[str, ...] = ()
     source: Path | None = None
     sha256: str | None = None
+    place: np.ndarray | None = None
+    dropped_at: Mapping[str, np.ndarray] = field(default_factory=dict)
+    placed_by: str = "line"
 
     def __len__(self) -> int:
         return len(self.observed)
@@ -96,10 +100,16 @@ class Measurements:
         lost = int(np.size(mask) - np.count_nonzero(mask))
         if not lost:
             return self
-        dropped = {**self.dropped, reason: self.dropped.get(reason, 0) + lost}
+        dropped, dropped_at = (
+            {**self.dropped, reason: self.dropped.get(reason, 0) + lost},
+            dict(self.dropped_at),
+        )
+        if self.place is not None:
+            before = dropped_at.get(reason, self.place[:0])
+            dropped_at[reason] = np.union1d(before, self.place[~mask])
         if lost == len(self):
             raise no_usable_row(self.source, dropped)
-        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped)
+        return replace(self._rows(np.flatnonzero(mask)), dropped=dropped, dropped_at=dropped_at)
 
     def _rows(self, index: np.ndarray) -> Self:
         arrays = {
@@ -127,6 +137,15 @@ class Measurements:
         )
 
 
+MOST_RUNS = 6
+"""Lines, or stretches of lines, that one sentence lists."""
+REASONS = {
+    "non-finite": "without a number",
+    "marked as missing": "marked as missing, as by -99",
+    "beyond 90 mag": "beyond 90 mag, which stands for no measurement",
+    "duplicate": "the same as another",
+}
+"""Reasons for which rows are dropped that are said in other words than they are counted under."""
 KEPT_IF = {
     "non-finite": ("with finite numbers", "A row is left out if a cell is blank, NaN or infinite in any column that is read"),
     **dict.fromkeys(
@@ -158,13 +177,37 @@ def iso_times(measurements: Measurements) -> list[str]:
 
 
 def counted(dropped: Mapping[str, int]) -> str:
-    """Rows by the reason for which they were dropped: "3 non-finite, 1 duplicate"."""
-    return ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+    """Rows by the reason for which they were dropped: "3 without a number, 1 the same as another"."""
+    return ", ".join(f"{count} {REASONS.get(reason, reason)}" for reason, count in dropped.items())
 
 
 def left_out(measurements: Measurements) -> list[str]:
-    """The warning that rows were dropped, with why; empty if none were."""
-    return [f"rows left out: {counted(measurements.dropped)}"] if measurements.dropped else []
+    """The warning that rows were dropped: how many, why, and where they stand; empty if none were."""
+    if not measurements.dropped:
+        return []
+    told = []
+    for reason, count in measurements.dropped.items():
+        where = places(measurements.dropped_at.get(reason, np.empty(0)), measurements.placed_by)
+        told.append(f"{count} {REASONS.get(reason, reason)}{where and f' ({where})'}")
+    total = sum(measurements.dropped.values())
+    return [f"{number_of(total, 'row')} {'is' if total == 1 else 'are'} left out: {', '.join(told)}"]
+
+
+def place_of_row(measurements: Measurements, row: int) -> str | None:
+    """Where a row stands, such as "line 12"; None where that is not known."""
+    return None if measurements.place is None else f"{measurements.placed_by} {measurements.place[row]}"
+
+
+def places(numbers: np.ndarray, what: str) -> str:
+    """Where rows stand that have these ascending ``numbers``: "line 7", "lines 3, 5 to 9 and 12", "rows 2, 4, 6 and 31
+    more"; empty for none."""
+    if not len(numbers):
+        return ""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1)[:MOST_RUNS] + 1)
+    told = [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:MOST_RUNS]]
+    told += [f"{len(run)} more" for run in runs[MOST_RUNS:]]
+    listed = f"{', '.join(told[:-1])} and {told[-1]}" if len(told) > 1 else told[0]
+    return f"{what}{'s' if len(numbers) > 1 else ''} {listed}"
 
 
 def no_usable_row(source: Path | None, dropped: Mapping[str, int]) -> InputError:

@@ -32,6 +32,7 @@ from torchlc.readers.table import (
     BrightnessReader,
     Header,
     LabelReader,
+    read_bad,
     read_columns,
     read_flags,
     read_numbers,
@@ -72,6 +73,7 @@ class _Reader:
     def __init__(self, header: Header, scene: Scene | None, reading: Reading, use: str | None) -> None:
         self.header, self.scene, self.reading, self.source = header, scene, reading, header.source
         self.dropped: dict[str, int] = {}
+        self.dropped_at: dict[str, np.ndarray] = {}
         self.kind = declared.brightness(header, use)
         self.timing = timing(header, reading, located=self._is_located())
         self.times = TimeReader(header, self.timing, reading.date_order)
@@ -109,7 +111,9 @@ class _Reader:
         readers[self.kind] = self.limits
         if "upper_limit" in self.header.names:
             readers["upper_limit"] = read_flags
-        columns = read_columns(self.header, readers)
+        if "bad" in self.header.names:
+            readers["bad"] = read_bad
+        self.places, columns = read_columns(self.header, readers)
         for group in optional:
             if not all(np.isfinite(columns[name]).any() for name in group):
                 self.units_told.append(f"no number in {', '.join(group)}, taken as absent")
@@ -129,6 +133,8 @@ class _Reader:
 
     def measurements(self, min_rows: int) -> Measurements:
         self._choose_object()
+        if "bad" in self.columns:
+            self._keep(~self.columns.pop("bad"), "flagged as bad")
         self._take_limits()
         self._move_to_middle()
         self.times_of_file = self.columns["time"]
@@ -206,6 +212,9 @@ class _Reader:
             light_time_corrected=declared.light_time_corrected(self.header),
             meta=self.header.meta,
             dropped=self.dropped,
+            place=self.places[self.rows],
+            dropped_at=self.dropped_at,
+            placed_by=self.header.placed_by,
             warnings=tuple(self.warnings),
             source=self.source,
         )
@@ -243,6 +252,7 @@ class _Reader:
         lost = int(np.size(mask) - np.count_nonzero(mask))
         if lost:
             self.dropped[reason] = lost
+            self.dropped_at[reason] = np.sort(self.places[self.rows[~mask]])
             self.columns = {name: column[mask] for name, column in self.columns.items()}
             self.rows = self.rows[mask]
         if not len(self.rows):

@@ -11,6 +11,7 @@ import astropy.units as u
 from torchlc.errors import InputError
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.table import Header, first_row, is_as_wide
+from torchlc.scene.problems import with_others
 from torchlc.scene.reading import OPTION, SETTINGS, Reading
 from torchlc.suggest import did_you_mean
 
@@ -21,7 +22,17 @@ HORIZONTAL = ("alt", "az", "height")
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
 LABELS = ("station", "band", "curve", "object")
 """Columns of names: which of several a row belongs to."""
-ROLES = ("time", *BRIGHTNESS, "exptime", *LABELS, "upper_limit", "limiting_mag", *GEOMETRY, *HORIZONTAL)
+ROLES = (
+    "time",
+    *BRIGHTNESS,
+    "exptime",
+    *LABELS,
+    "upper_limit",
+    "bad",
+    "limiting_mag",
+    *GEOMETRY,
+    *HORIZONTAL,
+)
 """Columns of ours."""
 DELIVERED = "delivered "
 """What a column is called whose name is one of ours, but which the user replaced by another."""
@@ -58,7 +69,7 @@ STAMPS: dict[str, Stamp] = {
     "bkjd": Stamp("jd-2454833", "tdb", light_path="barycentric"),
     **dict.fromkeys(("unix", "unixtime", "unixtimestamp", "unixseconds", "unixepoch", "posixtime", "timeunix"), Stamp("unix", "utc")),
     **dict.fromkeys(("unixms", "unixtimems", "unixmilliseconds"), Stamp("unix-ms", "utc")),
-    **dict.fromkeys(("gps", "gpstime", "gpsseconds", "timegps"), Stamp("gps", "tai")),
+    **dict.fromkeys(("gps", "gpstime", "gpsseconds", "timegps"), Stamp("gps")),
     "midpointmjdtai": Stamp("mjd", "tai", mark="mid"),
     "mjdtai": Stamp("mjd", "tai"),
     **dict.fromkeys(
@@ -95,6 +106,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),
     "limiting_mag": ("diffmaglim", "limitingmagnitude", "limmag", "maglim", "maglimit", "limitmag", "mag5sig"),
+    "bad": ("catflags",),
     "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
@@ -204,17 +216,15 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     format's, and those that are in use elsewhere.
     """
     taken: dict[str, tuple[int, ...]] = {}
+    _check_roles([role for role in reading.columns if role not in ROLES])
     for role, text in reading.columns.items():
-        if role not in ROLES:
-            known = list(dict.fromkeys((*ROLES[:10], *SETTINGS)))
-            raise InputError(
-                OPTION, None, repr(role[:40]), f"one of {', '.join(known)}", did_you_mean(role, known)
-            )
         taken[role] = _told(header, role, text)
+    _check_apart(header, taken)
+    told = {place for places in taken.values() for place in places}
     for role in ROLES:
-        if role not in taken and role in header.names:
+        if role not in taken and role in header.names and header.names.index(role) not in told:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "limiting_mag"):
+    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "bad", "limiting_mag"):
         if role not in taken:
             others = [*STAMPS, *filter(stamp_named, header.names)] if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):
@@ -237,6 +247,17 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     return _renamed(header, reading, taken)
 
 
+def _check_roles(unknown: Sequence[str]) -> None:
+    """InputError for all that the user tells and that is none of ours."""
+    if not unknown:
+        return
+    plain_roles = [role for role in ROLES if role not in (*GEOMETRY, *HORIZONTAL)]
+    known = list(dict.fromkeys((*plain_roles, *SETTINGS)))
+    more = [(repr(role[:40]), did_you_mean(role, known)) for role in unknown[1:]]
+    hint = with_others(did_you_mean(unknown[0], known), more)
+    raise InputError(OPTION, None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
+
+
 def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
     """Places of the columns that the user names, joined by "+"; a number counts the columns of a table."""
     names = [text] if text in header.names else [part.strip() for part in text.split("+")]
@@ -256,6 +277,18 @@ def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
                 header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint
             )
     return tuple(places)
+
+
+def _check_apart(header: Header, told: Mapping[str, tuple[int, ...]]) -> None:
+    """InputError where the user tells one column to be two things."""
+    roles: dict[int, list[str]] = {}
+    for role, places in told.items():
+        for place in dict.fromkeys(places):
+            roles.setdefault(place, []).append(role)
+    for place, both in roles.items():
+        if len(both) > 1:
+            found = f"{header.names[place][:60]!r} told as {' and as '.join(both)}"
+            raise InputError(header.source, "columns", found, "one meaning for each column")
 
 
 def _found(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -43,6 +43,10 @@ NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
 """Bytes that no line of text holds, whatever its encoding; the end mark of DOS, 1a, is let through."""
 
 
+Row = tuple[int, list[str]]
+"""Where a row stands, counted from 1, and its cells."""
+
+
 @dataclass(frozen=True)
 class Header:
     """What a table says before its rows: column names, units, descriptions and metadata.
@@ -51,7 +55,8 @@ class Header:
     no metadata; ``notes`` is what has to be told of how the file was read. ``skip`` counts the lines of the file
     down to its header (0: there is none); lines that begin with one of ``marks`` are comments. ``decimal`` is the
     decimal sign. ``columns`` holds the places of what :mod:`torchlc.readers.roles` took under our names, several
-    where cells are joined, and ``theirs`` the names that these have in the file, in which a format may tell what it took. ``rows`` yields the cells of each row where they are not simply the lines of ``source``.
+    where cells are joined, and ``theirs`` the names that these have in the file, in which a format may tell what it took. ``rows`` yields the cells of each row, with its place, where they are not simply the lines of ``source``; places are
+    lines of ``source`` or, where ``placed_by`` is "row", numbers of rows.
     ``told``: what the file says with keys of the table [recording].
     ``skips_non_detections``: the format has a row only where the object was found.
     """
@@ -65,7 +70,8 @@ class Header:
     meta: Mapping[str, Any] = field(default_factory=dict)
     comments: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    rows: Callable[[], Iterator[list[str]]] | None = None
+    rows: Callable[[], Iterator[Row]] | None = None
+    placed_by: str = "line"
     format: str = ""
     skip: int = 0
     marks: str = "#"
@@ -84,12 +90,17 @@ CellReader = Callable[[Header, str, list[str], int], np.ndarray]
 """Turns cells of one column (header, name, cells, index of the first row) into an array, first axis rows."""
 
 
-def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str, np.ndarray]:
-    """The named columns, each turned from text by its reader a chunk of rows at a time; first axis T."""
+def read_columns(
+    header: Header, readers: Mapping[str, CellReader]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Where the rows stand (T,), and the named columns, each turned from text by its reader a chunk of rows at a time; first
+    axis T."""
     where = {name: header.places(name) for name in readers}
     pieces: dict[str, list[np.ndarray]] = {name: [] for name in readers}
-    count = 0
-    for rows in _chunks(header):
+    places, count = [], 0
+    for chunk in _chunks(header):
+        rows = [cells for _, cells in chunk]
+        places.append(np.array([place for place, _ in chunk]))
         _check_widths(header, rows, count)
         for name, read in readers.items():
             first, *others = where[name]
@@ -102,12 +113,12 @@ def read_columns(header: Header, readers: Mapping[str, CellReader]) -> dict[str,
             raise too_long(header.source)
     if not count:
         raise InputError(header.source, None, "no rows below the header", "at least one row")
-    return {name: np.concatenate(pieces.pop(name)) for name in readers}
+    return np.concatenate(places), {name: np.concatenate(pieces.pop(name)) for name in readers}
 
 
 def first_row(header: Header) -> list[str]:
     """Cells of the first row; none where there is no row."""
-    return next(lines_as_cells(header) if header.rows is None else header.rows(), [])
+    return next(lines_as_cells(header) if header.rows is None else header.rows(), (0, []))[1]
 
 
 def row_place(index: int, column: str) -> str:
@@ -187,30 +198,44 @@ def check_names(path: Path, names: Sequence[str]) -> None:
         raise InputError(path, "header", f"column {repeated[0]!r} appears twice", "distinct column names")
 
 
-def _chunks(header: Header) -> Iterator[list[list[str]]]:
+def _chunks(header: Header) -> Iterator[list[Row]]:
     cells = lines_as_cells(header) if header.rows is None else header.rows()
     while rows := list(islice(cells, CHUNK_ROWS)):
         yield rows
 
 
-def lines_as_cells(header: Header) -> Iterator[list[str]]:
-    """Cells of the lines below the header. A line of the header that comes again is left out: files were joined."""
+def lines_as_cells(header: Header) -> Iterator[Row]:
+    """The rows below the header. A line of the header that comes again is left out: files were joined."""
     numbered = enumerate(lines_of(header.source), 1)
     above = {line.strip() for _, line in islice(numbered, header.skip)}
     lines = (
-        line
-        for _, line in numbered
+        (number, line)
+        for number, line in numbered
         if line[0] not in header.marks and not line.isspace() and line.strip() not in above
     )
     if header.delimiter == " ":
-        lines = (line.replace("\t", " ").strip() for line in lines)
-    blanks = header.ecsv or header.delimiter == " "
-    reader = csv.reader(lines, delimiter=header.delimiter, skipinitialspace=blanks)
+        lines = ((number, line.replace("\t", " ").strip()) for number, line in lines)
+    yield from cells_of_lines(
+        header.source, lines, header.delimiter, blanks=header.ecsv or header.delimiter == " "
+    )
+
+
+def cells_of_lines(
+    path: Path, lines: Iterable[tuple[int, str]], delimiter: str = ",", *, blanks: bool = False
+) -> Iterator[Row]:
+    """Rows of numbered lines, each with the number of its last one; ``blanks`` behind a delimiter are no part of a cell."""
+    last = 0
+
+    def texts() -> Iterator[str]:
+        nonlocal last
+        for last, text in lines:  # noqa: B007 the reader takes a line at a time
+            yield text
+
     try:
-        yield from reader
+        for cells in csv.reader(texts(), delimiter=delimiter, skipinitialspace=blanks):
+            yield last, cells
     except csv.Error as error:
-        place = f"line {header.skip + reader.line_num}"
-        raise InputError(header.source, place, str(error), FORMAT) from None
+        raise InputError(path, f"line {last}", str(error), FORMAT) from None
 
 
 def _check_widths(header: Header, rows: list[list[str]], start: int) -> None:
@@ -316,6 +341,15 @@ def read_flags(header: Header, name: str, cells: list[str], start: int) -> np.nd
             raise InputError(header.source, row_place(start + index, name), repr(cell[:40]), "true or false")
         flags[index] = word in TRUE
     return flags
+
+
+def read_bad(header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
+    """(T,) bool: rows that are flagged, by true or by any number but 0; a blank cell is false."""
+    words = [
+        "1" if cell.strip().lower() in TRUE else "0" if cell.strip().lower() in FALSE else cell
+        for cell in cells
+    ]
+    return np.nan_to_num(read_numbers(header, name, words, start)) != 0
 
 
 class LabelReader:

@@ -27,7 +27,8 @@ OFFSET = re.compile(r":\d\d(\.\d+)?\s*[+-]\d\d", re.ASCII)
 """An offset from UTC behind a time of day."""
 SECONDS_WITH_COMMA = re.compile(r"(:\d\d),(?=\d)", re.ASCII)
 """ISO 8601 writes the share of a second behind a comma or a point."""
-WEEK_S = 604800.0
+FIRST_GPS_S = 1e8
+"""March 1983: before it the system had no receivers in use; seconds of a week and Julian dates are smaller."""
 SPREADSHEET_TO = 51000.0
 """2039 in days of a spreadsheet, 1998 in modified Julian dates: recordings of objects of known elements are rarely older."""
 JULIAN_DATES_FROM = 2_400_000.0
@@ -81,7 +82,7 @@ class TimeReader:
             blank = next(index for index, cell in enumerate(cells) if not cell.strip())
             raise UnreadableTime(blank, "", "a time")
         numbers = read_numbers(header, name, cells, start)
-        if self.format == "gps" and (short := np.flatnonzero(numbers < WEEK_S)).size:
+        if self.format == "gps" and (short := np.flatnonzero(numbers < FIRST_GPS_S)).size:
             expected = (
                 "seconds since 1980-01-06, to which those of a week come if its number times 604800 is added"
             )

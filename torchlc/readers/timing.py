@@ -10,7 +10,7 @@ import astropy.units as u
 
 from torchlc.errors import InputError
 from torchlc.readers.comments import key_and_value
-from torchlc.readers.dates import ORDERS, Calendar, moment_of
+from torchlc.readers.dates import ORDERS, Calendar, is_moment, moment_of
 from torchlc.readers.roles import stamp_named, stamp_of, without_brackets
 from torchlc.readers.table import METADATA, Header, first_row
 from torchlc.scene.reading import SINCE, TIME_FORMATS, Reading, is_time_format, is_zone
@@ -23,18 +23,29 @@ COUNTS = {
     "jd-2400000": ((REDUCED_ZERO, 0.0), 1.0),
     "unix": ((2440587.5, 0.0), DAY_S),
     "unix-ms": ((2440587.5, 0.0), 1000.0 * DAY_S),
-    "gps": ((2444244.5, 19.0 / DAY_S), DAY_S),
+    "gps": ((2444244.5, 0.0), DAY_S),
 }
 """Two-part Julian date from which the numbers of a time format count, and how many there are in a day. The clock of GPS
-began on 6 January 1980 and stays 19 s behind TAI."""
+began on 6 January 1980."""
 UNITS_A_DAY = {"seconds": DAY_S, "minutes": 1440.0, "hours": 24.0, "days": 1.0}
-OWN_SCALES = {"unix": "utc", "unix-ms": "utc", "gps": "tai"}
+OWN_SCALES = {"unix": "utc", "unix-ms": "utc", "gps": "gps"}
 """Time scales of formats that have one of their own."""
-SCALES = {"utc": "utc", "ut": "utc", "tai": "tai", "tt": "tt", "tdt": "tt", "tdb": "tdb"}
+SCALES = {
+    "utc": "utc",
+    "ut": "utc",
+    "tai": "tai",
+    "tt": "tt",
+    "tdt": "tt",
+    "tdb": "tdb",
+    "gps": "gps",
+    "gpst": "gps",
+}
 """Time scales that can be used, as people name them."""
 ON_A_CLOCK = re.compile(
-    r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST|utc|tai|tdb|gps)(?![A-Za-z])"
+    r"(?<![A-Za-z])(UTC|UT1?|TAI|TT|TDT|TDB|TCB|TCG|GPST?|LM?ST|GMST)(?![A-Za-z])", re.IGNORECASE
 )
+KEEPS_A_CLOCK = "gps"
+"""By this name people mean a clock of its own, or what sets one that shows UTC, 18 s behind it since 2017."""
 NAMES_OF_SCALES = {
     "tt": r"terrestrial([ _-]dynamical)?[ _-]time",
     "tdb": r"barycentric[ _-]dynamical[ _-]time|ephemeris[ _-]time",
@@ -136,7 +147,10 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     ``located``: the direction of the object is known, so that a reduction to the Sun can be taken back.
     """
     stamp = stamp_of(header)
-    form = reading.time_format or _time_format(header) or stamp.format
+    named = (
+        "" if is_moment(_first_time(header)) else stamp.format
+    )  # a date under the name of a number is a date
+    form = reading.time_format or _time_format(header) or named
     scale, known = _scale(header, reading, form, stamp.scale)
     mark = reading.time_mark or stamp.mark or "mid"
     told = Timing(scale, form, mark, header.notes, reading.time_zone, stamp.light_path)
@@ -177,7 +191,9 @@ def _scale(header: Header, reading: Reading, form: str, stamped: str | None) -> 
             if "local" in scale
             else None
         )
-        raise InputError(header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai or tt", hint)
+        raise InputError(
+            header.source, "metadata time_scale", repr(scale[:40]), "utc, tdb, tai, tt or gps", hint
+        )
     return SCALES[scale], bool(given or stamped)
 
 
@@ -218,7 +234,8 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
             "time_zone=+02:00": OF_ANOTHER_CLOCK.search(text) and not _has_offset(header),
             "time_mark=start": any(one.search(text) for one in MARKS.values()),
             "light_path=heliocentric": AT_THE_SUN.search(text),
-            "time_scale=tai": named - {scale} and "time_scale" not in header.meta,
+            f"time_scale={next(iter(sorted(named & set(SCALES.values()) - {scale})), 'tai')}": named - {scale}
+            and "time_scale" not in header.meta,
         }
         open_ = [
             option
@@ -330,14 +347,16 @@ def _remarks(header: Header) -> list[str]:
     return [text for text in remarks if SPEAKS_OF_TIME.search(text)]
 
 
+def _first_time(header: Header) -> str:
+    """The text of the first time; "" where there is none."""
+    cells, places = first_row(header), header.places("time")
+    return "" if max(places) >= len(cells) else moment_of([cells[place] for place in places])
+
+
 def _has_offset(header: Header) -> bool:
     """Does the first time say its own offset from UTC, as in 2020-10-17T17:00:00+02:00?"""
-    cells, places = first_row(header), header.places("time")
-    if max(places) >= len(cells):
-        return False
-    text = moment_of([cells[place] for place in places])
     try:
-        match = ISO.fullmatch(Calendar(ORDERS[0]).iso([text])[0])
+        match = ISO.fullmatch(Calendar(ORDERS[0]).iso([_first_time(header)])[0])
     except UnreadableTime:
         return False
     return match is not None and match["offset"] is not None
@@ -354,20 +373,25 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
     named |= {scale for scale, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
-    if "utc" in named or (given is not None and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)):
-        named -= {"gps"}  # what keeps the clock, beside a scale that is told
+    if "utc" in named or (
+        given not in (None, KEEPS_A_CLOCK) and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)
+    ):
+        named -= {KEEPS_A_CLOCK}  # what sets the clock, beside a scale that is told
     known = {SCALES[name] for name in named if name in SCALES}
     if given is not None and (not named or given in known):
         return given
-    if len(known) == 1 and len(named) == 1 and given is None:
+    if len(known) == 1 and len(named) == 1 and given is None and KEEPS_A_CLOCK not in named:
         return known.pop()
     if not named:
         return None
     said = f"{text[:60]!r}" + (f", but time_scale is {given}" if given else "")
-    hint = (
-        f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai or tt)"
-    )
-    raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI or TT", hint)
+    hint = f"Convert the times to UTC, or say {ways_to_say(header, 'time_scale', 'utc')} (utc, tdb, tai, tt or gps)"
+    if KEEPS_A_CLOCK in named:
+        hint = (
+            "Receivers of GPS mostly show UTC; GPS's own clock is 18 s ahead of it. "
+            "Say --columns time_scale=utc, or time_scale=gps for its own clock"
+        )
+    raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI, TT or GPS", hint)
 
 
 def _time_format(header: Header) -> str:

@@ -16,8 +16,8 @@ from torchlc.errors import InputError
 from torchlc.files.numbers import Free, problem, value_of, within
 from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
-from torchlc.scene.parts import Material
-from torchlc.scene.problems import shown
+from torchlc.scene.parts import PARAMETER_KEY, Material
+from torchlc.scene.problems import shown, with_others
 from torchlc.scene.tables import SceneTables
 from torchlc.scene.tle import PLACEHOLDER
 from torchlc.suggest import did_you_mean
@@ -28,9 +28,6 @@ MAX_FILE_BYTES = 100_000_000
 TRUST = "Put the file there; or, of a scene that you trust, --trust lets it name files anywhere"
 MOST_NAMED = 10
 """New names that a warning lists."""
-PARAMETER_KEY = re.compile(
-    r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
-)
 
 
 def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None) -> Tables:
@@ -270,11 +267,13 @@ class _Checks:
         listed = self.scene.model.effects or []
         self.unique("model.effects", "name", listed)
         targets = [*self.scene.materials, *(component.name for component in self.scene.components)]
+        unknown: list[tuple[str, str]] = []
         for index, entry in enumerate(listed):
             match, place = ENTRY.fullmatch(entry), f"model.effects[{index}]"
             name = entry if match is None else match["name"]
             if known is not None and name not in known:
-                raise self._unknown_effect(place, name, known)
+                unknown.append((place, name))
+                continue
             if match is None or (known is not None and match["per"]):
                 hint = 'A value for each curve is per = "curve" of a number in [model.parameters].'
                 raise self.error(place, shown(entry), "effect or effect[material or component]", hint)
@@ -283,14 +282,12 @@ class _Checks:
         for key in self.scene.model.parameters:
             match = PARAMETER_KEY.fullmatch(key)
             place = f'model.parameters."{key_text(key)}"'
-            if key != "zero_point" and match is None:
-                expected = 'zero_point, band_sun_magnitude, or "effect.parameter"'
-                hint = did_you_mean(key, ["zero_point", "band_sun_magnitude"])
-                raise self.error(place, "unknown key", expected, hint)
             if match and known is not None and match["effect"] not in known:
-                raise self._unknown_effect(place, match["effect"], known)
-            if match and match["target"] is not None and match["target"] not in targets:
+                unknown.append((place, match["effect"]))
+            elif match and match["target"] is not None and match["target"] not in targets:
                 raise self._unknown_target(place, match["target"], targets)
+        if unknown:
+            raise self._unknown_effects(unknown, sorted(known or ()))
 
     def _unknown_target(self, place: str, target: str, targets: Sequence[str]) -> InputError:
         expected = f"one of {', '.join(targets[:12])}"
@@ -298,7 +295,10 @@ class _Checks:
             place, f"no material or component {shown(target)}", expected, did_you_mean(target, targets)
         )
 
-    def _unknown_effect(self, place: str, name: str, known: Collection[str]) -> InputError:
-        names = sorted(known)
-        expected = f"one of the {len(names)} that torchlc effects lists"
-        return self.error(place, f"unknown effect {shown(name)}", expected, did_you_mean(name, names))
+    def _unknown_effects(self, unknown: Sequence[tuple[str, str]], known: Sequence[str]) -> InputError:
+        """All effects that are not known, with their places."""
+        (place, name), *others = unknown
+        expected = f"one of the {len(known)} that torchlc effects lists"
+        more = [(f"{where}, {shown(other)}", did_you_mean(other, known)) for where, other in others]
+        hint = with_others(did_you_mean(name, known), more)
+        return self.error(place, f"unknown effect {shown(name)}", expected, hint)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -17,6 +19,8 @@ from pydantic import (
     model_validator,
 )
 
+from torchlc import brdf
+from torchlc.errors import InputError
 from torchlc.files.numbers import (
     SEVERAL,
     SINGLE,
@@ -28,15 +32,21 @@ from torchlc.files.numbers import (
     Positive,
     Real,
     Table,
+    Unknown,
     between,
     problem,
 )
+from torchlc.materials.known import preset
 from torchlc.scene.problems import shown
 from torchlc.scene.timestamps import ISO, UnreadableTime, instant
 from torchlc.scene.tle import checked_lines
 from torchlc.shapes import SHAPES, Component
 from torchlc.suggest import did_you_mean
 
+PARAMETER_KEY = re.compile(
+    r"(?P<effect>[a-z][a-z0-9_]*)\.(?P<quantity>[a-z][a-z0-9_]*)(\[(?P<target>[^\[\]]+)\])?"
+)
+"""Key of [model.parameters] that is an effect's number."""
 ROUNDING = 1e-9
 """By which the moments of a flat body may miss the sum of the other two."""
 
@@ -239,24 +249,47 @@ ComponentOfAnyShape = Annotated[SerializeAsAny[Component], BeforeValidator(_of_i
 class Material(Table):
     """A reflection model and its numbers; those that the scene leaves out come from ``preset``."""
 
+    of_the_table: ClassVar[tuple[str, ...]] = ("model", "preset")
     model: str = "ashikhmin-shirley"
     preset: str | None = None
     parameters: dict[str, Constant] = Field(default_factory=dict)
+
+    @classmethod
+    def unknown_keys(cls, data: Mapping[str, Any]) -> list[Unknown]:
+        """Those that the law has in none of its forms; none where the law itself is unknown or told in two ways, which
+        is told later."""
+        default = cls.model_fields["model"].default
+        with contextlib.suppress(InputError):
+            default = preset(str(data["preset"]))[0] if "preset" in data else default
+        law = data.get("model", default)
+        if not isinstance(law, str) or law not in brdf.MODELS or ("preset" in data and law != default):
+            return []
+        forms = brdf.MODELS[law].forms()
+        numbers = list(dict.fromkeys(key for form in forms for key in form.keys_known()))
+        return [
+            Unknown(str(key), numbers, of=law) for key in data if key not in (*numbers, *cls.of_the_table)
+        ]
 
     @model_validator(mode="before")
     @classmethod
     def _gather_parameters(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        own = {key: value for key, value in data.items() if key in ("model", "preset")}
+        own = {key: value for key, value in data.items() if key in cls.of_the_table}
         return {**own, "parameters": {key: value for key, value in data.items() if key not in own}}
+
+
+def _parameter_key(key: str) -> str:
+    if key != "zero_point" and PARAMETER_KEY.fullmatch(key) is None:
+        raise Unknown("", ["zero_point", "band_sun_magnitude", '"effect.parameter"'], typed=key).problem()
+    return key
 
 
 class Model(Table):
     """What the model holds. ``effects`` None: the known physics that the data allow; an empty list: none."""
 
     effects: list[str] | None = None
-    parameters: dict[str, Number] = Field(default_factory=dict)
+    parameters: dict[Annotated[str, AfterValidator(_parameter_key)], Number] = Field(default_factory=dict)
     band_sun_magnitude: Real | dict[str, Real] | None = None
 
     @model_validator(mode="before")

@@ -18,7 +18,9 @@ from torchlc.suggest import did_you_mean
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-MOST_MISSING = 20
+KEY = "[key]"
+"""How pydantic says that a problem is that of the key of a table, not of its value."""
+MOST_TOLD = 20
 """Keys that one message lists."""
 EXPECTED = {
     "float_type": "a number",
@@ -36,25 +38,39 @@ EXPECTED = {
 
 
 def of_validation(source: str | Path | None, error: ValidationError) -> InputError:
-    """The first problem, unknown keys before all others: a misspelt key is also a missing one. Keys that are missing
-    are told all at once.
+    """The first problem, unknown keys before all others: a misspelt key is also a missing one. Keys that are unknown, and
+    those that are missing, are told all at once.
     """
     details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "unknown_key")
     sentences = [_sentence(detail) for detail in details]
     place, found, expected, hint = sentences[0]
+    unknown = [(where, advice) for where, what, _, advice in sentences[1:] if what == "unknown key"]
+    hint = with_others(hint, unknown)
     absent = [where for where, what, _, _ in sentences if what == "missing" and where is not None]
     if found == "missing" and len(absent) > 1:
         rest = [where for where in absent if where != place]
-        listed = ", ".join(rest[:MOST_MISSING]) + (
-            f" and {len(rest) - MOST_MISSING} more" if len(rest) > MOST_MISSING else ""
+        listed = ", ".join(rest[:MOST_TOLD]) + (
+            f" and {len(rest) - MOST_TOLD} more" if len(rest) > MOST_TOLD else ""
         )
         hint = f"{hint or ''} Missing too: {listed}".strip()
     elif absent and found != "missing":
-        hint = f"{hint or ''} Missing: {', '.join(absent[:MOST_MISSING])}".strip()
-    others = len(details) - 1 - len(absent) + (found == "missing")
+        hint = f"{hint or ''} Missing: {', '.join(absent[:MOST_TOLD])}".strip()
+    others = len(details) - 1 - len(unknown) - len(absent) + (found == "missing")
     if others:
         hint = f"{hint or ''} ({others} more to mend)".strip()
     return InputError(source, place, found, expected, hint)
+
+
+def with_others(hint: str | None, unknown: Sequence[tuple[str | None, str | None]]) -> str | None:
+    """The hint on the first of several unknown names, and the places of the others, each with its own advice."""
+    if not unknown:
+        return hint
+    more = ", ".join(
+        f"{where} ({advice[0].lower()}{advice[1:]})" if advice else str(where)
+        for where, advice in unknown[:MOST_TOLD]
+    )
+    rest = f" and {len(unknown) - MOST_TOLD} more" if len(unknown) > MOST_TOLD else ""
+    return f"{hint or ''} Unknown too: {more}{rest}".strip()
 
 
 MOST_BITS = 4096
@@ -72,7 +88,8 @@ def shown(value: Any) -> str:
 
 def place_of(location: Sequence[str | int], key: str = "") -> str | None:
     """``components[1].size[0]`` from pydantic's location, without the tags of unions."""
-    parts = [part for part in location if part not in (FIXED, FREE, WHOLE, SIDES, SINGLE, SEVERAL)]
+    tags = (FIXED, FREE, WHOLE, SIDES, SINGLE, SEVERAL, KEY)
+    parts = [part for part in location if part not in tags]
     if parts[:1] == ["materials"] and parts[2:3] == ["parameters"]:
         parts = parts[:2] + parts[3:]
     if parts[:2] == ["model", "band_sun_magnitude"]:
@@ -95,9 +112,13 @@ def _sentence(detail: ErrorDetails) -> tuple[str | None, str, str | None, str | 
             place = place_of(location, context["key"])
             return place, context["found"], context["expected"], context["hint"] or None
         case "unknown_key":
-            key, allowed = context["key"], context["allowed"]
-            place = place_of(location, key)
-            return place, "unknown key", f"one of {', '.join(allowed)}", did_you_mean(key, allowed)
+            place = place_of(location, context["key"])
+            return (
+                place,
+                "unknown key",
+                context["expected"],
+                did_you_mean(context["typed"], context["allowed"]),
+            )
         case "missing":
             return place, "missing", "a value", None
         case "literal_error":

@@ -100,7 +100,7 @@ class Reading(Table):
     units: dict[str, str] = Field(default_factory=dict)
     time_format: Annotated[str, AfterValidator(_time_format)] | None = None
     date_order: Literal["day-first", "month-first"] | None = None
-    time_scale: Literal["utc", "tai", "tt", "tdb"] | None = None
+    time_scale: Literal["utc", "tai", "tt", "tdb", "gps"] | None = None
     time_zone: Annotated[str, AfterValidator(_zone)] | None = None
     time_mark: Literal["start", "middle", "end"] | None = None
     light_path: Literal["observer", "heliocentric", "barycentric"] | None = None

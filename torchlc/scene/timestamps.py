@@ -18,8 +18,10 @@ ISO = re.compile(
 )
 JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*", re.ASCII)
 """A text that is meant as a number of days, not as ISO."""
-EARLIEST_YEAR = {"utc": 1960, "tai": 1960, "tt": 1960, "tdb": 1900}
-"""UTC is not defined before 1960."""
+EARLIEST_YEAR = {"utc": 1960, "tai": 1960, "tt": 1960, "tdb": 1900, "gps": 1980}
+"""UTC is not defined before 1960, and the clock of GPS began in 1980."""
+AS_TAI = {"gps": 19.0 / 86400.0}
+"""Clocks that run as TAI does, and by how many days they are behind it."""
 LATEST_YEAR = 2200
 MJD_ZERO = 2400000.5
 REDUCED_ZERO = 2400000.0
@@ -46,7 +48,7 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
         plain = _plain_utc(texts, scale)
     else:
         plain = [text.strip().replace(" ", "T") for text in texts]
-    times = _parse_iso(plain, scale)
+    times = _parse_iso(plain, "tai" if scale in AS_TAI else scale)
     jd1, jd2 = np.asarray(times.jd1), np.asarray(times.jd2)
     _check_range(jd1 + jd2, scale, texts)
     return jd1, jd2
@@ -66,14 +68,15 @@ def julian_dates_of_numbers(
 
 
 def instant(value: str | float, scale: str) -> Time:
-    """One instant from ISO text or a Julian date, e.g. the ``epoch`` of a scene; raises UnreadableTime."""
+    """One instant from ISO text or a Julian date, e.g. the ``epoch`` of a scene; raises UnreadableTime. On a clock of AS_TAI
+    it is that clock's reading, as if it were TAI's."""
     if isinstance(value, str):
         jd1, jd2 = julian_dates_of_iso([value], scale)
     else:
         if not np.isfinite(value):
             raise UnreadableTime(0, str(value), "a finite Julian date")
         jd1, jd2 = julian_dates_of_numbers(np.array([float(value)]), scale)
-    return cast(Time, Time(jd1[0], jd2[0], format="jd", scale=scale))
+    return cast(Time, Time(jd1[0], jd2[0], format="jd", scale="tai" if scale in AS_TAI else scale))
 
 
 def _plain_utc(texts: Sequence[str], scale: str) -> list[str]:
@@ -143,7 +146,9 @@ def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) 
 
 
 def in_utc(jd1: np.ndarray, jd2: np.ndarray, scale: str) -> tuple[np.ndarray, np.ndarray]:
-    """Two-part Julian dates (T,) of TAI or TT as those of UTC; not-a-number stays not-a-number."""
+    """Two-part Julian dates (T,) of TAI, TT or GPS as those of UTC; not-a-number stays not-a-number."""
+    if scale in AS_TAI:
+        jd2, scale = jd2 + AS_TAI[scale], "tai"
     known = np.isfinite(jd1 + jd2)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)

@@ -22,6 +22,7 @@ from torchlc.cli.options import (
     whole_number,
 )
 from torchlc.cli.printing import command_line, use_threads, warn
+from torchlc.digits import number_of
 from torchlc.terminal import printable, progress_bar, say, show_json
 
 
@@ -62,7 +63,9 @@ def campaign(
     scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT.", show_default=False
+            metavar="ADDRESS",
+            help="A running Dask scheduler, tls://HOST:PORT or tcp://HOST:PORT.",
+            show_default=False,
         ),
     ] = None,
     workers: Annotated[
@@ -155,5 +158,5 @@ def init_campaign(
         warn(done.passed_over)
         if place is None:
             say("warning: the station of every scene is a placeholder: edit [[stations]], or give --station")
-        print(f"written: {done.manifest} and {len(done.matched)} scenes")
+        print(f"written: {done.manifest} and {number_of(len(done.matched), 'scene')}")
         print(f"next: torchlc campaign {shlex.quote(str(done.manifest))} -o results")

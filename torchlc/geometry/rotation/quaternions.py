@@ -119,7 +119,7 @@ def _rows(path: Path, scale: str) -> tuple[Time, np.ndarray]:
     for name in ("time", *COMPONENTS):
         if name not in header.names:
             raise InputError(path, "header", f"no column {name}", "time," + ",".join(COMPONENTS))
-    columns = read_columns(header, {"time": read_times, **dict.fromkeys(COMPONENTS, read_numbers)})
+    _, columns = read_columns(header, {"time": read_times, **dict.fromkeys(COMPONENTS, read_numbers)})
     jd1, jd2 = columns["time"].T
     if jd1.size < 2:
         raise InputError(path, None, "1 row", "at least 2")

@@ -12,7 +12,7 @@ from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.formats.delimited import NamedTable, cells_of
 from torchlc.readers.objects import chosen_object
-from torchlc.readers.table import BEYOND_MAG, Header, lines_as_cells, lines_of
+from torchlc.readers.table import BEYOND_MAG, Header, Row, lines_as_cells, lines_of
 
 COLUMNS = ("NAME", "DATE", "MAG", "MERR", "FILT", "TRANS", "MTYPE")
 DOWNLOADED = frozenset({"JD", "Magnitude", "Uncertainty", "Band", "Observer Code"})
@@ -48,7 +48,7 @@ class Aavso(Format):
         if dates is None:
             raise InputError(path, "#DATE", repr(said["date"][:40]), "JD or HJD", "Convert the dates to JD")
 
-        def all_rows() -> Iterator[tuple[str, list[str]]]:
+        def all_rows() -> Iterator[tuple[str, Row]]:
             for number, line in enumerate(lines_of(path), 1):
                 if line.startswith("#") or not line.strip():
                     continue
@@ -75,12 +75,12 @@ class Aavso(Format):
                 )
                 if error and error.lower() != "na" and abs(checked) <= BEYOND_MAG:
                     checked_decimal(error, path, f"{place}, MERR")
-                yield name, [date, mag, error, band, name]
+                yield name, (number, [date, mag, error, band, name])
 
         wanted = chosen_object(path, [{name} for name, _ in all_rows()], head.reading.object)
 
-        def rows() -> Iterator[list[str]]:
-            return (cells for name, cells in all_rows() if wanted is None or name == wanted)
+        def rows() -> Iterator[Row]:
+            return (row for name, row in all_rows() if wanted is None or name == wanted)
 
         return Header(
             path,
@@ -129,10 +129,10 @@ class AavsoDownload(NamedTable):
         header = super().read(head)
         place = header.names.index("Magnitude")
 
-        def rows() -> Iterator[list[str]]:
-            for cells in lines_as_cells(header):
+        def rows() -> Iterator[Row]:
+            for number, cells in lines_as_cells(header):
                 if place < len(cells) and cells[place].lstrip().startswith("<"):
                     cells[place] = f">{cells[place].lstrip()[1:]}"
-                yield cells
+                yield number, cells
 
         return replace(header, rows=rows)

@@ -11,7 +11,7 @@ from pathlib import Path
 from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import BEYOND_MAG, Header, lines_of
+from torchlc.readers.table import BEYOND_MAG, Header, Row, lines_of
 
 MAG_PER_LN = 2.5 / math.log(10)
 NOT_APPLIED = ("", "NONE", "FALSE", "NO", "N")
@@ -76,7 +76,7 @@ class Alcdef(Format):
         relative = any(block.relative for block in blocks)
         notes = [note for block in blocks for note in block.notes(path, relative)]
 
-        def rows() -> Iterator[list[str]]:
+        def rows() -> Iterator[Row]:
             curves: dict[int, str] = {}
             zeros: dict[int, float] = {}
             for block, number, cells in _alcdef_lines(path):
@@ -101,7 +101,8 @@ class Alcdef(Format):
                     sigma = None if error is None else value * error / MAG_PER_LN
                 elif not beyond:
                     value = mag + block.correction(path)
-                yield [date, repr(value), "" if sigma is None else repr(sigma), curves[block.line], band]
+                spread = "" if sigma is None else repr(sigma)
+                yield number, [date, repr(value), spread, curves[block.line], band]
 
         kind = "flux" if relative else "mag"
         meta = {"time_format": "jd", "light_time_corrected": corrected == {True}}

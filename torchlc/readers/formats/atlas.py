@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import Header, check_width, lines_of
+from torchlc.readers.table import Header, Row, check_width, lines_of
 from torchlc.scene.reading import Reading
 
 EXPOSURE_S = 30.0
@@ -33,7 +33,7 @@ class Atlas(Format):
         faintest = names.index("mag5sig") if "mag5sig" in names else None
         delimiter = "," if "," in head.first else None
 
-        def rows() -> Iterator[list[str]]:
+        def rows() -> Iterator[Row]:
             for number, line in enumerate(lines_of(path), 1):
                 if line.startswith("#") or not line.strip() or line.lstrip().startswith("MJD"):
                     continue
@@ -42,7 +42,7 @@ class Atlas(Format):
                 date, mag, error, band = (cells[place] for place in places)
                 if checked_decimal(mag, path, f"line {number}, m") < 0:
                     mag, error = "" if faintest is None else f">{cells[faintest]}", ""
-                yield [date, mag, error, band]
+                yield number, [date, mag, error, band]
 
         header = Header(
             path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows

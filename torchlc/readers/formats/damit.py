@@ -10,7 +10,7 @@ from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import Header, lines_of
+from torchlc.readers.table import Header, Row, lines_of
 
 SUN, OBSERVER = ("sun_x", "sun_y", "sun_z"), ("obs_x", "obs_y", "obs_z")
 
@@ -34,7 +34,7 @@ class Damit(Format):
     def read(cls, head: Head) -> Header:
         path = head.path
 
-        def rows() -> Iterator[list[str]]:
+        def rows() -> Iterator[Row]:
             lines = (
                 (number, line)
                 for number, line in enumerate(lines_of(path), 1)
@@ -63,7 +63,7 @@ class Damit(Format):
                         far = math.hypot(*vectors[:3]) * math.hypot(*vectors[3:])
                         cells[1] = repr(checked_decimal(cells[1], path, place) / far**2 if far else math.nan)
                         name = "calibrated"
-                    yield [*cells[:2], name, *cells[2:]]
+                    yield number, [*cells[:2], name, *cells[2:]]
             number, line = next(lines, (0, ""))
             if number:
                 found = f"{line.strip()[:40]!r} after the last point that the file announces"

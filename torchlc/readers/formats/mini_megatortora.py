@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterator
 
 from torchlc.readers.format import Format, Head
-from torchlc.readers.table import Header, check_width, lines_of
+from torchlc.readers.table import Header, Row, check_width, lines_of
 
 MMT = {"StdMag", "Mag", "Filter", "Channel"}
 
@@ -31,7 +31,7 @@ class MiniMegaTortora(Format):
         split = "Time" in names
         place = {name: names.index(name) for name in (*MMT, "Date", "Track") if name in names}
 
-        def rows() -> Iterator[list[str]]:
+        def rows() -> Iterator[Row]:
             for number, line in enumerate(lines_of(path), 1):
                 if line.startswith(("#", "Date,")) or not line.strip():
                     continue
@@ -41,7 +41,7 @@ class MiniMegaTortora(Format):
                 track = f"track {cells[place['Track']]} " if "Track" in place else ""
                 band = cells[place["Filter"]]
                 curve = f"{track}channel {cells[place['Channel']]}"
-                yield [date, cells[place["Mag"]], "clear" if band == "Clear" else band, curve]
+                yield number, [date, cells[place["Mag"]], "clear" if band == "Clear" else band, curve]
 
         about = dict(line.split(": ", 1) for line in head.comments if ": " in line)
         meta = {"object": about["satellite"]} if "satellite" in about else {}

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from torchlc.errors import InputError
 from torchlc.readers.format import Format, Head
 from torchlc.readers.objects import chosen_object
-from torchlc.readers.table import Header, lines_of
+from torchlc.readers.table import Header, Row, lines_of
 
 DATE = re.compile(r"\d{4} \d\d \d\d\.\d{1,6} {0,6}", re.ASCII)
 CODE = re.compile(r"[A-Z0-9]\d\d", re.ASCII)
@@ -33,7 +33,7 @@ class Mpc80(Format):
     def read(cls, head: Head) -> Header:
         path = head.path
 
-        def all_rows() -> Iterator[tuple[str, list[str]]]:
+        def all_rows() -> Iterator[tuple[str, Row]]:
             for number, line in enumerate(lines_of(path), 1):
                 text = line.rstrip("\r\n")
                 if text.startswith("#") or not text.strip() or (len(text) == 80 and text[14] in SECOND_LINES):
@@ -42,12 +42,13 @@ class Mpc80(Format):
                     expected = "80 columns: the date in 16 to 32, the magnitude in 66 to 70, the observatory in 78 to 80"
                     raise InputError(path, f"line {number}", repr(text[:40]), expected)
                 name = text[:5].strip() or text[5:12].strip()
-                yield name, [text[15:32].strip(), text[65:70].strip(), text[70].strip(), text[77:80], name]
+                cells = [text[15:32].strip(), text[65:70].strip(), text[70].strip(), text[77:80], name]
+                yield name, (number, cells)
 
         wanted = chosen_object(path, [{name} for name, _ in all_rows()], head.reading.object)
 
-        def rows() -> Iterator[list[str]]:
-            return (cells for name, cells in all_rows() if wanted is None or name == wanted)
+        def rows() -> Iterator[Row]:
+            return (row for name, row in all_rows() if wanted is None or name == wanted)
 
         return Header(
             path,

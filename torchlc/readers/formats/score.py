@@ -10,7 +10,7 @@ from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.objects import chosen_object
 from torchlc.readers.stations import to_add
-from torchlc.readers.table import BLANK, Header, check_width, lines_of
+from torchlc.readers.table import BLANK, Header, Row, cells_of_lines, check_width, lines_of
 
 SATELLITE = ("satellite_name", "norad_cat_id")
 OF_SCORE = {"observation_time_utc", "apparent_magnitude"}
@@ -39,12 +39,13 @@ class Score(Format):
         error_name = next((name for name in ERRORS if name in names), "")
 
         def all_rows() -> Iterator[tuple[int, dict[str, str]]]:
-            lines = (line for line in lines_of(path) if not line.startswith("#") and line.strip())
-            reader = csv.reader(lines)
-            next(reader)
-            for row, cells in enumerate(reader, 1):
-                check_width(path, f"row {row}", cells, names)
-                yield row, dict(zip(names, map(str.strip, cells), strict=False))
+            numbered = enumerate(lines_of(path), 1)
+            lines = ((number, line) for number, line in numbered if not line.startswith("#") and line.strip())
+            rows = cells_of_lines(path, lines)
+            next(rows)
+            for number, cells in rows:
+                check_width(path, f"line {number}", cells, names)
+                yield number, dict(zip(names, map(str.strip, cells), strict=False))
 
         def called(cells: dict[str, str]) -> set[str]:
             return {cells.get(name, "") for name in SATELLITE} - {""}
@@ -52,8 +53,8 @@ class Score(Format):
         wanted = chosen_object(path, (called(cells) for _, cells in all_rows()), head.reading.object)
         stations: dict[tuple[str, ...], str] = {}
 
-        def rows() -> Iterator[list[str]]:
-            for row, cells in all_rows():
+        def rows() -> Iterator[Row]:
+            for number, cells in all_rows():
                 if wanted is not None and wanted not in called(cells):
                     continue
                 mag, error = cells["apparent_magnitude"], cells.get(error_name, "")
@@ -62,15 +63,18 @@ class Score(Format):
                     mag, error = f">{limit}", ""
                 place = tuple(cells.get(name, "") for name in PLACE)
                 if place not in stations:
-                    stations[place] = _station(head, row, place)
-                yield [
-                    cells["observation_time_utc"],
-                    mag,
-                    error,
-                    cells.get("observing_filter", ""),
-                    stations[place],
-                    next((cells[name] for name in SATELLITE if cells.get(name)), ""),
-                ]
+                    stations[place] = _station(head, number, place)
+                yield (
+                    number,
+                    [
+                        cells["observation_time_utc"],
+                        mag,
+                        error,
+                        cells.get("observing_filter", ""),
+                        stations[place],
+                        next((cells[name] for name in SATELLITE if cells.get(name)), ""),
+                    ],
+                )
 
         columns = ("time", "mag", "mag_err", "band", "station", "object")
         theirs = {
@@ -93,12 +97,12 @@ class Score(Format):
         )
 
 
-def _station(head: Head, row: int, place: tuple[str, ...]) -> str:
+def _station(head: Head, line: int, place: tuple[str, ...]) -> str:
     """The station of the scene at a place; the place itself as a name where there is no scene."""
     if head.scene is None or not head.scene.stations or not all(place[:2]):
         return ", ".join(filter(None, place)) if head.scene is None else ""
     latitude, longitude = (
-        checked_decimal(place[k], head.path, f"row {row}, column {PLACE[k]}") for k in range(2)
+        checked_decimal(place[k], head.path, f"line {line}, column {PLACE[k]}") for k in range(2)
     )
     for station in head.scene.stations:
         east = (station.longitude - longitude + 180.0) % 360.0 - 180.0
@@ -107,7 +111,7 @@ def _station(head: Head, row: int, place: tuple[str, ...]) -> str:
     known = ", ".join(f"{one.id} at {one.latitude:g}, {one.longitude:g}" for one in head.scene.stations[:5])
     raise InputError(
         head.path,
-        f"row {row}",
+        f"line {line}",
         f"an observer at {latitude:g}, {longitude:g}",
         f"a station of the scene: {known}",
         to_add(f"{latitude:g} {longitude:g}", f"{latitude:g}", f"{longitude:g}", place[2] or "0"),

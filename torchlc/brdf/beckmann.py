@@ -9,15 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.base import (
-    TINY_COS,
-    Brdf,
-    Incidence,
-    coupled_diffuse,
-    per_epoch,
-    per_pair,
-    schlick_weight,
-)
+from torchlc.brdf.angles import TINY_COS, Incidence, coupled_diffuse, per_epoch, per_pair, schlick_weight
+from torchlc.brdf.base import Brdf
 from torchlc.brdf.cook_torrance import slopes_of
 from torchlc.parameters import FRESNEL, REFLECTANCE, WIDTH, Quantity
 

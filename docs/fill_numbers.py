@@ -3,7 +3,7 @@
     python docs/fill_numbers.py
 
 A number that comes from the code or from an example stands between two comments, ``<!--name-->0.01<!--/-->``; ``{{ name }}``
-asks for one. ``myst_substitutions`` of conf.py has the values. effects/library.md is written anew as well.
+asks for one. ``myst_substitutions`` of conf.py has the values. effects/library.md and physics/laws.md are written anew as well.
 """
 
 from __future__ import annotations
@@ -33,11 +33,13 @@ def pages() -> list[Path]:
 
 
 def main() -> None:
-    sys.path[:0] = [str(HERE), str(HERE / "effects")]
+    sys.path[:0] = [str(HERE), str(HERE / "effects"), str(HERE / "physics")]
     import conf
     from effect_library import library
+    from law_library import laws
 
     (HERE / "effects" / "library.md").write_text(library(), encoding="utf-8")
+    (HERE / "physics" / "laws.md").write_text(laws(), encoding="utf-8")
     for page in pages():
         before = page.read_text(encoding="utf-8")
         after = filled(before, conf.myst_substitutions)

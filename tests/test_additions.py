@@ -219,13 +219,24 @@ def test_the_listings_are_json():
     json.dumps(effects_listing(), allow_nan=False)
 
 
-def test_the_pages_of_effects_are_made_from_the_class():
-    """What the documentation's own builder writes of an effect that no file of it names."""
-    specification = importlib.util.spec_from_file_location(
-        "effect_library", ROOT / "docs" / "effects" / "effect_library.py"
-    )
+def builder_of(page: str):
+    """The documentation's own builder of a page, of this path below docs."""
+    specification = importlib.util.spec_from_file_location(Path(page).stem, ROOT / "docs" / page)
     builder = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(builder)
+    return builder
+
+
+def test_the_page_of_laws_is_made_from_the_class():
+    page = "\n".join(builder_of("physics/law_library.py").law(ConstantGlow))
+    assert "## constant-glow" in page and "light that goes with the area alone" in page
+    assert "| `glow` |  | 0 | 1 | flux of a unit area |" in page
+    assert "`glow` + `r_diff` is at most 1." in page and "[phong-mirror](#phong-mirror)" in page
+
+
+def test_the_pages_of_effects_are_made_from_the_class():
+    """What the documentation's own builder writes of an effect that no file of it names."""
+    builder = builder_of("effects/effect_library.py")
     listing = {effect["name"]: effect for effect in effects_listing()}
     for cls in (ThinCloud, UnevenErrors):
         page = "\n".join(builder.section(listing[cls.name]))

@@ -13,6 +13,8 @@ import pytest
 
 from tests.run_page import blocks
 from tests.warm import call
+from torchlc.brdf import MODELS
+from torchlc.shapes import SHAPES
 
 ROOT = Path(__file__).parent.parent
 NEEDS_SHARED = "<!-- needs ../shared -->"
@@ -69,13 +71,14 @@ def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, warm: tuple[str, Pa
 
 def test_pages_read_in_the_repository_as_on_the_site() -> None:
     """No raw mark of a template; numbers in the pages, and the list of effects, are those of the code."""
-    sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "docs" / "effects")]
+    sys.path[:0] = [str(ROOT / "docs" / folder) for folder in ("", "effects", "physics")]
     try:
         import conf
         import effect_library
         import fill_numbers
+        import law_library
     finally:
-        del sys.path[:2]
+        del sys.path[:3]
     for page in fill_numbers.pages():
         text = page.read_text(encoding="utf-8")
         assert "{{" not in re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL), page
@@ -85,6 +88,14 @@ def test_pages_read_in_the_repository_as_on_the_site() -> None:
         )
     library = ROOT / "docs" / "effects" / "library.md"
     assert library.read_text(encoding="utf-8") == effect_library.library(), "python docs/fill_numbers.py"
+    laws = ROOT / "docs" / "physics" / "laws.md"
+    assert laws.read_text(encoding="utf-8") == law_library.laws(), "python docs/fill_numbers.py"
+
+
+def test_every_law_and_shape_is_in_the_page_of_scenes() -> None:
+    page = (ROOT / "docs" / "formats" / "scene.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w-]+)`", page))
+    assert set(MODELS) - named == set() and set(SHAPES) - named == set()
 
 
 @pytest.mark.long

@@ -37,8 +37,20 @@ def probes(setup: Setup, taken: set[str]) -> Iterator[tuple[str, list[Concealed]
     if moving:
         yield "panel_offset", [{"panel_offset": {"deg": 0.1}}]
         yield "panel_cant", [{"panel_cant": {"deg": 0.1}}]
+        if sum("tracks" in c for c in setup.tree["components"]) > 1:
+            yield "wing_split", [{"wing_split": {"deg": 0.1}}]
     if spinning:
         yield "spin_rate_offset", [{"spin_rate_offset": {"rev_per_hour": 1e-4}}]
+    for when in mid:
+        yield "attitude_jump", [{"attitude_jump": {axis: 0.1, "time": when}} for axis in "xyz"]
+    span_min = float(setup.t[-1] - setup.t[0]) / 60.0
+    for period in (0.3, 0.6, 1.2, 2.4):
+        for axis in "xyz":
+            doses = [
+                {"deg": 0.1, "period_min": period * span_min, "axis": axis, "phase_deg": one}
+                for one in (0.0, 90.0)
+            ]
+            yield "wobble", [{"wobble": dose} for dose in doses]
     yield "extinction_residual", [{"extinction_residual": {"mag_per_airmass": 0.01}}]
     yield "zero_point_drift", [{"zero_point_drift": {"mag_per_hour": 0.01}}]
     yield "background", [{"background": {"fraction": 0.02}}]

@@ -69,7 +69,8 @@ def disturbed(
     said, told = campaign.communicate(timeout=280)
     assert campaign.returncode == 0, told
     assert said.splitlines()[0] == "4 of 5 objects done, 1 failed"
-    (warning,) = told.splitlines()
+    open_port, warning = told.splitlines()
+    assert open_port.startswith(f"torchlc: warning: --scheduler {address}: not encrypted")
     assert warning.startswith(f"torchlc: warning: {BAD}: ") and "none.ecsv: no such file" in warning
     return out
 

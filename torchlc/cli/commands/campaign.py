@@ -82,6 +82,13 @@ def campaign(
     use_threads(threads)
     from torchlc.campaigns.run import campaign as run
 
+    if scheduler is not None and not scheduler.startswith("tls://") and not quiet:
+        warn(
+            [
+                f"--scheduler {scheduler}: not encrypted. Whoever can reach its port can run code as you; the page on "
+                "campaigns on several machines says how to close it"
+            ]
+        )
     with progress_bar(not (quiet or json)) as progress:
         result = run(
             manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed, budget=budget,

@@ -10,6 +10,7 @@ import torch
 from scipy import stats
 
 from tests.test_verdict import ERROR, ball, changed, searched  # noqa: F401  (a fixture)
+from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.engine import near_quoted
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.probabilities import probabilities
@@ -85,6 +86,22 @@ def test_a_third_of_the_rows_bad_is_no_noise_to_judge_a_model_by(ball) -> None: 
     added[np.arange(rows) % 30 != 0] = 0.0
     few = searched(changed(ball, added))
     assert _at_quoted_errors(few).hypothesis == Hypothesis().under("outliers")
+
+
+@pytest.mark.parametrize("wave", [0.0, 0.15])
+def test_a_leader_beside_which_something_unknown_is_ahead_is_not_clean(ball, wave) -> None:  # noqa: F811
+    """Whatever a gate says of what it leaves: here that there is nothing."""
+    hours = ball[1].seconds / 3600
+    added = 0.1 * (hours - hours.mean()) + wave * np.sin(2 * np.pi * hours / 0.7)
+    search = searched(changed(ball, added))
+    search.extend(search.visited[Hypothesis().under(*search.robust)], "zero_point_drift", None)
+    for one in [one for one in search.visited if search.correlated(one)]:
+        del search.visited[one]  # rows that err together hide a wave as well
+    assert search.foremost.added == ("zero_point_drift",)
+    assert search.clean(lambda _: 1.0)  # nothing unknown was asked yet
+    null = search.visited[Hypothesis()]
+    search.strangers(coordinates(null.model, null.theta))
+    assert search.clean(lambda _: 1.0) is (wave == 0.0)
 
 
 def test_an_effect_that_is_begun_far_away_comes_to_no_less_than_without_it(ball) -> None:  # noqa: F811

@@ -249,9 +249,11 @@ class Search(Promises):
         return max(self.log_odds(self.leader), self.stranger_alone) - self.log_odds(self.foremost)
 
     def clean(self, left: Callable[[Fitted], float]) -> bool:
-        """Whether the foremost leaves nothing, by the p-value that ``left`` gives, and no red noise is ahead of it; another way to err
-        independently is no sign that anything is left."""
+        """Whether the foremost leaves nothing, by the p-value that ``left`` gives, and neither red noise nor something unknown beside it is
+        ahead of it; another way to err independently is no sign that anything is left."""
         hidden = self.correlated(self.leader) and self.ahead_of_foremost > NEAR
+        beside = (self.odd_log_odds(odd) for odd in self.odd if odd.beside.added == self.foremost.added)
+        hidden = hidden or max(beside, default=-math.inf) > self.log_odds(self.leader)
         return not hidden and left(self.visited[self.foremost]) > CLEAN_P
 
     def grow(

@@ -22,8 +22,8 @@ class Eon(Brdf):
     """f_r = albedo / pi A (1 + roughness s / t) plus what is scattered again; Portsmouth et al.'s eqs. for EON.
 
     s = s.o - mu0 mu, t = max(mu0, mu) where s > 0 and else 1, A = 1 / (1 + c1 roughness) as Fujii has it. What that
-    leaves of a white surface's light, 1 - E(mu0), is scattered again and tinted by the albedo once more each time,
-    so that albedo 1 sends out all that comes in, whatever the roughness. Roughness 0 is Lambert's law; one of 0.44 has
+    leaves of a white surface's light, 1 - E(mu0), is scattered again and tinted by the albedo once more each time.
+    So albedo 1 sends out all that comes in, whatever the roughness. Roughness 0 is Lambert's law; one of 0.44 has
     the ratio B/A of `oren-nayar` at sigma = 30 deg. Neglected: the shadows that cavities cast, which make a dark surface
     fainter, by 0.15 mag where sigma is 30 deg.
     """

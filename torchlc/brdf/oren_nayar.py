@@ -23,9 +23,13 @@ class OrenNayar(Brdf):
     """Light once scattered by V-shaped cavities with Lambert walls: L1 of Oren and Nayar's full model.
 
     f_r = albedo / pi [C1 + cos(azimuth) C2 tan(b) + (1 - |cos(azimuth)|) C3 tan((a + b) / 2)]; a and b are the
-    larger and the smaller of the two angles to the normal, s2 the square of ``sigma`` in rad, C1 = 1 - 0.5 s2 / (s2 +
-    0.33), C2 = 0.45 s2 / (s2 + 0.09) (sin(a) - [azimuth > 90 deg] (2 b / pi)^3), C3 = 0.125 s2 / (s2 + 0.09) (4 a b /
-    pi^2)^2. Sigma 0 is Lambert's law. It follows the integral over Gaussian cavities within 0.03 mag rms up to 80 deg
+    larger and the smaller of the two angles to the normal. With s2, the square of ``sigma`` in rad:
+
+    - C1 = 1 - 0.5 s2 / (s2 + 0.33).
+    - C2 = 0.45 s2 / (s2 + 0.09) (sin(a) - [azimuth > 90 deg] (2 b / pi)^3).
+    - C3 = 0.125 s2 / (s2 + 0.09) (4 a b / pi^2)^2.
+
+    Sigma 0 is Lambert's law. It follows the integral over Gaussian cavities within 0.03 mag rms up to 80 deg
     from the normal where sigma is at least 20 deg, 0.06 mag below; their shorter, qualitative model (A and B alone) by
     0.07 to 0.3 mag. Neglected: light scattered more than once within a cavity, 0.03 mag at sigma = 30 deg and
     albedo 0.2, 0.13 mag at albedo 0.9 (`eon` keeps all of it). At grazing light the fit sends out up to 0.2 % too

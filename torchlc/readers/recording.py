@@ -15,7 +15,7 @@ from torchlc.files.reading import sha256_of, unchanged
 from torchlc.files.svg import scatter
 from torchlc.readers import exchange
 from torchlc.readers.formats import read_header
-from torchlc.readers.measurements import Measurements
+from torchlc.readers.measurements import Measurements, counted
 from torchlc.readers.reader import read_measurements
 from torchlc.readers.table import Header
 from torchlc.scene.reading import Reading, reading_of
@@ -43,7 +43,7 @@ class Recording(Measurements):
         ):
             told.append(f"{number_of(len(names), what)}")
         told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")
-        told += [f"{count} {reason} dropped" for reason, count in self.dropped.items()]
+        told += [f"left out: {counted(self.dropped)}"] if self.dropped else []
         return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])
 
     def _repr_html_(self) -> str:

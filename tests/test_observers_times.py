@@ -132,7 +132,7 @@ def test_a_julian_date_is_no_second_of_gps(read):
         read(f"GPS time,mag\n{JD[0]},{MAG[0]}\n")
 
 
-@pytest.mark.parametrize("name", ["GPS time", "gps", "Time (GPS)", "gps_time", "GPS Date"])
+@pytest.mark.parametrize("name", ["GPS time", "gps", "Time (GPS)", "gps_time", "GPSTime", "GPS Date"])
 def test_dates_of_gps_are_asked_about_and_both_answers_work(read, name: str):
     """A receiver shows UTC, or GPS's own clock, which has no leap seconds: 18 s ahead in 2026."""
     columns = f'"time={name}"'

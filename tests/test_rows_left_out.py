@@ -11,6 +11,7 @@ import pytest
 from tests.good_input import SCENE
 from torchlc.cli import run
 from torchlc.diagnosis.words import bad_rows
+from torchlc.errors import InputError
 from torchlc.readers import load_recording, recording_of
 from torchlc.readers.measurements import left_out, places
 
@@ -95,6 +96,37 @@ def test_flags_of_ztf_leave_rows_out(tmp_path: Path):
     )
     assert len(load_recording(tmp_path / "r.csv")) == 4
     assert len(load_recording(tmp_path / "r.csv", columns="bad=clouds")) == 2
+
+
+ATLAS = """###MJD m dm uJy duJy F err chi/N RA Dec x y maj min phi apfit mag5sig Sky Obs
+59139.625 15.1 0.05 3000 100 o 0 1.1 10 20 1 1 2 2 0 -.4 19.1 20.1 a
+59139.626 15.2 0.05 3000 100 o 1 1.1 10 20 1 1 2 2 0 -.4 19.1 20.1 b
+"""
+
+
+def test_flags_of_atlas_leave_rows_out_where_the_user_says_so(tmp_path: Path):
+    (tmp_path / "r.txt").write_text(ATLAS)
+    assert len(load_recording(tmp_path / "r.txt")) == 2
+    assert left_out(load_recording(tmp_path / "r.txt", columns="bad=err")) == [
+        "1 row is left out: 1 flagged as bad (line 3)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("flags", "columns", "told"),
+    [
+        (("3", "1"), "bad=a", "2 flagged as bad.*whose flag is 0.*give the column another name"),
+        (("ok", "no"), "bad=a", "row 1, column bad: 'ok'; expected true, false, or a number: 0 for a good row$"),
+        (("0", "0"), "bad=a+mag", r"column of bad: 2 columns: 'a\+mag'; expected one column"),
+    ],
+)  # fmt: skip
+def test_flags_that_cannot_be_used_are_told_with_what_a_flag_is(
+    tmp_path: Path, flags, columns: str, told: str
+):
+    rows = [f"59139.{place},12.5,0.02,{flag}\n" for place, flag in enumerate(flags, 1)]
+    (tmp_path / "r.csv").write_text("mjd,mag,magerr,a\n" + "".join(rows))
+    with pytest.raises(InputError, match=told):
+        load_recording(tmp_path / "r.csv", columns=columns)
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,11 @@ KEPT_IF = {
         ("beyond 90 mag", "marked as missing"),
         ("with a measurement", "Numbers such as 99.999 and -99 stand for none"),
     ),
+    "flagged as bad": (
+        "whose flag is 0",
+        "The flag is the column bad, catflags of ZTF, or what --columns bad=NAME names. "
+        "If its numbers say something else, leave it out of --columns or give the column another name",
+    ),
     "upper limit, which a diagnosis does not use": ("with a measured value", None),
     "below the horizon": (
         "with the object above the horizon of its station",

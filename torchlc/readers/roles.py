@@ -276,6 +276,11 @@ def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
             raise InputError(
                 header.source, f"column of {role}", f"no column {name[:60]!r}", f"one of {listed}", hint
             )
+    if len(places) > 1 and role != "time":
+        found = f"{len(places)} columns: {text[:60]!r}"
+        raise InputError(
+            header.source, f"column of {role}", found, "one column", "Only parts of a date are joined by +"
+        )
     return tuple(places)
 
 

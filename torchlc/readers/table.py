@@ -349,7 +349,12 @@ def read_bad(header: Header, name: str, cells: list[str], start: int) -> np.ndar
         "1" if cell.strip().lower() in TRUE else "0" if cell.strip().lower() in FALSE else cell
         for cell in cells
     ]
-    return np.nan_to_num(read_numbers(header, name, words, start)) != 0
+    try:
+        return np.nan_to_num(read_numbers(header, name, words, start)) != 0
+    except InputError as error:
+        raise InputError(
+            error.source, error.place, error.found, "true, false, or a number: 0 for a good row"
+        ) from None
 
 
 class LabelReader:

@@ -373,6 +373,8 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
     named |= {scale for scale, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
+    if (stamp := stamp_named(text)) is not None and stamp.format == KEEPS_A_CLOCK:
+        named.add(KEEPS_A_CLOCK)  # as one word: gpstime
     if "utc" in named or (
         given not in (None, KEEPS_A_CLOCK) and not re.search(r"gps[ _-]?time", text, re.IGNORECASE)
     ):

@@ -17,7 +17,7 @@ NAMES = ("MJD", "m", "dm", "uJy", "duJy", "F")
 class Atlas(Format):
     """AB magnitudes of difference images, each filter a band. A negative magnitude stands for a negative flux there, and
     is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its row. MJD is the start of the exposure, which takes
-    30 s (fallingstar-data.com/forcedphot/resultdesc).
+    30 s (fallingstar-data.com/forcedphot/resultdesc). ``err`` flags a row only where ``--columns bad=err`` says so.
     """
 
     name = "ATLAS"
@@ -31,6 +31,7 @@ class Atlas(Format):
         path, names = head.path, _names(head)
         places = [names.index(name) for name in ("MJD", "m", "dm", "F")]
         faintest = names.index("mag5sig") if "mag5sig" in names else None
+        flag = names.index("err") if "err" in names else None
         delimiter = "," if "," in head.first else None
 
         def rows() -> Iterator[Row]:
@@ -42,11 +43,10 @@ class Atlas(Format):
                 date, mag, error, band = (cells[place] for place in places)
                 if checked_decimal(mag, path, f"line {number}, m") < 0:
                     mag, error = "" if faintest is None else f">{cells[faintest]}", ""
-                yield number, [date, mag, error, band]
+                yield number, [date, mag, error, band, *([] if flag is None else [cells[flag]])]
 
-        header = Header(
-            path, ("time", "mag", "mag_err", "band"), ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows
-        )
+        columns = ("time", "mag", "mag_err", "band", *([] if flag is None else ["err"]))
+        header = Header(path, columns, ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows)
         told = Reading(time_mark="start", exptime=EXPOSURE_S)
         theirs = {"time": "MJD", "mag": "m", "mag_err": "dm", "band": "F"}
         notes = (f"MJD of ATLAS is the start of exposures of {EXPOSURE_S:g} s",)

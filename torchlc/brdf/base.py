@@ -58,7 +58,8 @@ class Brdf(nn.Module):
     radiance_as_irradiance: ClassVar[bool] = False
     """True if its radiance is the irradiance times a number, in all directions."""
     edged: ClassVar[bool] = False
-    """True if light has an edge, where its slope jumps, within a wide lobe, which points on a curved surface do not follow."""
+    """True if light has an edge within a wide lobe, where its slope jumps or it ends all but at once, which points on a curved surface do not
+    follow."""
     additive: ClassVar[bool] = False
     """True if the tables of two sets of facets can be added, so that a mesh is tabulated piece by piece."""
 

@@ -43,6 +43,7 @@ class Beckmann(Brdf):
     )
     simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
     coupled: ClassVar[bool] = True
+    edged: ClassVar[bool] = True
 
     @staticmethod
     def tabulate(angles: Incidence, weight: Tensor) -> dict[str, Tensor]:

@@ -98,7 +98,7 @@ Columns = Annotated[
     typer.Option(
         metavar="NAME=COLUMN,...",
         help="Which column is what, as in time=JD_UTC,mag=V,mag_err=e_V; also time_format, date_order, time_scale, time_zone, "
-        "time_mark, exptime, object, delimiter, decimal, non_detections, longest_gap.",
+        "time_mark, exptime, object, bad, delimiter, decimal, non_detections, longest_gap.",
         show_default=False,
     ),
 ]

@@ -82,13 +82,6 @@ def campaign(
     use_threads(threads)
     from torchlc.campaigns.run import campaign as run
 
-    if scheduler is not None and not scheduler.startswith("tls://") and not quiet:
-        warn(
-            [
-                f"--scheduler {scheduler}: not encrypted. Whoever can reach its port can run code as you; the page on "
-                "campaigns on several machines says how to close it"
-            ]
-        )
     with progress_bar(not (quiet or json)) as progress:
         result = run(
             manifest, out=out, scheduler=scheduler, workers=workers, threads=threads, seed=seed, budget=budget,
@@ -98,6 +91,13 @@ def campaign(
         show_json(result.to_json())
     elif not quiet:
         print(printable(result.headline()))
+        if scheduler is not None and not scheduler.startswith("tls://"):
+            warn(
+                [
+                    f"--scheduler {scheduler}: not encrypted. Whoever can reach its port can run code as you; the page on "
+                    "campaigns on several machines says how to close it"
+                ]
+            )
         warn(f"{name}: {reason}" for name, reason in result.failures)
         if result.failed > len(result.failures):
             warn([f"and {result.failed - len(result.failures)} more that failed"])

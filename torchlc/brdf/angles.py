@@ -6,6 +6,7 @@ Shapes: T epochs, K = facets x quadrature nodes, ``...`` any batch; the last axi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -142,3 +143,13 @@ def per_epoch(value: Tensor) -> Tensor:
 def per_pair(value: Tensor) -> Tensor:
     """A parameter (...) shaped to meet (K, T)."""
     return value[..., None, None]
+
+
+def schlick_parts(
+    table: Mapping[str, Tensor], values: Mapping[str, Tensor], slopes: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Lobe and diffuse part of a law whose Fresnel factor is Schlick's with ``f0`` and whose diffuse part is
+    :func:`coupled_diffuse`: ``slopes`` (..., K, T) is what microfacets send of the table's ``normal`` and ``grazing`` weights."""
+    f0 = per_epoch(values["f0"])
+    specular = f0 * (table["normal"] * slopes).sum(-2) + (table["grazing"] * slopes).sum(-2)
+    return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]

@@ -9,16 +9,15 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.angles import TINY_COS, Incidence, coupled_diffuse, per_epoch, per_pair, schlick_weight
-from torchlc.brdf.base import Brdf
+from torchlc.brdf.angles import TINY_COS, Incidence, coupled_diffuse, per_pair, schlick_parts, schlick_weight
 from torchlc.brdf.cook_torrance import slopes_of
-from torchlc.parameters import FRESNEL, REFLECTANCE, WIDTH, Quantity
+from torchlc.brdf.ggx import Ggx
 
 STEEPEST = 1e3
 """Cotangent over alpha from which on nothing is masked: 1 - G1 is below rounding from 6 on."""
 
 
-class Beckmann(Brdf):
+class Beckmann(Ggx):
     """f_r = F D G / (4 mu0 mu) plus the diffuse part of eq. 6; D = exp(-tan^2 / alpha^2) / (pi alpha^2 cos^4).
 
     G is Smith's, separable: G1(mu0) G1(mu), G1 = 2 / (1 + erf(a) + exp(-a^2) / (a sqrt(pi))), a = 1 / (alpha tan) (Walter
@@ -28,21 +27,6 @@ class Beckmann(Brdf):
     """
 
     model: ClassVar[str] = "beckmann"
-    quantities: ClassVar[tuple[Quantity, ...]] = (
-        Quantity(
-            "alpha",
-            "",
-            1e-3,
-            1.0,
-            "roughness: rms slope of the microfacets times sqrt 2",
-            prior="loguniform",
-            role=WIDTH,
-        ),
-        Quantity("f0", "", 0.0, 1.0, "Fresnel reflectance at normal incidence", role=FRESNEL),
-        Quantity("r_diff", "", 0.0, 1.0, "diffuse reflectance", role=REFLECTANCE),
-    )
-    simplex: ClassVar[tuple[str, ...]] = ("f0", "r_diff")
-    coupled: ClassVar[bool] = True
     edged: ClassVar[bool] = True
 
     @staticmethod
@@ -61,10 +45,9 @@ class Beckmann(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        f0, alpha = per_epoch(values["f0"]), values["alpha"]
+        alpha = values["alpha"]
         seen = slopes_of(table, alpha) * _open(table["cos_i"], alpha) * _open(table["cos_r"], alpha)
-        specular = f0 * (table["normal"] * seen).sum(-2) + (table["grazing"] * seen).sum(-2)
-        return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+        return schlick_parts(table, values, seen)
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

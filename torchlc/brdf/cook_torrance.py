@@ -9,7 +9,15 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.angles import Incidence, coupled_diffuse, lobe, per_epoch, per_pair, schlick_weight
+from torchlc.brdf.angles import (
+    Incidence,
+    coupled_diffuse,
+    lobe,
+    per_epoch,
+    per_pair,
+    schlick_parts,
+    schlick_weight,
+)
 from torchlc.brdf.base import Brdf
 from torchlc.brdf.fresnel import conductor, dielectric, least_schlick
 from torchlc.parameters import FRESNEL, INDEX, REFLECTANCE, WIDTH, Quantity
@@ -48,9 +56,7 @@ class CookTorrance(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        f0, slopes = per_epoch(values["f0"]), slopes_of(table, values["m"])
-        specular = f0 * (table["normal"] * slopes).sum(-2) + (table["grazing"] * slopes).sum(-2)
-        return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+        return schlick_parts(table, values, slopes_of(table, values["m"]))
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

@@ -9,7 +9,15 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torchlc.brdf.angles import TINY_COS, Incidence, coupled_diffuse, per_epoch, per_pair, schlick_weight
+from torchlc.brdf.angles import (
+    TINY_COS,
+    Incidence,
+    coupled_diffuse,
+    per_epoch,
+    per_pair,
+    schlick_parts,
+    schlick_weight,
+)
 from torchlc.brdf.base import Brdf
 from torchlc.brdf.fresnel import conductor, dielectric, least_schlick
 from torchlc.parameters import FRESNEL, INDEX, REFLECTANCE, WIDTH, Quantity
@@ -53,9 +61,7 @@ class Ggx(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        f0, seen = per_epoch(values["f0"]), seen_slopes(table, values["alpha"])
-        specular = f0 * (table["normal"] * seen).sum(-2) + (table["grazing"] * seen).sum(-2)
-        return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+        return schlick_parts(table, values, seen_slopes(table, values["alpha"]))
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

@@ -222,9 +222,9 @@ def less_unseen(
 ) -> list[tuple[str, Hypothesis, float, float]]:
     """The same mass, where that of values of an effect or of noise which nobody could see counts for the set without it; with the share of
     what is left of a single effect that is not sure to be seen."""
-    shares: dict[
-        tuple[Hypothesis, str], tuple[float, float]
-    ] = {}  # mass may come to a set from several larger ones
+    # mass may come to a set from several larger ones
+    shares: dict[tuple[Hypothesis, str], tuple[float, float]] = {}
+    of_noise: dict[Hypothesis, float] = {}
     pending = list(masses)
     done: list[tuple[str, Hypothesis, float, float]] = []
     while pending:
@@ -245,11 +245,9 @@ def less_unseen(
                     unsure = (below - unseen) / max(1 - unseen, WEIGHED)
             bare = Hypothesis()
             if one != bare and not one.added and not one.law:
-                if (one, "") not in shares:
-                    fits = search.visited[one], search.visited[bare]
-                    share = unseen_noise_share(*fits, one.seed)
-                    shares[one, ""] = share, share
-                unseen = shares[one, ""][0]
+                if one not in of_noise:
+                    of_noise[one] = unseen_noise_share(search.visited[one], search.visited[bare], one.seed)
+                unseen = of_noise[one]
                 done.append((kind, bare, p * unseen, 0.0))
                 p *= 1 - unseen
         done.append((kind, one, p, unsure))

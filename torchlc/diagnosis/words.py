@@ -108,15 +108,17 @@ def bad_rows(content: Mapping[str, Any]) -> str:
         for when in [f"{row['time'][:19].replace('T', ' ')}, {probability(row['probability'])}"]
     )
     more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
-    are = "is" if len(rows) == 1 else "are"
-    return f"{number_of(len(rows), 'row')} {are} probably bad, further from the model than the errors allow: {shown}{more}."
+    return f"{_bad(len(rows))}, further from the model than the errors allow: {shown}{more}."
 
 
 def _count_of_bad_rows(content: Mapping[str, Any]) -> str:
     """How many rows are probably outliers; nothing where none is."""
     count = len(content["outliers"])
-    are = "is" if count == 1 else "are"
-    return f"{number_of(count, 'row')} {are} probably bad: see the table of bad rows." if count else ""
+    return f"{_bad(count)}: see the table of bad rows." if count else ""
+
+
+def _bad(count: int) -> str:
+    return f"{number_of(count, 'row')} {'is' if count == 1 else 'are'} probably bad"
 
 
 def shape(content: Mapping[str, Any]) -> str:
@@ -190,10 +192,8 @@ def _next_steps(content: Mapping[str, Any]) -> list[str]:
     that may be it were not examined."""
     steps = [content["next_observation"].rstrip(".")] if content["next_observation"] else []
     count, laws = len(content["unexamined"]), content["probabilities"]["other_laws"]
-    unexplained, likely = (
-        content["verdict"] == "unexplained",
-        content["probabilities"]["not_examined"] > TOLD_LATE,
-    )
+    unexplained = content["verdict"] == "unexplained"
+    likely = content["probabilities"]["not_examined"] > TOLD_LATE
     if unexplained and sum(laws.values()) > 0.5:
         law = max(laws, key=lambda one: laws[one])
         steps.append(

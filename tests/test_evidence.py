@@ -273,7 +273,6 @@ def test_two_reflectances_are_uniform_on_their_triangle():
     shares = [float(one.double().mean()) for one in corners]
     np.testing.assert_allclose(shares, 0.25, atol=0.01)  # 3 standard deviations
     torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-5)
-    assert float(scores.correction(g).abs().max()) == 0.0
 
 
 def test_what_diffuse_light_leaves_open_of_two_reflectances_is_integrated():
@@ -317,18 +316,53 @@ def test_what_diffuse_light_leaves_open_of_two_reflectances_is_integrated():
         assert float(weight[r_spec < r].sum()) == pytest.approx(share, abs=0.1)  # three sd of 200 draws
 
 
-def test_a_pair_with_peaked_priors_has_the_density_of_the_parameter_set():
-    """ln prior + ln |d theta / d g| - ln N(g) - correction is one constant, by finite differences."""
-    numbers = parameters(
-        Prior("normal", 0.0, 1.0, 0.3, 0.2), Prior("normal", 0.0, 1.0, 0.5, 0.3), pairs=((0, 1),)
-    )
+def as_scipy(prior: Prior):
+    if prior.kind == "normal":
+        low, high = ((end - prior.centre) / prior.sigma for end in (prior.low, prior.high))
+        return stats.truncnorm(low, high, prior.centre, prior.sigma)
+    if prior.kind == "loguniform":
+        return stats.loguniform(prior.low, prior.high)
+    return stats.uniform(prior.low, prior.high - prior.low)
+
+
+@pytest.mark.parametrize(
+    "first, second",
+    [
+        (Prior("normal", 0.0, 1.0, 0.3, 0.2), Prior("normal", 0.0, 1.0, 0.5, 0.3)),
+        (Prior("uniform", 0.0, 1.0), Prior("normal", 0.0, 1.0, 0.29, 0.05)),
+        (Prior("normal", 0.0, 1.0, 0.7, 0.05), Prior("uniform", 0.1, 1.0)),
+        (Prior("loguniform", 0.01, 1.0), Prior("uniform", 0.0, 0.6)),
+    ],
+)
+def test_a_pair_with_other_priors_has_their_density_on_the_triangle(first, second):
+    """ln prior + ln |d theta / d g| - ln N(g) is the logarithm of what the triangle holds of both priors, which scipy integrates; and back."""
+    numbers = parameters(first, second, pairs=((0, 1),))
     scores = NormalScores(numbers)
     g = 0.8 * torch.randn(40, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     step = 1e-5 * torch.eye(2, dtype=torch.float64)
     columns = [(scores.theta(g + step[k]) - scores.theta(g - step[k])) / 2e-5 for k in range(2)]
     log_det = torch.linalg.slogdet(torch.stack(columns, -1))[1]
-    density = numbers.log_prior(scores.theta(g)) + log_det + 0.5 * g.square().sum(-1) - scores.correction(g)
-    assert float(density.max() - density.min()) < 1e-6
+    density = numbers.log_prior(scores.theta(g)) + log_det + 0.5 * g.square().sum(-1) + math.log(2 * math.pi)
+    one, other = (as_scipy(prior) for prior in (first, second))
+    kinks = [1 - second.high, first.centre, 1 - second.centre]
+    whole = integrate.quad(
+        lambda x: one.pdf(x) * other.cdf(1 - x), first.low, first.high, points=[x for x in kinks if 0 < x < 1]
+    )[0]
+    torch.testing.assert_close(density, torch.full_like(density, math.log(whole)), rtol=0, atol=2e-4)
+    torch.testing.assert_close(scores.scores(scores.theta(g)), g, rtol=0, atol=1e-5)
+
+
+def test_a_pair_has_no_coordinate_where_both_priors_leave_no_room():
+    """A second that is known to be 0.29 leaves the first below 0.71 + what 7 standard deviations are: no g leads beyond."""
+    scores = NormalScores(
+        parameters(Prior("uniform", 0.0, 1.0), Prior("normal", 0.0, 1.0, 0.29, 0.008), pairs=((0, 1),))
+    )
+    g = torch.stack(
+        [torch.linspace(-7, 7, 141, dtype=torch.float64), torch.zeros(141, dtype=torch.float64)], -1
+    )
+    first, second = scores.theta(g).unbind(-1)
+    assert bool((torch.diff(first) >= 0).all()) and 0.70 < float(first.max()) < 0.78
+    assert float(((second - 0.29) / 0.008).abs().max()) < 7.5
 
 
 def test_a_plateau_that_no_curvature_tells_of():

@@ -140,9 +140,7 @@ class Posterior:
 
     def held_density(self, found: Residuals, g: Tensor) -> Tensor:
         """The same of residuals that are worked out already, with sigma as at g."""
-        prior = (
-            -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size + self.scores.correction(g[..., : self.own])
-        )
+        prior = -0.5 * g.square().sum(-1) - HALF_LOG_2PI * self.size
         return self.likelihood.density(found, self.noise(g)) + prior
 
     def colours(self) -> Colours | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from torchlc.brdf.base import MODELS
 from torchlc.files.numbers import Free
-from torchlc.parameters import REFLECTANCE
+from torchlc.parameters import REFLECTANCE, Quantity
 from torchlc.scene import Scene
 from torchlc.scene.parts import Material
 
@@ -44,7 +44,8 @@ def under_other_laws(scene: Scene) -> dict[str, Scene]:
     """The scene with every lobe that has free numbers following another law, by the law's name: one that its own law
     counts among its ``rivals``.
 
-    Lobes start anew, without what the scene says of them; diffuse reflectances are kept.
+    Lobes start anew, without what the scene says of them. So do diffuse reflectances that are free, for what is known of one holds under
+    the law that it was found under: it takes what that law's lobe leaves. Those that are certain stay.
     """
     scenes = {}
     laws = dict.fromkeys(
@@ -61,12 +62,19 @@ def _under(law: str, material: Material) -> Material:
     """The material under a law, if that is a rival of its own and anything of it is free; else itself."""
     own = MODELS[material.model]
     kept = {
-        name: number for name, number in material.parameters.items() if own.quantity(name).role == REFLECTANCE
+        name: _anew(number, own.quantity(name)) if isinstance(number, Free) else number
+        for name, number in material.parameters.items()
+        if own.quantity(name).role == REFLECTANCE
     }
     lobe = own.rivals.get(law)
     if lobe is None or not kept or not any(isinstance(one, Free) for one in material.parameters.values()):
         return material
     return Material.model_construct(model=law, preset=None, parameters={**_free(law, lobe), **kept})
+
+
+def _anew(number: Free, quantity: Quantity) -> Free:
+    """A reflectance of which nothing is known but its bounds."""
+    return Free(value=number.value, low=quantity.low, high=quantity.high, per=number.per)
 
 
 def _free(law: str, starts: Mapping[str, float]) -> dict[str, Free]:

@@ -60,6 +60,8 @@ class Search(Promises):
     odd: list[Discrepancy] = field(default_factory=list)
     begun_afresh: set[Hypothesis] = field(default_factory=set)
     """Sets of effects that were fitted from materials of their own."""
+    begun_beside: set[tuple[Hypothesis, str]] = field(default_factory=set)
+    """Sets beside which an effect was begun anew."""
 
     def singles(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
         """Every candidate alone, first those that are fitted fast, by what their signatures promise, most first: a budget then ends among
@@ -212,9 +214,10 @@ class Search(Promises):
             if not best:
                 break
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
-            close = not clean and gained > (REACH if beyond else -REACH)
-            if close:
-                self.exchange(best[0], entries, grown)
+            if gained > (REACH if beyond else -REACH):
+                if not clean:
+                    self.exchange(best[0], entries, grown)
+                self.rivals_anew(size + 1)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
@@ -223,8 +226,7 @@ class Search(Promises):
         self.of_fewer_numbers(entries, grown)
 
     def exchange(self, whole: Hypothesis, entries: Sequence[str], grown: set[frozenset[str]]) -> None:
-        """A set without each of its effects, and with another in the place of each; one of MANY numbers is also begun anew beside the
-        others, for alone it took their light for its own."""
+        """A set without each of its effects, and with another in the place of each."""
         at = self.visited[whole]
         for entry in whole.added:
             fewer = self.less(at, entry)
@@ -233,11 +235,26 @@ class Search(Promises):
                 self.shrunk(at, entry)
             if fewer in self.visited and self.clock.left(0.8):
                 self.grow(fewer, entries, grown, GROWN // 2, anew=False)
-                if fewer.added and quick and self.numbers(Hypothesis((entry,))) >= MANY:
-                    self.begun_anew(fewer, entry)
+
+    def rivals_anew(self, size: int) -> None:
+        """The best sets of a size once more with each of their effects of MANY numbers begun anew beside the others: alone, or beside what was
+        exchanged, it took their light for its own."""
+        sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+        for whole in [one for one in sized if self.log_odds(one) > self.log_odds(sized[0]) - REACH][:BEAM]:
+            for entry in whole.added:
+                fewer = self.less(self.visited[whole], entry)
+                quick = refit_seconds(self.posterior(fewer)) < DEAR_FIT_S and self.clock.left(0.8)
+                if not quick or self.numbers(Hypothesis((entry,))) < MANY:
+                    continue
+                if fewer not in self.visited:
+                    self.shrunk(self.visited[whole], entry)
+                self.begun_anew(fewer, entry)
 
     def begun_anew(self, fewer: Hypothesis, entry: str) -> None:
-        """A set from probes of one of its effects beside the others."""
+        """A set from probes of one of its effects beside the others, once."""
+        if (fewer, entry) in self.begun_beside:
+            return
+        self.begun_beside.add((fewer, entry))
         beside = self.visited[fewer]
         found = self.probe_all(beside, [entry])
         if entry in found and self.affordable(entry, beside, found[entry]):

@@ -139,13 +139,13 @@ class Search(Promises):
                 self.unexamined.setdefault(entry, "there was no time")
 
     def shared_materials(self) -> None:
-        """Each hypothesis of the first round, and the scene's own model, from the materials of the leaders: what an effect
+        """The best hypotheses of the first round, and the scene's own model, from the materials of the leaders: what an effect
         is blamed for may sit in the materials."""
         first = [
             one for one in self.ranked() if len(one.added) <= 1 and one.noise == self.robust and not one.law
         ]
         leaders = [self.visited[one] for one in first[:2]]
-        for one in first:
+        for one in dict.fromkeys((*first[:GROWN], Hypothesis().under(*self.robust))):
             at = self.visited[one]
             if not self.clock.left(0.7) or at.posterior.dear or not at.posterior.physical:
                 continue

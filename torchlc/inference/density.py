@@ -240,7 +240,7 @@ class Fitted:
         off = self.likelihood.observed - self.prediction
         return off if self.likelihood.kind == "mag" else off / self.scale
 
-    @property
+    @cached_property
     def chi2(self) -> float:
         """Sum of squared residuals over the quoted errors."""
         return float((self.delta / self.quoted).square().sum())
@@ -252,12 +252,12 @@ class Fitted:
             return self.evidence.log_z
         return self.laplace_of_all + self.missed
 
-    @property
+    @cached_property
     def laplace_of_all(self) -> float:
         """Log evidence of all the minima by Laplace's method."""
         return float(torch.logsumexp(torch.tensor([one.laplace for one in (self, *self.others)]), 0))
 
-    @property
+    @cached_property
     def laplace(self) -> float:
         log_det = float(torch.linalg.slogdet(self.covariance)[1]) if self.posterior.size else 0.0
         return self.peak + HALF_LOG_2PI * self.posterior.size + 0.5 * log_det
@@ -266,7 +266,7 @@ class Fitted:
     def minima(self) -> tuple[Fitted, ...]:
         return (self, *self.others)
 
-    @property
+    @cached_property
     def left(self) -> float:
         """What a step to where the slopes point would gain in log density; inf where they do not say, for want of a law of
         errors whose weights they have."""

@@ -30,6 +30,7 @@ from torchlc.inference.reflectances import linear_columns
 from torchlc.inference.starts import regressed
 from torchlc.noise import Noise, Residuals
 from torchlc.tensors.least_squares import Colours, differences, minimise
+from torchlc.tensors.normal_tail import HALF_LOG_2PI
 from torchlc.tensors.second_differences import second_differences
 
 LEAST_PRECISION = 0.3
@@ -220,7 +221,7 @@ def fit(
 
     Columns of a ``nominal`` geometry, of which each value is worked out anew and which the light follows almost in proportion, are first left
     where each start has them. What their slopes promise from there tells whether the log evidence can come near ``floor``;
-    if not, the fit ends there. ``slopes`` (S, T, P) are d residual / d g about the starts, if they are known.
+    if not, the fit ends there; and so does, once its noise is fitted, any fit that stays below. ``slopes`` (S, T, P) are d residual / d g about the starts, if they are known.
     """
     g, known = starts, slopes
     if len(starts) > most:
@@ -243,7 +244,7 @@ def fit(
     for one in leading:
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
-    return merged([polished(_sloped(hypothesis, posterior, one), turns) for one in chosen[:most]])
+    return merged([polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]])
 
 
 def _common(posterior: Posterior, starts: Tensor, nominal: Sequence[int]) -> Sequence[int]:
@@ -278,8 +279,9 @@ def _fits_as_they_stand(
     return sorted(fits, key=lambda one: -one.peak)
 
 
-def polished(at: Fitted, turns: int) -> Fitted:
-    """A fit with noise and the rest fitted in turn, then until the slopes there promise no more than LEFT in log density."""
+def polished(at: Fitted, turns: int, floor: float = -math.inf) -> Fitted:
+    """A fit with noise and the rest fitted in turn, then until the slopes there promise no more than LEFT in log density, or so little that
+    its log evidence stays below ``floor``."""
     posterior = at.posterior
     levels = posterior.likelihood.fitted_errors
     turns = turns if posterior.noise_columns or levels else 0
@@ -287,6 +289,9 @@ def polished(at: Fitted, turns: int) -> Fitted:
         if turn < turns:
             g = fit_noise(posterior, at.g, at.found)
             at = _at(at.hypothesis, posterior, g, posterior.under(at.found, at.g, g), at.slopes)
+        # a coordinate's prior has unit variance, which the data can hardly widen
+        if at.peak + HALF_LOG_2PI * posterior.size + LONGEST * at.left < floor:
+            break
         if at.left > LEFT or (levels and turn < turns):
             new = _moved(at)
             gain, at = new.peak - at.peak, max(at, new, key=lambda one: one.peak)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import lru_cache
 
 from torchlc.naming import ENTRY
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -26,11 +23,7 @@ class Entry:
     @classmethod
     def parse(cls, text: str) -> Entry:
         """The parts of an item; the whole of one that has another form counts as a name, which no effect has."""
-        match = ENTRY.fullmatch(text)
-        if match is None:
-            return cls(text)
-        width = match["width"]
-        return cls(match["name"], match["target"], match["per"], float(width) if width else None)
+        return _parsed(text)
 
     @classmethod
     def split(cls, text: str) -> list[str]:
@@ -44,3 +37,12 @@ class Entry:
 
     def __str__(self) -> str:
         return self.plain + (f"~{self.width:.3g}" if self.width is not None else "")
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str) -> Entry:
+    match = ENTRY.fullmatch(text)
+    if match is None:
+        return Entry(text)
+    width = match["width"]
+    return Entry(match["name"], match["target"], match["per"], float(width) if width else None)

@@ -11,10 +11,10 @@ from scipy import stats
 
 from tests.test_verdict import ERROR, ball, changed, searched  # noqa: F401  (a fixture)
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import near_quoted
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.run import _at_quoted_errors
+from torchlc.diagnosis.standing import near_quoted
 from torchlc.diagnosis.unseen import SURE, UNSEEN, unseen_noise_share, unseen_shares
 from torchlc.inference.density import SCALE_SIGMA
 from torchlc.inference.posterior import fitted_at

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
-from torchlc.diagnosis.engine import CLEAN_P, DRAWS, Search, near_quoted
+from torchlc.diagnosis.engine import DRAWS, Search
 from torchlc.diagnosis.gate import Battery, Gate, gate
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, carried
 from torchlc.diagnosis.plan import LEAST_P, MOST_SETS, TOLD, next_nights, sentence
@@ -19,6 +19,7 @@ from torchlc.diagnosis.probabilities import Probabilities, probabilities
 from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
+from torchlc.diagnosis.standing import CLEAN_P, near_quoted
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
 from torchlc.files.steps import Steps
 from torchlc.inference.density import Fitted

@@ -68,7 +68,7 @@ class Growth(Standing):
             for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
                 most = GROWN if number == 0 else GROWN // 2
                 steps += self.promising(stem, entries, most, anew=number == 0)
-            self.take(steps)
+            self.take(steps, None if clean else left)
             if self.settled:
                 # what probes promise beside fits that are far apart does not compare
                 for stems in (self.behind(sized), *([one] for one in self.shorter())):
@@ -78,7 +78,7 @@ class Growth(Standing):
                 break
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained > (REACH if beyond else -REACH):
-                if not clean:
+                if not self.clean(left):
                     self.exchange(best[0], entries)
                 self.rivals_anew(size + 1)
             best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
@@ -112,15 +112,19 @@ class Growth(Standing):
         odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * one.score
         return Step(stem, entry, one, odds)
 
-    def take(self, steps: Iterable[Step]) -> None:
-        """What promises the highest odds first, whichever set it grows: what is refitted early spares what falls behind it."""
+    def take(self, steps: Iterable[Step], left: Callable[[Fitted], float] | None = None) -> None:
+        """What promises the highest odds first, whichever set it grows: what is refitted early spares what falls behind it. With ``left``, until
+        the foremost is clean: what may overtake it is asked next."""
         for one in sorted(steps, key=lambda step: -step.odds):
             at = self.visited[one.stem]
             if one.key in self.grown or not self.clock.left(0.8):
                 continue
             if self.within_reach(one.entry, at, one.probe) and self.affordable(one.entry, at, one.probe):
                 self.grown.add(one.key)
+                foremost = self.foremost
                 self.extend(at, one.entry, one.probe)
+                if left is not None and self.foremost != foremost and self.as_quoted and self.clean(left):
+                    break
 
     def exchange(self, whole: Hypothesis, entries: Sequence[str]) -> None:
         """A set without each of its effects, and with another in the place of each."""

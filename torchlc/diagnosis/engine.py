@@ -58,6 +58,7 @@ class Search(Growth):
         order = sorted(self.probes, key=lambda entry: (slow[entry], -self.probes[entry].score))
         # beside materials that are wrong for want of the effect, which a probe holds, the true one may promise an eighth of its gain
         first = sorted(self.probes, key=lambda entry: -self.probes[entry].score)[:GROWN]
+        clean: dict[Hypothesis, bool] = {}
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 break
@@ -65,7 +66,10 @@ class Search(Growth):
             if not one.visible:
                 self.invisible.add(entry)
                 continue
-            asked = entry in first or self.within_reach(entry, at, one)
+            if self.foremost not in clean:
+                clean[self.foremost] = self.clean(left)
+            # as long as structure is left the light is not near what probes were made beside, and their promise is no bound
+            asked = entry in first or not clean[self.foremost] or self.within_reach(entry, at, one)
             if asked and self.affordable(entry, at, one):
                 self.extend(at, entry, one)
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))

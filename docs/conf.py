@@ -18,16 +18,19 @@ from torchlc.diagnosis import (
     engine,
     fits,
     gate,
+    growth,
     hypotheses,
     probes,
     promises,
     proof,
     run,
+    standing,
     where,
 )
 from torchlc.diagnosis import probabilities as odds
 from torchlc.diagnosis.unseen import SURE, UNSEEN
 from torchlc.inference import density, posterior
+from torchlc.noise.red_noise import RedNoise
 
 HERE = Path(__file__).parent
 sys.path += [str(HERE / folder) for folder in ("calibration", "evidence", "how_to")]
@@ -51,11 +54,11 @@ myst_substitutions = {
     "blocks": proof.BLOCKS,
     "runs": proof.RUNS,
     "longest": posterior.LONGEST,
-    "clean_p": f"{engine.CLEAN_P:g}",
+    "clean_p": f"{standing.CLEAN_P:g}",
     "dear": f"{promises.DEAR_FIT_S:g}",
     "slow_fit": f"{promises.SLOW_FIT_S:g}",
     "again": str(probes.AGAIN),
-    "grown": str(engine.GROWN),
+    "grown": str(growth.GROWN),
     "as_likely": f"{100 * counts.AS_LIKELY:g}",
     "linear_near": f"{promises.LINEAR_NEAR:g}",
     "slow_ms": f"{1000 * density.DEAR_S:g}",
@@ -63,6 +66,8 @@ myst_substitutions = {
     "draws_z": engine.DRAWS,
     "family": f"{100 * odds.FAMILY_SHARE:g} %",
     "law_odds": f"{hypotheses.LAW_ODDS:g}",
+    "sizes_odds": f"{hypotheses.SIZES_ODDS:g}",
+    "together_odds": f"{hypotheses.NOISE_ODDS * RedNoise.prior_odds:g}",
     "least_taken": f"{100 * odds.LEAST_TAKEN:g} %",
     "unseen": f"{UNSEEN:g}",
     "sure": f"{SURE:g}",

@@ -440,7 +440,7 @@ def test_an_effect_beside_one_that_is_behind_is_tried_where_it_may_lift_both_abo
     search.probe_all(at, [entry])
     search.extend(at, "zero_point_step", None)
     search.extend(at, stem, None)
-    search.overtake([Hypothesis((stem,), search.robust)], [entry], set())
+    search.overtake([Hypothesis((stem,), search.robust)], [entry])
     assert any(set(one.plain) == {stem, entry} for one in search.visited) is tried
 
 
@@ -531,7 +531,7 @@ def test_a_leader_of_two_numbers_is_held_against_two_effects_of_one(ball, leader
     behind = search.log_odds(search.leader) - search.log_odds(one)
     search.visited[one] = replace(search.visited[one], peak=search.visited[one].peak + behind + 1.0)
     assert search.foremost == one
-    search.of_fewer_numbers(entries, set())
+    search.of_fewer_numbers(entries)
     pair = {"zero_point_drift", "background"}
     assert any(set(one.plain) == pair for one in search.visited) is tried
 

@@ -146,10 +146,10 @@ def per_pair(value: Tensor) -> Tensor:
 
 
 def schlick_parts(
-    table: Mapping[str, Tensor], values: Mapping[str, Tensor], slopes: Tensor
+    table: Mapping[str, Tensor], f0: Tensor, diffuse: Tensor, slopes: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Lobe and diffuse part of a law whose Fresnel factor is Schlick's with ``f0`` and whose diffuse part is
+    """Lobe and diffuse part of a law whose Fresnel factor is Schlick's with ``f0`` (...) and whose ``diffuse`` reflectance (...) is that of
     :func:`coupled_diffuse`: ``slopes`` (..., K, T) is what microfacets send of the table's ``normal`` and ``grazing`` weights."""
-    f0 = per_epoch(values["f0"])
+    f0 = per_epoch(f0)
     specular = f0 * (table["normal"] * slopes).sum(-2) + (table["grazing"] * slopes).sum(-2)
-    return specular, per_epoch(values["r_diff"]) * (1 - f0) * table["diffuse"]
+    return specular, per_epoch(diffuse) * (1 - f0) * table["diffuse"]

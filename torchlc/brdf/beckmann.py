@@ -47,7 +47,7 @@ class Beckmann(Ggx):
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         alpha = values["alpha"]
         seen = slopes_of(table, alpha) * _open(table["cos_i"], alpha) * _open(table["cos_r"], alpha)
-        return schlick_parts(table, values, seen)
+        return schlick_parts(table, values["f0"], values["r_diff"], seen)
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

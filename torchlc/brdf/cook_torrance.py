@@ -56,7 +56,7 @@ class CookTorrance(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        return schlick_parts(table, values, slopes_of(table, values["m"]))
+        return schlick_parts(table, values["f0"], values["r_diff"], slopes_of(table, values["m"]))
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

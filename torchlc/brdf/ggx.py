@@ -61,7 +61,7 @@ class Ggx(Brdf):
 
     @staticmethod
     def parts(table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        return schlick_parts(table, values, seen_slopes(table, values["alpha"]))
+        return schlick_parts(table, values["f0"], values["r_diff"], seen_slopes(table, values["alpha"]))
 
     @staticmethod
     def lobe_variance(values: Mapping[str, Tensor]) -> Tensor:

@@ -30,9 +30,12 @@ from torchlc.stages.entry import Entry
 SCALE = "error scale"
 """The quoted errors times a factor, which is no effect of the library: log-normal about 1."""
 NOISE_ODDS = 0.3
-"""Of each way to err, one in four: errors that are 30 % off and a few bad rows are what recordings have."""
-LAW_ODDS = 0.1
-"""Of another law of reflection, or of sizes that are only nominal; the scene's author chose for a reason."""
+"""Of each way to err, one in four, times what its class says: errors that are 30 % off and a few bad rows are what recordings have."""
+LAW_ODDS = 0.2
+"""Of another law of reflection, shared by those that are asked: the scene's author chose for a reason, and one more law in the library makes
+none of the others less likely to be right."""
+SIZES_ODDS = 0.1
+"""Of sizes that are only nominal where the scene gives them as certain."""
 FEW_EFFECTS = 3
 """Effects of a set up to which any gain is enough that it grows."""
 MOST_OBJECTS = 30
@@ -121,9 +124,12 @@ class Workbench:
 
     def log_odds(self, hypothesis: Hypothesis) -> float:
         """ln of the prior odds: an effect has 1 : (N - 1) of N names, times what its class says, shared by its targets
-        and divisions."""
-        total = math.log(NOISE_ODDS) * len(hypothesis.noise)
-        total += math.log(LAW_ODDS) * bool(hypothesis.law)
+        and divisions; a way to err NOISE_ODDS times what its class says."""
+        known = registry()
+        kinds = [known[kind].prior_odds if kind != SCALE else 1.0 for kind in hypothesis.noise]
+        total = sum(math.log(NOISE_ODDS * odds) for odds in kinds)
+        if hypothesis.law:
+            total += math.log(LAW_ODDS / len(self.laws) if hypothesis.law in self.laws else SIZES_ODDS)
         names = [Entry.parse(entry).name for entry in self.entries]
         usual = 1 / max(len(set(names)) - 1, 1)
         for entry in hypothesis.added:

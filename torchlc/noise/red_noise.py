@@ -51,6 +51,7 @@ class RedNoise(NoiseKind):
     title = "noise that is correlated in time"
     shown = Shown(NIGHT, "lag, min", {"mag": 0.05, "tau_min": 20.0})
     correlates = True
+    prior_odds = 0.3  # a night whose rows err together is rarer than one with a bad row
     quantities = (
         Quantity(
             "mag", "mag", 0.0, 2.0, "standard deviation of the process",

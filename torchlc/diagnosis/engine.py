@@ -29,6 +29,8 @@ from torchlc.stages.entry import Entry
 
 LAW_STARTS = 48
 """Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
+LAWS_IF_SLOW = 2
+"""Best laws that the leading sets are refitted under where each geometry of a free one takes long: a set then takes some 5 s under each."""
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 MOST_LOOKED = 6
@@ -257,14 +259,17 @@ class Search(Growth):
         other law: beside the wrong law others lead."""
         self.alternatives(self.bench.laws, [()])
         null = Hypothesis().under(*self.robust)
-        better = [law for law in self.bench.laws if self.ahead(replace(null, law=law), null)]
+        others = [replace(null, law=law) for law in self.bench.laws]
+        better = [one.law for one in self.ranked(one for one in others if self.ahead(one, null))]
         if not better:
             return
+        if self.posterior(replace(null, law=better[0])).slow:
+            better = better[:LAWS_IF_SLOW]
         if not clean:
             leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
             self.alternatives(better, list(dict.fromkeys(leaders))[:2])
         # a clean leader beside the wrong law may have bent to it: near is what FEW_EFFECTS would bring as far
-        best = max((replace(null, law=law) for law in better), key=self.log_odds)
+        best = replace(null, law=better[0])
         if not clean or self.log_odds(best) > self.mark - FEW_EFFECTS * REACH:
             self.take(self.promising(best, entries, GROWN, anew=True))
 

@@ -137,13 +137,13 @@ class Fits:
             found += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
         return found
 
-    @property
-    def gain_alone(self) -> float:
-        """What the best effect alone adds to the log odds of the scene's own model, each under the robust noise."""
-        robust = [one for one in self.ranked() if one.noise == self.robust and not one.law]
-        null, *_ = (one for one in robust if not one.added)
-        alone = next((one for one in robust if len(one.added) == 1), null)
-        return max(self.log_odds(alone) - self.log_odds(null), 0.0)
+    def last_gain(self, size: int) -> float:
+        """What the best set of ``size`` effects adds to the log odds of the best with one fewer, each under the robust noise."""
+        robust = [one for one in self.ranked() if one.noise == self.robust]
+        best = [next((one for one in robust if len(one.added) == count), None) for count in (size - 1, size)]
+        if best[0] is None or best[1] is None:
+            return 0.0
+        return max(self.log_odds(best[1]) - self.log_odds(best[0]), 0.0)
 
     def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether a hypothesis was visited and is better than another."""

@@ -51,10 +51,10 @@ class Growth(Standing):
         exchanged; beyond FEW_EFFECTS of the first leader alone, as long as each further effect gains REACH. A leader that is :meth:`clean` is only
         asked for what may hide beside it, and others for what lifts them above it; where it has another law than the scene, the best under the scene's own grows beside it;
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
-        behind if FEW_EFFECTS more gained as much each as the best one alone."""
+        behind if FEW_EFFECTS more gained as much each as the last one."""
         for size in itertools.count(1):
             sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
-            if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.gain_alone:
+            if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.last_gain(size):
                 break
             clean = self.clean(left)
             self.settled = clean and self.as_quoted

@@ -14,6 +14,8 @@ import torch
 from skyfield.api import Loader
 from skyfield_data import get_skyfield_data_path
 
+import torchlc
+from tests.ball import BALL, ERROR, ROWS
 from tests.effects.cases import PLATE, seen_from, still, tilted
 from tests.noisy_rows import FREE
 from tests.small_case import write_case
@@ -103,3 +105,19 @@ def sky():
     ephemeris = load("de421.bsp")
     yield load.timescale(builtin=True), ephemeris
     ephemeris.close()
+
+
+@pytest.fixture(scope="session")
+def ball(tmp_path_factory):
+    """A ball whose zero point alone is free: everything is linear."""
+    folder = tmp_path_factory.mktemp("ball")
+    (folder / "scene.toml").write_text(BALL)
+    curve = torchlc.simulate(
+        folder / "scene.toml",
+        start="2026-03-15T19:00:00",
+        hours=5.0,
+        cadence=5 * 3600 / ROWS,
+        noise=ERROR,
+        seed=3,
+    )
+    return torchlc.load(folder / "scene.toml", curve.write(folder / "recording.ecsv"))

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import stats
 
-from tests.test_verdict import ERROR, ball, changed, searched  # noqa: F401  (a fixture)
+from tests.ball import ERROR, changed, searched
 from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.probabilities import probabilities
@@ -20,13 +20,13 @@ from torchlc.inference.density import SCALE_SIGMA
 from torchlc.inference.posterior import fitted_at
 
 
-def scaled(ball, factor: float):  # noqa: F811
+def scaled(ball, factor: float):
     """A recording whose rows err ``factor`` times as much as it quotes."""
     return ball[0], replace(ball[1], error=ball[1].error / factor)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.08, 1.3])
-def test_the_unseen_share_of_larger_errors_is_that_of_their_posterior(ball, factor) -> None:  # noqa: F811
+def test_the_unseen_share_of_larger_errors_is_that_of_their_posterior(ball, factor) -> None:
     """ln of the scale about its best value, with its prior, by quadrature in numpy. N rows of errors s times the quoted ones hold
     N ((s^2 - 1) / 2 - ln s) of information on average, half the recordings less than the median of chi-square gives; and the recording itself
     says how much more probable they are."""
@@ -49,7 +49,7 @@ def test_the_unseen_share_of_larger_errors_is_that_of_their_posterior(ball, fact
     assert (expected > 0.9) if factor == 1.0 else (expected < 0.1 or factor < 1.1)
 
 
-def test_one_wild_row_is_seen_although_few_recordings_would_have_it(ball) -> None:  # noqa: F811
+def test_one_wild_row_is_seen_although_few_recordings_would_have_it(ball) -> None:
     added = np.zeros(len(ball[1].observed))
     clean = searched(ball)
     bad = Hypothesis().under("outliers")
@@ -60,7 +60,7 @@ def test_one_wild_row_is_seen_although_few_recordings_would_have_it(ball) -> Non
     assert probabilities(wild, 0.5).verdict == "noise_model"
 
 
-def test_what_is_too_weak_to_show_is_told_with_nothing_missing(ball) -> None:  # noqa: F811
+def test_what_is_too_weak_to_show_is_told_with_nothing_missing(ball) -> None:
     """A drift of four errors: nobody can be sure of it, nor of its absence."""
     hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
     drift = 4 * ERROR * hours / np.sqrt((hours**2).sum())
@@ -76,7 +76,7 @@ def test_what_is_too_weak_to_show_is_told_with_nothing_missing(ball) -> None:  #
         assert found.told == pytest.approx(found.nothing + quiet)
 
 
-def test_a_third_of_the_rows_bad_is_no_noise_to_judge_a_model_by(ball) -> None:  # noqa: F811
+def test_a_third_of_the_rows_bad_is_no_noise_to_judge_a_model_by(ball) -> None:
     """Bad rows describe them, and then leave nothing; at the quoted errors they stand out. A few are noise."""
     rows = len(ball[1].observed)
     added = np.where(np.arange(rows) % 3 == 0, 12 * ERROR * np.sin(np.arange(rows)), 0.0)
@@ -89,7 +89,7 @@ def test_a_third_of_the_rows_bad_is_no_noise_to_judge_a_model_by(ball) -> None: 
 
 
 @pytest.mark.parametrize("wave", [0.0, 0.15])
-def test_a_leader_beside_which_something_unknown_is_ahead_is_not_clean(ball, wave) -> None:  # noqa: F811
+def test_a_leader_beside_which_something_unknown_is_ahead_is_not_clean(ball, wave) -> None:
     """Whatever a gate says of what it leaves: here that there is nothing."""
     hours = ball[1].seconds / 3600
     added = 0.1 * (hours - hours.mean()) + wave * np.sin(2 * np.pi * hours / 0.7)
@@ -104,7 +104,7 @@ def test_a_leader_beside_which_something_unknown_is_ahead_is_not_clean(ball, wav
     assert search.clean(lambda _: 1.0) is (wave == 0.0)
 
 
-def test_an_effect_that_is_begun_far_away_comes_to_no_less_than_without_it(ball) -> None:  # noqa: F811
+def test_an_effect_that_is_begun_far_away_comes_to_no_less_than_without_it(ball) -> None:
     """From a wrong minimum the fit begins anew with the effect at no size."""
     hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
     search = searched(changed(ball, 0.01 * hours))

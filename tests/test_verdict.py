@@ -12,11 +12,10 @@ import torch
 from scipy import stats
 
 import torchlc
+from tests.ball import BALL, ERROR, changed, searched
 from torchlc.diagnosis.alternatives import NOMINAL
-from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.coordinates import coordinates
 from torchlc.diagnosis.discrepancy import EVENT, REPEATING, course, discrepancies
-from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
 from torchlc.diagnosis.probabilities import probabilities
 from torchlc.diagnosis.probes import AGAIN, beyond, probe
@@ -29,68 +28,6 @@ from torchlc.inference.density import Posterior
 from torchlc.inference.posterior import LEFT, fitted_at, integrated, polished
 from torchlc.lightcurve.evaluators import exact
 from torchlc.stages.memory import bytes_of
-
-BALL = """
-format = "torchlc-scene/1"
-name = "ball"
-[orbit]
-tle = ["1 37834U 11045A   26074.51234567 -.00000155  00000-0  00000+0 0  9999",
-       "2 37834   0.0213  85.4012 0002513 210.1123  30.2201  1.00271810 53325"]
-[[stations]]
-id = "roof"
-latitude = 48.2
-longitude = 16.37
-height = 210.0
-[attitude]
-mode = "nadir"
-[[components]]
-name = "ball"
-shape = "sphere"
-radius = 1.0
-centre = [0, 0, 0]
-material = "paint"
-[materials.paint]
-model = "lambert"
-albedo = 0.5
-[model]
-effects = []
-[model.parameters]
-band_sun_magnitude = -26.76
-zero_point = { value = 0.0, sigma = 0.02, prior = "normal" }
-"""
-ERROR = 0.02
-ROWS = 120
-
-
-@pytest.fixture(scope="module")
-def ball(tmp_path_factory):
-    """A ball whose zero point alone is free: everything is linear."""
-    folder = tmp_path_factory.mktemp("ball")
-    (folder / "scene.toml").write_text(BALL)
-    curve = torchlc.simulate(
-        folder / "scene.toml",
-        start="2026-03-15T19:00:00",
-        hours=5.0,
-        cadence=5 * 3600 / ROWS,
-        noise=ERROR,
-        seed=3,
-    )
-    return torchlc.load(folder / "scene.toml", curve.write(folder / "recording.ecsv"))
-
-
-def changed(ball, added: np.ndarray):
-    scene, recording = ball
-    return scene, replace(recording, observed=recording.observed + added[: len(recording.observed)])
-
-
-def searched(case, *entries: str) -> Search:
-    search = Search(Workbench(*case), Clock(None), 0)
-    search.bench.entries = ["zero_point_drift", "zero_point_step"]
-    search.null()
-    at = search.visited[Hypothesis()]
-    for entry in entries:
-        search.extend(at, entry, None)
-    return search
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.003, 0.02])
@@ -335,26 +272,6 @@ def test_a_set_whose_members_were_never_fitted_alone_is_tried_with_free_sizes(ba
     assert Hypothesis(("zero_point_drift",), search.robust, NOMINAL) in search.visited
 
 
-def stepped(ball, step: float, drift: float):
-    """A step in the middle of the rows, and a drift, mag and mag/h."""
-    hours = ball[1].seconds / 3600
-    return changed(ball, step * (hours > hours.mean()) + drift * (hours - hours.mean()))
-
-
-@pytest.mark.parametrize(("step", "refitted"), [(0.3, False), (0.03, True)])
-def test_an_effect_that_promises_too_little_beside_the_foremost_is_not_refitted(ball, step, refitted) -> None:
-    """A drift of 0.01 mag/h gains some 20 in log density; a step of 0.3 mag gains thousands."""
-    search = searched(stepped(ball, step, 0.01), "zero_point_step")
-    at = search.visited[Hypothesis().under(*search.robust)]
-    search.extend(at, "zero_point_step", None)
-    found = search.probe_all(at, ["zero_point_drift"])["zero_point_drift"]
-    assert search.within_reach("zero_point_drift", at, found) is refitted
-    assert (Hypothesis(("zero_point_drift",), search.robust) in search.linear) is not refitted
-    search.probes, search.bench.entries = {"zero_point_drift": found}, ["zero_point_drift"]
-    search.tell_unexamined()
-    assert ("zero_point_drift" in search.unexamined) is refitted  # here nothing has refitted it
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_can_only_add_light_promises_nothing_where_light_is_missing(ball, sign) -> None:
     """The change that an appendage makes, and its opposite, which no appendage makes."""
@@ -422,26 +339,6 @@ def test_values_of_an_effect_are_tried_again_where_they_promised_most(tmp_path) 
         0,
     )
     assert again.score == pytest.approx(fresh.score, rel=0.2)
-
-
-@pytest.mark.parametrize(
-    ("stem", "entry", "drift", "tried"),
-    [
-        ("zero_point_step", "zero_point_drift", 0.03, True),
-        ("zero_point_drift", "background", 0.0, False),
-    ],
-)
-def test_an_effect_beside_one_that_is_behind_is_tried_where_it_may_lift_both_above_the_leader(
-    ball, stem, entry, drift, tried
-) -> None:
-    """A drift takes a part of a step of 0.1 mag, and a background beside it hardly more."""
-    search = searched(stepped(ball, 0.1, drift))
-    at = search.visited[Hypothesis().under(*search.robust)]
-    search.probe_all(at, [entry])
-    search.extend(at, "zero_point_step", None)
-    search.extend(at, stem, None)
-    search.overtake([Hypothesis((stem,), search.robust)], [entry])
-    assert any(set(one.plain) == {stem, entry} for one in search.visited) is tried
 
 
 def test_the_evidence_of_a_linear_form_is_that_of_a_linear_model(ball) -> None:
@@ -513,29 +410,6 @@ def test_beside_another_law_of_reflection_the_effect_is_still_named(tmp_path) ->
     assert found.law == "cook-torrance"
 
 
-@pytest.mark.parametrize(("leader", "tried"), [("zero_point_step", True), ("zero_point_drift", False)])
-def test_a_leader_of_two_numbers_is_held_against_two_effects_of_one(ball, leader, tried) -> None:
-    """A drift beside stray light: a step takes most of both. A leader of one number leaves none for two."""
-    scene, recording = ball
-    light = 10 ** (-0.4 * recording.observed)
-    stray = -2.5 * np.log10(1 + 0.5 * np.median(light) / light)
-    hours = recording.seconds / 3600
-    search = searched((scene, replace(recording, observed=recording.observed + stray + 0.05 * hours)))
-    at = search.visited[Hypothesis().under(*search.robust)]
-    entries = [one for one in ("zero_point_drift", "background") if one != leader]
-    search.probes = search.probe_all(at, entries)
-    for entry in (leader, *entries):
-        search.extend(at, entry, search.probes.get(entry))
-    # whatever leads here, the rule is about the numbers of what does
-    one = Hypothesis((leader,), search.robust)
-    behind = search.log_odds(search.leader) - search.log_odds(one)
-    search.visited[one] = replace(search.visited[one], peak=search.visited[one].peak + behind + 1.0)
-    assert search.foremost == one
-    search.of_fewer_numbers(entries)
-    pair = {"zero_point_drift", "background"}
-    assert any(set(one.plain) == pair for one in search.visited) is tried
-
-
 def test_tables_of_past_geometries_are_kept_as_far_as_memory_goes(monkeypatch, tmp_path) -> None:
     """Of a turned box: as many as the bound holds, the last ones, and none once a model forgets."""
     scene = BALL.replace('shape = "sphere"\nradius = 1.0', 'shape = "box"\nsize = [1.0, 2.0, 3.0]')
@@ -586,19 +460,6 @@ def test_what_laplace_misses_of_a_set_it_misses_under_another_noise(tmp_path) ->
     found = search.weighed(scaled, 500, beside=first, moving=False)
     assert found.evidence is None and alone.evidence is not None
     assert abs(found.missed) > 3 * abs(found.log_z - alone.log_z)
-
-
-@pytest.mark.parametrize("clean", [True, False])
-def test_beside_one_number_that_describes_all_no_two_are_begun_together(ball, clean) -> None:
-    hours = (ball[1].seconds - ball[1].seconds.mean()) / 3600
-    search = searched(changed(ball, 0.05 * hours), "zero_point_drift")
-    entries = ["zero_point_drift", "background", "extinction_residual"]
-    at = search.visited[Hypothesis().under(*search.robust)]
-    search.probes = search.probe_all(at, entries)
-    search.extend(at, "zero_point_drift", search.probes["zero_point_drift"])
-    assert search.foremost.added == ("zero_point_drift",) and search.as_quoted
-    search.jointly(clean)
-    assert any(len(one.added) == 2 for one in search.visited) is not clean
 
 
 def test_materials_are_those_of_all_that_may_be_so(tmp_path) -> None:

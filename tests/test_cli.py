@@ -177,7 +177,7 @@ def test_bash_completes_commands_options_and_names():
         "torchlc diagnose a b --effects panel_offset,earth": {
             "panel_offset,earth_shadow", "panel_offset,earthshine"
         },
-        "torchlc materials fit a --model gg": {"ggx", "ggx-conductor", "ggx-dielectric"},
+        "torchlc materials fit a --model gg": {"ggx", "ggx-conductor", "ggx-dielectric", "ggx-lambert"},
         "torchlc init my.toml --shape cu": {"cubesat", *(f"cubesat-{units}u" for units in (1, 2, 3, 6, 12, 16))},
         "torchlc fit a b --use f": {"flux"},
     }  # fmt: skip

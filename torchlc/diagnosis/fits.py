@@ -48,6 +48,8 @@ PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 ROOM = 2.0
 """Standard deviations of its prior that a number of the nominal geometry is moved at most to begin a fit."""
+CHARTED, MOST_CHARTED = 48, 12
+"""Draws of the materials from which minima of the answer are looked for, and minima that its table rests on: 2 s."""
 BEAM = 3
 """Sets of each size that grow, and modes of the noise level that the scene's own model is fitted from."""
 
@@ -358,6 +360,16 @@ class Fits:
         fewer = self.less(at, entry)
         parameters = self.bench.likelihood(fewer).model.parameter_set
         self.refit(fewer, carried(parameters, at.theta[None], at.names), at, **options)
+
+    def charted(self, at: Fitted) -> Fitted:
+        """A fit with the minima that draws of its materials lead to, where it has several and none takes long: where two surfaces may make
+        the same glint, the few that a search keeps are far from all that may be so."""
+        if len(at.minima) < 2 or at.posterior.slow or at.noise.processes:
+            return at
+        generator = torch.Generator().manual_seed(at.hypothesis.seed + self.seed)
+        starts = torch.cat([at.theta[None], material_starts(at.posterior, at.theta, CHARTED, generator)])
+        found = fit(at.hypothesis, at.posterior, at.posterior.coordinates(starts), most=MOST_CHARTED)
+        return merged([*at.minima, *found.minima], MOST_CHARTED)
 
     def weighed(
         self,

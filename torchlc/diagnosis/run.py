@@ -78,10 +78,12 @@ def diagnose(
     null, final = search.best(), _final(search, odds)
     if final is not leader:
         final_gate = _gate(final, found, {}, seed, level=False)
-    if (final.posterior.slow or final.missed) and not final.posterior.dear and clock.left():
-        final = search.weighed(
-            final, DRAWS
-        )  # the table of the materials is neither that of a linear form nor of Laplace's method
+    if clock.left():
+        final = search.charted(final)
+    of_linear_form = final.evidence is None or final.evidence.linear
+    if (of_linear_form or final.missed) and not final.posterior.dear and clock.left():
+        # the table of the materials is neither that of a linear form nor of Laplace's method
+        final = search.weighed(final, DRAWS)
     proof = _proof(search, odds, null, final)
     nights, advice = _next(search, odds, clock)
     return Diagnosis(

@@ -42,13 +42,14 @@ MOST_STEPS = 40
 @dataclass(frozen=True)
 class Evidence:
     """``log_z`` with its standard ``error``, the shape ``pareto_k`` of the largest weights, and the ``draws`` (N, P) with
-    the logarithms of their normalised weights (N,)."""
+    the logarithms of their normalised weights (N,); ``linear`` where residuals were taken as linear about a minimum."""
 
     log_z: float
     error: float
     pareto_k: float
     draws: Tensor
     log_weight: Tensor
+    linear: bool = False
 
     @property
     def trusted(self) -> bool:

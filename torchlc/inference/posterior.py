@@ -244,7 +244,7 @@ def fit(
     for one in leading:
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
-    return merged([polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]])
+    return merged([polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]], most)
 
 
 def _common(posterior: Posterior, starts: Tensor, nominal: Sequence[int]) -> Sequence[int]:
@@ -324,8 +324,8 @@ def _unlike(points: Tensor, count: int) -> Tensor:
     return points[chosen[:count]]
 
 
-def merged(minima: Sequence[Fitted]) -> Fitted:
-    """Minima of one hypothesis as one, led by that of most mass; those within APART of a better one are left out."""
+def merged(minima: Sequence[Fitted], most: int = MOST_MINIMA) -> Fitted:
+    """Minima of one hypothesis as one, led by that of most mass, at ``most`` so many; those within APART of a better one are left out."""
     order = sorted(minima, key=lambda one: -one.laplace)
     kept: list[Fitted] = []
     for one in order:
@@ -333,7 +333,7 @@ def merged(minima: Sequence[Fitted]) -> Fitted:
             continue
         if all(_distance(one, other) > APART for other in kept):
             kept.append(replace(one, others=(), evidence=None, missed=0.0))
-    return replace(kept[0], others=tuple(kept[1:MOST_MINIMA]))
+    return replace(kept[0], others=tuple(kept[1:most]))
 
 
 def _distance(first: Fitted, second: Fitted) -> float:
@@ -449,6 +449,7 @@ def integrated(at: Fitted, draws: int, seed: int, linear: bool = False, moving: 
     evidence = importance(
         density, _defensive(minima), count, generator, moving=moving and not together and not free
     )
+    evidence = replace(evidence, linear=linear)
     if linear and not posterior.dear:
         # the other minima have the mass beside the first that they have by Laplace's method
         others = torch.tensor([one.laplace for one in at.minima]).logsumexp(0) - at.laplace

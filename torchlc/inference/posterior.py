@@ -244,7 +244,9 @@ def fit(
     for one in leading:
         if all(float((one - other).abs().max()) > 0.1 for other in chosen):
             chosen.append(one)
-    return merged([polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]], most)
+    return merged(
+        [polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]], most
+    )
 
 
 def _common(posterior: Posterior, starts: Tensor, nominal: Sequence[int]) -> Sequence[int]:

@@ -139,13 +139,16 @@ class Fits:
             found += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
         return found
 
+    def of_size(self, size: int) -> list[Hypothesis]:
+        """Sets of ``size`` effects under the robust noise, best first."""
+        return [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+
     def last_gain(self, size: int) -> float:
         """What the best set of ``size`` effects adds to the log odds of the best with one fewer, each under the robust noise."""
-        robust = [one for one in self.ranked() if one.noise == self.robust]
-        best = [next((one for one in robust if len(one.added) == count), None) for count in (size - 1, size)]
-        if best[0] is None or best[1] is None:
+        fewer, sized = self.of_size(size - 1), self.of_size(size)
+        if not fewer or not sized:
             return 0.0
-        return max(self.log_odds(best[1]) - self.log_odds(best[0]), 0.0)
+        return max(self.log_odds(sized[0]) - self.log_odds(fewer[0]), 0.0)
 
     def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether a hypothesis was visited and is better than another."""

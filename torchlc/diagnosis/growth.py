@@ -53,7 +53,7 @@ class Growth(Standing):
         where something unknown alone is far ahead of all leaders, only the first of them grows; and none does that would stay
         behind if FEW_EFFECTS more gained as much each as the last one."""
         for size in itertools.count(1):
-            sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+            sized = self.of_size(size)
             if not sized or self.ahead_of_foremost > REACH + FEW_EFFECTS * self.last_gain(size):
                 break
             clean = self.clean(left)
@@ -140,7 +140,7 @@ class Growth(Standing):
     def rivals_anew(self, size: int) -> None:
         """The best sets of a size once more with each of their effects of MANY numbers begun anew beside the others: alone, or beside what was
         exchanged, it took their light for its own."""
-        sized = [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+        sized = self.of_size(size)
         for whole in [one for one in sized if self.log_odds(one) > self.log_odds(sized[0]) - REACH][:BEAM]:
             for entry in whole.added:
                 fewer = self.less(self.visited[whole], entry)

@@ -80,8 +80,8 @@ def diagnose(
         final_gate = _gate(final, found, {}, seed, level=False)
     if clock.left():
         final = search.charted(final)
-    of_linear_form = final.evidence is None or final.evidence.linear
-    if (of_linear_form or final.missed) and not final.posterior.dear and clock.left():
+    unweighed = final.evidence is None or final.evidence.linear
+    if (unweighed or final.missed) and not final.posterior.dear and clock.left():
         # the table of the materials is neither that of a linear form nor of Laplace's method
         final = search.weighed(final, DRAWS)
     proof = _proof(search, odds, null, final)

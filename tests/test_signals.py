@@ -141,6 +141,39 @@ signals.leave(code)
     assert (done.returncode, done.stdout, done.stderr) == (130, "done", "torchlc: interrupted\n")
 
 
+@pytest.mark.parametrize(
+    ("lasts", "printed"),
+    [("0.3", "imported done"), ("60", "done")],
+    ids=["an import is not broken off", "but one that computes for long"],
+)
+def test_a_signal_while_something_is_imported_waits_for_its_end(lasts: str, printed: str, tmp_path: Path):
+    """Compiled modules abort the whole process when an exception meets them as they start; the user's own may compute for hours."""
+    (tmp_path / "slow_to_import.py").write_text(
+        f"import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep({lasts})\n"
+        "print('imported', end=' ')\n"
+    )
+    call = f"""
+import sys, time
+from torchlc.cli import signals
+from torchlc.terminal import exit_code
+
+signals.IMPORT_S = 1.0
+sys.path.insert(0, {str(tmp_path)!r})
+
+def action():
+    import slow_to_import
+    time.sleep(60)
+
+code = exit_code(lambda: signals.unwinding(action))
+print("done", end="")
+signals.leave(code)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", call], env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=30
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, printed, "torchlc: interrupted\n")
+
+
 @pytest.mark.long
 def test_ctrl_c_at_any_moment_of_the_first_half_second():
     """As a whole process, many times: 130 in a line or none, or the end it would have come to. Until the first line of the program

@@ -4,6 +4,7 @@ files go, and says what it was; no traceback, at whatever moment.
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -21,6 +22,8 @@ INTERRUPTED, TERMINATED = 130, 143
 ENDING = ("SIGTERM", "SIGHUP")
 UNWIND_S = 5.0
 """Within this of a signal further ones change nothing: they would break off what takes locks and partial files away."""
+IMPORT_S, AGAIN_S = 5.0, 0.02
+"""A signal waits for the end of an import so long at most, for a module of the user's may compute for hours, and asks so often."""
 _last = -UNWIND_S
 _ending: BaseException | None = None
 """What the last signal was."""
@@ -48,8 +51,8 @@ def leave(code: int) -> None:
 
 def unwinding(action: Callable[[], object]) -> object:
     """What ``action`` returns. While it runs a signal is an exception, which the caller has to expect; after it a signal
-    changes nothing, for nobody would expect the exception. Libraries that are being imported make other exceptions of it, or
-    fail because they were broken off: an error that is neither told in words nor one of a file counts as the signal.
+    changes nothing, for nobody would expect the exception. Libraries make other exceptions of it, or fail because they were
+    broken off: an error that is neither told in words nor one of a file counts as the signal.
     """
     from torchlc.errors import TorchlcError
     from torchlc.terminal import UsageProblem
@@ -68,17 +71,25 @@ def unwinding(action: Callable[[], object]) -> object:
 
 
 def unwind() -> None:
-    """From here on a signal is an exception, which a command ends with."""
+    """From here on a signal is an exception, which a command ends with. While something is imported it waits: compiled modules
+    that meet an exception then may abort the whole process."""
     from torchlc.terminal import Terminated
 
+    came: dict[int, float] = {}
+
     def interrupt(number: int, frame: FrameType | None) -> None:
-        end(KeyboardInterrupt())
+        end(number, frame, KeyboardInterrupt())
 
     def terminate(number: int, frame: FrameType | None) -> None:
-        end(Terminated(signal.Signals(number).name))
+        end(number, frame, Terminated(signal.Signals(number).name))
 
-    def end(ending: BaseException) -> None:
+    def end(number: int, frame: FrameType | None, ending: BaseException) -> None:
         global _ending
+        now = time.monotonic()
+        if _importing(frame) and now < came.setdefault(number, now) + IMPORT_S:
+            _thread.start_new_thread(_send_later, (number, _thread.get_ident()))
+            return
+        came.pop(number, None)
         if _is_first():
             _ending = ending
             raise ending
@@ -99,6 +110,20 @@ def _handle(interrupt: Handler, terminate: Handler) -> None:
         number = getattr(signal, name, None)  # Windows has no SIGHUP
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
+
+
+def _send_later(number: int, thread: int) -> None:
+    time.sleep(AGAIN_S)
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(thread, number)  # this wakes what sleeps or reads; the other does not
+    else:
+        _thread.interrupt_main(number)
 
 
 def _is_first() -> bool:

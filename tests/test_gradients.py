@@ -22,7 +22,7 @@ from tests.effects.cases import seen_from, still, unit
 from tests.effects.passes import BODY, CELLS, MATERIALS, TUMBLING, WINGS, orbiting, rows
 from tests.effects.test_every_effect import at, setting
 from torchlc.brdf.base import MODELS
-from torchlc.effects import registry
+from torchlc.effects import effect_class, registry, unlisted
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.model import LightCurve
 from torchlc.scene.parts import Attitude
@@ -266,9 +266,9 @@ def test_by_every_number_of_every_attitude(mode):
 SIZED = BODY.replace("[2.0, ", f"[{free(2.0, 0.1, 9.0)}, ")
 
 
-@pytest.mark.parametrize("name", registry())
+@pytest.mark.parametrize("name", [*registry(), *unlisted()])
 def test_by_every_number_of_every_effect(name):
-    """On the scene that shows it, at its typical values; noise by the likelihood."""
+    """And of what the library does not hold: on the scene that shows it, at its typical values; noise by the likelihood."""
     scene, recording = setting(name)
     model = LightCurve(scene, recording, effects=[])
     level = float(model().median())
@@ -282,7 +282,7 @@ def test_by_every_number_of_every_effect(name):
         pytest.skip(f"{name} has no number")
     theta = at(model, "typical")
     theta = torch.stack([theta, theta * 1.01])
-    if registry()[name].stage == "noise":
+    if effect_class(name).stage == "noise":
         likelihood = Likelihood(model)
         check(model, theta, lambda x: torch.atleast_1d(likelihood.log_likelihood(x))[..., None].squeeze(-1))
     else:

@@ -123,7 +123,7 @@ def _send_later(number: int, thread: int) -> None:
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(thread, number)  # this wakes what sleeps or reads; the other does not
     else:
-        _thread.interrupt_main(number)
+        _thread.interrupt_main(signal.Signals(number))
 
 
 def _is_first() -> bool:

@@ -25,8 +25,11 @@ STEP_DEG = 0.1
 SIGMA_DEG = 1.0
 """Amplitudes beyond which a least-squares solution is not believed."""
 SWEEPS = 10
-AXES = ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0))
+Axes = tuple[tuple[float, ...], ...]
+BODY_AXES: Axes = ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0))
 """Longitude and latitude of the body axes, deg."""
+GIVEN_AXIS: Axes = ((),)
+"""Of what can turn about one axis only, which has no numbers."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +44,20 @@ class Target:
 
 
 def swings(
-    target: Target, minutes: Tensor, cadence: float, bounds: tuple[float, float], count: int
+    target: Target,
+    minutes: Tensor,
+    cadence: float,
+    bounds: tuple[float, float],
+    count: int,
+    axes: Axes = BODY_AXES,
 ) -> Tensor:
-    """Up to ``count`` swings (count, 5) of deg, period_min, phase_deg, axis_lon and axis_lat, best first, of periods
-    within ``bounds``, minutes; ``minutes`` (T,) after the first row, ``cadence`` in minutes."""
+    """Up to ``count`` swings (count, 5) of deg, period_min, phase_deg, axis_lon and axis_lat, or of the first three (count, 3) where
+    the axis is given, best first, of periods within ``bounds``, minutes; ``minutes`` (T,) after the first row, ``cadence`` in minutes."""
     low, high = max(bounds[0], 2 * cadence), bounds[1]
     span = float(minutes.max() - minutes.min())
     if span <= 0 or high <= low:
-        return minutes.new_zeros(0, 5)
-    slopes = _slopes_of_swings(target.change, minutes, high)
+        return minutes.new_zeros(0, 3 + len(axes[0]))
+    slopes = _slopes_of_swings(target.change, minutes, high, axes)
     most = min(MOST_PERIODS, math.ceil(OVERSAMPLING * span * (1 / low - 1 / high)) + 1)
     frequency = torch.linspace(1 / high, 1 / low, most, dtype=minutes.dtype)
 
@@ -76,12 +84,14 @@ def jumps(target: Target, hours: Tensor, instants: Tensor, apart: float, count: 
     return torch.cat([axis[chosen], instants[chosen, None]], 1)
 
 
-def _slopes_of_swings(change: Callable[[Tensor], Tensor], minutes: Tensor, period: float) -> Tensor:
-    """Whitened change of light per deg of turn about body X, Y and Z, (3, T), from swings of the longest period in four
+def _slopes_of_swings(
+    change: Callable[[Tensor], Tensor], minutes: Tensor, period: float, axes: Axes
+) -> Tensor:
+    """Whitened change of light per deg of turn about each of A axes, (A, T), from swings of the longest period in four
     phases."""
     phases = (0.0, 90.0, 180.0, 270.0)
-    trials = [[STEP_DEG, period, phase, *axis] for axis in AXES for phase in phases]
-    moved = change(minutes.new_tensor(trials)).unflatten(0, (len(AXES), len(phases))) / (2 * STEP_DEG)
+    trials = [[STEP_DEG, period, phase, *axis] for axis in axes for phase in phases]
+    moved = change(minutes.new_tensor(trials)).unflatten(0, (len(axes), len(phases))) / (2 * STEP_DEG)
     turn = 2 * math.pi * minutes / period
     return (moved[:, 0] - moved[:, 2]) * torch.sin(turn) + (moved[:, 1] - moved[:, 3]) * torch.cos(turn)
 
@@ -90,7 +100,7 @@ def _scanned(
     target: Target, slopes: Tensor, places: Tensor, waves: Callable[[Tensor], Tensor]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """At each place (F,) of a scan, whose ``waves`` are (F, W, T): what the best turn takes off the sum of squares (F,),
-    its axis times its amplitude in deg (F, 3), and the share of each wave (F, W), of norm 1."""
+    its axis times its amplitude in deg (F, A), and the share of each wave (F, W), of norm 1."""
     found = [_best(target, slopes, waves(some)) for some in torch.split(places, AT_ONCE)]
     gain, axis, wave = (torch.cat(column) for column in zip(*found, strict=True))
     return gain, axis, wave
@@ -99,14 +109,15 @@ def _scanned(
 def _best(target: Target, slopes: Tensor, waves: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """As :func:`_scanned`, by alternating least squares from the best sum of waves about any axes."""
     count, rows = waves.shape[1:]
+    axes = len(slopes)
     columns = (slopes[None, :, None] * waves[:, None]).flatten(1, 2)
     columns = pad(columns, (0, len(target.residual) - rows))
     columns = columns - (columns @ target.absorbed) @ target.absorbed.T
-    normal = columns @ columns.mT + torch.eye(3 * count, dtype=columns.dtype) / SIGMA_DEG**2
+    normal = columns @ columns.mT + torch.eye(axes * count, dtype=columns.dtype) / SIGMA_DEG**2
     right = columns @ target.residual
-    free = torch.linalg.solve(normal, right).unflatten(1, (3, count))
+    free = torch.linalg.solve(normal, right).unflatten(1, (axes, count))
     wave = torch.linalg.svd(free, full_matrices=False)[2][:, 0]
-    normal, right = normal.view(-1, 3, count, 3, count), right.view(-1, 3, count)
+    normal, right = normal.view(-1, axes, count, axes, count), right.view(-1, axes, count)
     axis = free[..., 0]
     for _ in range(SWEEPS):
         axis = torch.linalg.solve(
@@ -151,9 +162,13 @@ def spaced(places: Tensor, apart: float, count: int) -> list[int]:
 
 def _as_swings(axis: Tensor, wave: Tensor, period: Tensor) -> Tensor:
     """Axes times amplitudes, deg (N, 3), shares of sine and cosine (N, 2) and periods, min (N,), as deg, period_min,
-    phase_deg, axis_lon, axis_lat (N, 5), with the axis on the half of the sphere whose longitudes are -45 to 135."""
+    phase_deg, axis_lon, axis_lat (N, 5), with the axis on the half of the sphere whose longitudes are -45 to 135; of one given axis (N, 1)
+    the first three (N, 3)."""
     deg = torch.linalg.vector_norm(axis, dim=1)
     phase = torch.rad2deg(torch.atan2(wave[:, 1], wave[:, 0]))
+    if axis.shape[1] == 1:
+        back = torch.where(axis[:, 0] < 0, 180.0, 0.0)
+        return torch.stack([deg, period, (phase + back) % 360.0], 1)
     lon = torch.rad2deg(torch.atan2(axis[:, 1], axis[:, 0]))
     far = (lon < -45.0) | (lon > 135.0)
     axis = torch.where(far[:, None], -axis, axis)

@@ -59,7 +59,7 @@ EVENT, REPEATING = "time, for a while", "time, again and again"
 class Discrepancy:
     """A change of the light that follows ``coordinate``, beside a hypothesis, whose log evidence was ``log_z``: what it gains of that,
     with prior odds; ``curve`` (T,) and its standard deviation ``band`` (T,), mag; ``rows`` (T,) where it is; ``period`` in
-    seconds of what repeats, else 0."""
+    seconds of what repeats, else 0. Where a fit ``like`` it is what shows the curve, ``words`` say what that is."""
 
     beside: Hypothesis
     log_z: float
@@ -70,9 +70,13 @@ class Discrepancy:
     band: Tensor
     rows: Tensor
     period: float = 0.0
+    like: Fitted | None = None
+    words: str = ""
 
     def course(self, seconds: Tensor) -> str:
         """What it follows, in words; ``seconds`` (T,) count from the first row."""
+        if self.words:
+            return self.words
         if self.coordinate == REPEATING:
             return f"comes again every {self.period / 60:.3g} min"
         first, last = (float(one) / 3600 for one in (seconds[self.rows].min(), seconds[self.rows].max()))

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL, under_other_laws, with_free_sizes
-from torchlc.effects import effect_class, registry
+from torchlc.effects import effect_class, registry, unlisted
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.assembly import assemble
@@ -68,6 +68,12 @@ class Hypothesis:
     def seed(self) -> int:
         """Of its random numbers: its own name's, so that another effect in the library changes none of its results."""
         return zlib.crc32("|".join([*sorted(self.added), *sorted(self.noise), self.law]).encode())
+
+    @property
+    def unlisted(self) -> tuple[str, ...]:
+        """Those of ``added`` that are none of the library's."""
+        known = unlisted()
+        return tuple(entry for entry in self.added if Entry.parse(entry).name in known)
 
     def with_effect(self, entry: str) -> Hypothesis:
         return replace(self, added=(*self.added, entry))
@@ -131,7 +137,7 @@ class Workbench:
         if hypothesis.law:
             total += math.log(LAW_ODDS / len(self.laws) if hypothesis.law in self.laws else SIZES_ODDS)
         names = [Entry.parse(entry).name for entry in self.entries]
-        usual = 1 / max(len(set(names)) - 1, 1)
+        usual = 1 / max(len(set(names) - set(unlisted())) - 1, 1)
         for entry in hypothesis.added:
             name = Entry.parse(entry).name
             total += math.log(effect_class(entry).prior_odds * usual / max(names.count(name), 1))
@@ -141,11 +147,11 @@ class Workbench:
 
     def candidates(self, only: Sequence[str] | None) -> list[str]:
         """Every physical effect that the scene's list leaves out and these data could carry, as ``name`` or
-        ``name[target]``, offsets also divided; of those in ``only`` if given, where a name stands for all its targets
-        and divisions."""
+        ``name[target]``, offsets also divided, and what the library does not hold; of those in ``only`` if given, where a name stands
+        for all its targets and divisions."""
         present = {effect.name for effect in self.base.effects}
         entries = []
-        for name, cls in registry().items():
+        for name, cls in (registry() | unlisted()).items():
             if cls.stage == "noise" or name in present:
                 continue
             for target in cls.targets(self.base.context):

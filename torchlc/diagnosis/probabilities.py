@@ -173,11 +173,13 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     for kind, hypothesis, p, unsure in less_unseen(search, masses):
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
-        if (not entries and (kind or hypothesis.law)) or (
-            kind and stands_for_something_else(search, hypothesis)
+        if (
+            hypothesis.unlisted
+            or (not entries and (kind or hypothesis.law))
+            or (kind and stands_for_something_else(search, hypothesis))
         ):
             unknown += p
-            if not kind:
+            if not kind and not hypothesis.unlisted:
                 laws[hypothesis.law] = laws.get(hypothesis.law, 0.0) + p
         elif not entries and name:
             noise += p

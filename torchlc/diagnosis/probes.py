@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchlc.diagnosis.attitude_search import Target, jumps, spaced, swings
+from torchlc.diagnosis.attitude_search import BODY_AXES, GIVEN_AXIS, Target, jumps, spaced, swings
 from torchlc.diagnosis.hypotheses import Workbench, carried, effect_columns, effect_starts
 from torchlc.diagnosis.mixtures import LINE_PLACES, PLACES, Mixture, finer, spread_out
-from torchlc.effects import effect_class
+from torchlc.effects import effect_class, unlisted
 from torchlc.inference.density import Fitted, Posterior
 from torchlc.inference.likelihood import Likelihood
 from torchlc.stages.entry import Entry
@@ -37,8 +37,8 @@ PARTS = 24
 """Of the recording's span, that the best of those rows must stand apart."""
 TURNS = 12
 """Swings or jumps that are sought in the residuals."""
-SWING, JUMP = 5, 4
-"""Parameters of either, if the scene fixes none."""
+SWING, SWING_OF_PART, JUMP = 5, 3, 4
+"""Parameters of a swing of the body, of a part about an axis of its own, and of a jump, if the scene fixes none."""
 
 
 @dataclass(frozen=True)
@@ -215,10 +215,11 @@ def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target
     """Values psi (G, k) of an effect that turns the body in the course of the recording, as its residuals ask for."""
     columns, kind = effect_columns(likelihood.model.parameter_set, entry), effect_class(entry).turning
     context = bench.base.context
-    if kind == "swing" and len(columns) == SWING:
+    if kind == "swing" and len(columns) in (SWING, SWING_OF_PART):
         limits = likelihood.model.parameter_set.free[columns[1]].prior
         minutes, cadence = context.seconds / 60, context.cadence / 60
-        return swings(target, minutes, cadence, (limits.low, limits.high), TURNS)
+        axes = BODY_AXES if len(columns) == SWING else GIVEN_AXIS
+        return swings(target, minutes, cadence, (limits.low, limits.high), TURNS, axes)
     if kind == "jump" and len(columns) == JUMP:
         return jumps(target, context.seconds / 3600, scanned_hours(bench), least_apart(bench), TURNS)
     return target.residual.new_zeros(0, len(columns))
@@ -226,8 +227,10 @@ def _sought(bench: Workbench, likelihood: Likelihood, entry: str, target: Target
 
 def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Tensor:
     """Values psi (G, k) to probe: of an effect that begins at some row all rows, at its typical size; fewer where each is a
-    geometry that takes long."""
+    geometry that takes long; none of what is only sought in the residuals."""
     column = scanned_column(entry)
+    if Entry.parse(entry).name in unlisted():
+        return torch.zeros(0, SWING_OF_PART, dtype=torch.float64)
     most = max(int(MOST_S / max(seconds_a_geometry(posterior, entry), 1e-9)), FEWEST)
     if column is not None:
         hours = scanned_hours(bench)

@@ -380,6 +380,7 @@ class Diagnosis:
         rows = self.coordinates["time"][odd.rows]
         return {
             "coordinate": odd.coordinate,
+            "like": None if odd.like is None else list(odd.like.hypothesis.unlisted),
             "beside": list(odd.beside.plain),
             "log_evidence_gained": odd.log_gain,
             "values": value[some].tolist(),

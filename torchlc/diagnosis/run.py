@@ -194,14 +194,12 @@ def _where(
     if odds.verdict == "adequate":
         return None
     if odds.verdict == "missing_physics":
-        # rows that err as in the answer: a law with bad rows would call what is missing bad, and leave the materials alone
-        alike = search.visited.get(replace(final.hypothesis, added=()), null)
-        bares = [
-            at for one, at in search.visited.items() if not one.added and one.law == final.hypothesis.law
-        ]
-        return locate(alike, final, fitted_bare(search, final), found, bares)
-    rows = torch.zeros(len(null.delta), dtype=torch.bool)
+        return _located(search, final, null, found)
     odd = search.strongest()
+    by_shape = odds.shapeless >= sum(odds.laws.values())
+    if odd is not None and odd.like is not None and odds.verdict == "unexplained" and by_shape:
+        return _located(search, odd.like, null, found)
+    rows = torch.zeros(len(null.delta), dtype=torch.bool)
     if odd is not None and odds.verdict == "unexplained":
         rows = odd.curve.abs() > 2 * torch.maximum(odd.band, null.wide / null.scale)
     order = torch.argsort(null.model.assembly.context.seconds)
@@ -211,6 +209,14 @@ def _where(
         rows[order[int(place[a]) : int(place[b]) + 1]] = True
     strength = null.delta / null.wide
     return Where(rows, intervals(rows, strength, null), [], *best_coordinate(strength, found, rows))
+
+
+def _located(search: Search, final: Fitted, null: Fitted, found: Mapping[str, Tensor]) -> Where:
+    """Where a fit with effects differs from the scene's own model under rows that err as in it: a law with bad rows would call what is missing
+    bad, and leave the materials alone."""
+    alike = search.visited.get(replace(final.hypothesis, added=()), null)
+    bares = [at for one, at in search.visited.items() if not one.added and one.law == final.hypothesis.law]
+    return locate(alike, final, fitted_bare(search, final), found, bares)
 
 
 def fitted_bare(search: Search, final: Fitted) -> Fitted:

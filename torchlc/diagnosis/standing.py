@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from torchlc.diagnosis.discrepancy import FAR, Discrepancy
 from torchlc.diagnosis.fits import REACH
 from torchlc.diagnosis.hypotheses import Hypothesis, effect_columns
 from torchlc.diagnosis.promises import NEAR, Promises
+from torchlc.diagnosis.swinging import shape_of
 from torchlc.inference.density import SCALE_SIGMA, Fitted
 
 CLEAN_P = 0.05
@@ -28,6 +29,7 @@ class Standing(Promises):
     """Promises, with discrepancies that nothing of the library explains, and what the foremost leaves."""
 
     odd: list[Discrepancy] = field(default_factory=list)
+    _swung: dict[Hypothesis, Discrepancy] = field(default_factory=dict)
 
     @property
     def ahead_of_foremost(self) -> float:
@@ -67,8 +69,20 @@ class Standing(Promises):
         return odd.log_z + self.bench.log_odds(odd.beside) + odd.log_gain + odd.log_odds
 
     def strongest(self) -> Discrepancy | None:
-        """The discrepancy of highest odds."""
-        return max(self.odd, key=self.odd_log_odds, default=None)
+        """The discrepancy of highest odds, that of an angle that swings among them."""
+        odd = max(self.odd, key=self.odd_log_odds, default=None)
+        swings = self.ranked(one for one in self.visited if one.unlisted)
+        if not swings or (odd is not None and self.odd_log_odds(odd) > self.log_odds(swings[0])):
+            return odd
+        whole = swings[0]
+        beside = replace(whole, added=tuple(one for one in whole.added if one not in whole.unlisted))
+        without = self.counterpart(beside)
+        gain = self.visited[whole].log_z - (self.visited[without].log_z if without is not None else -math.inf)
+        prior = self.bench.log_odds(whole) - self.bench.log_odds(beside)
+        known = self._swung.get(whole)
+        if known is None or known.like is not self.visited[whole]:
+            self._swung[whole] = shape_of(self.visited[whole], beside, gain, prior)
+        return self._swung[whole]
 
     def state(self) -> str:
         """The leader with its odds against the second, for a progress bar."""

@@ -12,6 +12,7 @@ from torchlc.diagnosis.gate import Gate
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis
 from torchlc.diagnosis.probabilities import Probabilities
 from torchlc.diagnosis.values import effect_parameters
+from torchlc.effects import registry
 from torchlc.inference.density import Fitted
 from torchlc.stages.entry import Entry
 
@@ -38,7 +39,8 @@ def candidates(
         chosen += [one for one in search.visited if one.plain == added and not one.noise and one.added]
         return search.visited[search.ranked(chosen)[0]] if chosen else None
 
-    for entry, found in search.probes.items():
+    listed = {entry: found for entry, found in search.probes.items() if Entry.parse(entry).name in registry()}
+    for entry, found in listed.items():
         at = best((entry,))
         rows.append(
             {

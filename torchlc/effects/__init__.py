@@ -9,6 +9,7 @@ from torchlc.noise.kind import NoiseKind
 from torchlc.stages.effect import EFFECTS, Context, Effect
 from torchlc.stages.entry import Entry
 from torchlc.stages.order import GEOMETRY_STAGES, STAGES
+from torchlc.stages.swing import swinging
 
 import_modules(noise.__name__, noise.__path__)
 import_modules(__name__, __path__)
@@ -21,8 +22,15 @@ def registry() -> dict[str, type[Effect]]:
 
 
 def effect_class(entry: str) -> type[Effect]:
-    """The class of an item of a list of effects."""
-    return EFFECTS[Entry.parse(entry).name]
+    """The class of an item of a list of effects, or of one that is :func:`unlisted`."""
+    name = Entry.parse(entry).name
+    return EFFECTS[name] if name in EFFECTS else unlisted()[name]
+
+
+def unlisted() -> dict[str, type[Effect]]:
+    """What the library does not hold but a diagnosis looks for, by name: the effects whose constant angle swings instead."""
+    found = (swinging(cls) for cls in registry().values() if cls.swings)
+    return {cls.name: cls for cls in found}
 
 
 def names() -> tuple[str, ...]:
@@ -45,7 +53,7 @@ def object_kind() -> type[NoiseKind]:
 def with_title(entry: str) -> str:
     """The name of an effect, or an item of a list of them, and what it is in plain words; the item alone where the library does
     not have the effect."""
-    cls = registry().get(Entry.parse(entry).name)
+    cls = (registry() | unlisted()).get(Entry.parse(entry).name)
     return entry if cls is None else f"{entry} ({cls.title})"
 
 
@@ -59,5 +67,6 @@ __all__ = [
     "mending_kind",
     "names",
     "registry",
+    "unlisted",
     "with_title",
 ]

@@ -23,6 +23,7 @@ class PanelCant(Effect):
     title = "panels that are tilted out of their axis"
     shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
+    swings = "deg"
     quantities = (
         Quantity(
             "deg", "deg", -10.0, 10.0, "tilt of the tracking parts' front towards their axis",

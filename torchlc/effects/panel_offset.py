@@ -21,6 +21,7 @@ class PanelOffset(Effect):
     title = "panels that point past the Sun"
     shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
+    swings = "deg"
     quantities = (
         Quantity(
             "deg", "deg", -15.0, 15.0, "turn of the tracking parts about their axis, right-handed",

@@ -22,6 +22,7 @@ class WingSplit(Effect):
     title = "wings that point to either side of the Sun"
     shown = Shown(NIGHT, PANEL_GLINT, {"deg": 2.0})
     stage = "pointing"
+    swings = "deg"
     order = 1
     quantities = (
         Quantity(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from torchlc.effects import object_kind, registry
+from torchlc.effects import object_kind, registry, unlisted
 from torchlc.errors import InputError
 from torchlc.lightcurve.given import from_population, given_number
 from torchlc.lightcurve.numbers import prior_within
@@ -29,6 +29,7 @@ def held_already(wanted: Sequence[str], context: Context) -> dict[str, str]:
 
 def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
     known = registry()
+    every = known | unlisted()
     numbers = frozenset(scene.origins())
     parts = frozenset(component.name for component in scene.components)
 
@@ -48,7 +49,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
     for entry in asked:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
-        if name not in known:
+        if name not in every:
             raise InputError(
                 scene.source,
                 "model.effects",
@@ -56,7 +57,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
                 f"one of the {len(known)} that torchlc effects lists",
                 did_you_mean(name, known),
             )
-        cls = known[name]
+        cls = every[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
@@ -73,7 +74,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
         reason = effect.beside([other for other in found if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
-    order = list(known)
+    order = list(every)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
 

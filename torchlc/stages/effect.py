@@ -180,7 +180,8 @@ class Effect(nn.Module):
     ``whole_turn`` of a divisible phase of the spin what a turn is in its unit, 0 of all else;
     ``adds_area`` one that adds a surface, which sizes of the scene's components may stand for; ``opaque_air`` names
     the quantity that is the height, km, of the air that takes sunlight away; ``timed_by_rows`` marks numbers that mean
-    something for one recording alone, for they count time from its rows; ``prior_odds`` is how probable the effect is,
+    something for one recording alone, for they count time from its rows; ``swings`` names the angle of a "pointing" effect that is
+    constant here, and that a diagnosis may find to swing; ``prior_odds`` is how probable the effect is,
     before a recording is seen, over one of which nothing is known.
 
     An effect may learn: what ``__init__`` sets as ``nn.Parameter`` or ``nn.Module`` (a small network) is a part of the
@@ -217,6 +218,7 @@ class Effect(nn.Module):
     shifts_clock: ClassVar[bool] = False
     whole_turn: ClassVar[float] = 0.0
     timed_by_rows: ClassVar[bool] = False
+    swings: ClassVar[str] = ""
     prior_odds: ClassVar[float] = 1.0
     unable: ClassVar[str] = "the scene has nothing of this name"
 

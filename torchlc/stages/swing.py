@@ -1,0 +1,48 @@
+"""What no effect of the library describes, but may be looked for: an angle that an effect takes as constant, and that swings."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import torch
+
+from torchlc.parameters import Quantity
+from torchlc.stages.effect import Context, Effect, Parameters
+
+SWING = "swing of "
+"""What the name of an effect whose angle swings begins with; no class of the library's has a name with a space."""
+DEG, PERIOD, PHASE = "deg", "period_min", "phase_deg"
+"""Its numbers, by name."""
+LONGEST_MIN = 720.0
+MOST_DEG = 15.0
+
+
+@cache
+def swinging(cls: type[Effect]) -> type[Effect]:
+    """An effect of the stage "pointing" with its angle ``cls.swings`` = deg sin(2 pi t / period + phase), t from the first row:
+    0.3 mag for 1 deg beside a glint. Neglects a swing within an exposure, and one that dies out. It is none of the library's effects: a diagnosis
+    that finds it says that something is missing which the library does not hold, and what it looks like."""
+    (steady,) = (one for one in cls.quantities if one.name == cls.swings)
+    typical = steady.typical or 1.0
+
+    class Swinging(cls):
+        title = f"{cls.title}, by an angle that swings"
+        timed_by_rows = True
+        turning = "swing"
+        swings = ""
+        quantities = (
+            Quantity(
+                DEG, "deg", 0.0, MOST_DEG, "amplitude", off=0.0, typical=typical, prior="halfnormal", sigma=2 * typical,
+            ),
+            Quantity(PERIOD, "min", 1.0, LONGEST_MIN, "period", typical=10.0, prior="loguniform"),
+            Quantity(PHASE, "deg", 0.0, 360.0, "phase at the first row", typical=90.0),
+        )  # fmt: skip
+
+        def pointing(self, poses: Any, p: Parameters, context: Context) -> Any:
+            turn = 2 * math.pi * context.seconds / (60 * p[PERIOD]) + torch.deg2rad(p[PHASE])
+            return super().pointing(poses, {steady.name: p[DEG] * torch.sin(turn)}, context)
+
+    Swinging.name = SWING + cls.name
+    return Swinging

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import discrepancies
-from torchlc.diagnosis.fits import REACH, STARTS
+from torchlc.diagnosis.fits import REACH, STARTS, STARTS_IF_SLOW
 from torchlc.diagnosis.growth import GROWN, JOINT, Growth
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis, carried, effect_columns
 from torchlc.diagnosis.joint import joint_sets
@@ -27,8 +27,6 @@ from torchlc.inference.density import Fitted
 from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, likeliest, material_starts
 from torchlc.stages.entry import Entry
 
-LAW_STARTS = 48
-"""Draws of the materials under another law, of whose lobes the scene says nothing: four times STARTS."""
 LAWS_IF_SLOW = 2
 """Best laws that the leading sets are refitted under where each geometry of a free one takes long: a set then takes some 5 s under each."""
 BETTER = 0.5
@@ -167,7 +165,7 @@ class Search(Growth):
                 continue
             self.begun_afresh.add(one)
             generator = torch.Generator().manual_seed(one.seed + self.seed)
-            starts = material_starts(at.posterior, at.theta, STARTS, generator)
+            starts = self.drawn(at.posterior, at.theta, generator)
             # each point that is followed further takes geometries of its own
             most = MOST_MINIMA // 2 if at.posterior.slow else MOST_MINIMA
             self.refit(one, torch.cat([at.theta[None], starts]), at, most=most)
@@ -290,10 +288,10 @@ class Search(Growth):
                 generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
                 starts = theta[None]
                 if not posterior.dear:
-                    starts = material_starts(posterior, theta, LAW_STARTS, generator)
+                    starts = material_starts(posterior, theta, STARTS, generator)
                 if posterior.model.geometry_free:
                     # light of a free geometry is worked out anew for every lobe: only the best are followed
-                    starts = posterior.theta(likeliest(posterior, starts, STARTS))
+                    starts = posterior.theta(likeliest(posterior, starts, STARTS_IF_SLOW))
                 self.refit(hypothesis, starts, at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:

@@ -288,7 +288,7 @@ def polished(at: Fitted, turns: int, floor: float = -math.inf) -> Fitted:
     levels = posterior.likelihood.fitted_errors
     turns = turns if posterior.noise_columns or levels else 0
     for turn in range(turns + MOST_POLISHED):
-        if turn < turns:
+        if turns:  # after the last step as well: the noise's own slopes are in no `left`
             g = fit_noise(posterior, at.g, at.found)
             at = _at(at.hypothesis, posterior, g, posterior.under(at.found, at.g, g), at.slopes)
         # a coordinate's prior has unit variance, which the data can hardly widen

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, Self
 
 import torch
 
@@ -15,7 +16,9 @@ SWING = "swing of "
 """What the name of an effect whose angle swings begins with; no class of the library's has a name with a space."""
 DEG, PERIOD, PHASE = "deg", "period_min", "phase_deg"
 """Its numbers, by name."""
-LONGEST_MIN = 720.0
+SHORTEST_MIN, TYPICAL_MIN, LONGEST_MIN = 1.0, 10.0, 720.0
+CYCLES = 2
+"""What comes again is seen twice at least."""
 MOST_DEG = 15.0
 
 
@@ -36,9 +39,19 @@ def swinging(cls: type[Effect]) -> type[Effect]:
             Quantity(
                 DEG, "deg", 0.0, MOST_DEG, "amplitude", off=0.0, typical=typical, prior="halfnormal", sigma=2 * typical,
             ),
-            Quantity(PERIOD, "min", 1.0, LONGEST_MIN, "period", typical=10.0, prior="loguniform"),
+            Quantity(PERIOD, "min", SHORTEST_MIN, LONGEST_MIN, "period", typical=TYPICAL_MIN, prior="loguniform"),
             Quantity(PHASE, "deg", 0.0, 360.0, "phase at the first row", typical=90.0),
         )  # fmt: skip
+
+        def prepared(self, context: Context) -> Self:
+            """With periods that the recording has CYCLES of: a slower swing is a drift."""
+            super().prepared(context)
+            minutes = float(context.seconds.max() - context.seconds.min()) / 60
+            longest = min(max(minutes / CYCLES, 2 * SHORTEST_MIN), LONGEST_MIN)
+            deg, period, phase = type(self).quantities
+            period = replace(period, high=longest, typical=min(TYPICAL_MIN, longest / 2))
+            self.quantities = (deg, period, phase)
+            return self
 
         def pointing(self, poses: Any, p: Parameters, context: Context) -> Any:
             turn = 2 * math.pi * context.seconds / (60 * p[PERIOD]) + torch.deg2rad(p[PHASE])

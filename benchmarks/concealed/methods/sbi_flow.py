@@ -45,8 +45,9 @@ def examine(case: Case, without: Collection[str], seed: int) -> Answer:
 
 
 def _summed(case: Case, residuals: Array) -> torch.Tensor:
-    """Sums (N, RUNS) over runs of rows in order of time, over the root of their number."""
-    runs = np.array_split(np.argsort(case.seconds), RUNS)
+    """Sums (N, RUNS) over runs of rows, as many as there are rows at most, in order of time, over the root of their number."""
+    order = np.argsort(case.seconds)
+    runs = np.array_split(order, min(RUNS, len(order)))
     return torch.tensor(
         np.stack([residuals[:, rows].sum(1) / np.sqrt(len(rows)) for rows in runs], 1)
     ).float()

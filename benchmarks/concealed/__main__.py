@@ -104,7 +104,12 @@ def asked(case: Case, name: str, without: bool, seed: int, shared: dict[str, flo
     names = set().union(*case.accepted) if without else set()
     try:
         found = judged(case, one.examine(case, names, seed))
-    except (ArithmeticError, AssertionError, ValueError, RuntimeError) as problem:  # what a method's numbers may end in
+    except (
+        ArithmeticError,
+        AssertionError,
+        ValueError,
+        RuntimeError,
+    ) as problem:  # what a method's numbers may end in
         print(f"{case.folder.name}: {name} failed: {problem}", file=sys.stderr)
         return {**row, "failed": str(problem)}
     seconds = time.process_time() - began + sum(shared[part] for part in one.SHARES)

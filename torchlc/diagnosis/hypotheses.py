@@ -99,6 +99,7 @@ class Workbench:
         self._likelihoods: dict[tuple[str, tuple[str, ...]], Likelihood] = {}
         self.entries: list[str] = []
         """Candidates, among which prior odds are shared."""
+        self._log_odds: dict[tuple[Hypothesis, tuple[str, ...]], float] = {}
 
     def likelihood(self, hypothesis: Hypothesis) -> Likelihood:
         kinds = tuple(kind for kind in hypothesis.noise if kind != SCALE)
@@ -131,6 +132,12 @@ class Workbench:
     def log_odds(self, hypothesis: Hypothesis) -> float:
         """ln of the prior odds: an effect has 1 : (N - 1) of N names, times what its class says, shared by its targets
         and divisions; a way to err NOISE_ODDS times what its class says."""
+        key = hypothesis, tuple(self.entries)
+        if key not in self._log_odds:
+            self._log_odds[key] = self._prior(hypothesis)
+        return self._log_odds[key]
+
+    def _prior(self, hypothesis: Hypothesis) -> float:
         known = registry()
         kinds = [known[kind].prior_odds if kind != SCALE else 1.0 for kind in hypothesis.noise]
         total = sum(math.log(NOISE_ODDS * odds) for odds in kinds)

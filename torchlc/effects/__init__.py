@@ -3,6 +3,8 @@ an effect is listed by name, these and those that are defined elsewhere."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from torchlc import noise
 from torchlc.naming import import_modules
 from torchlc.noise.kind import NoiseKind
@@ -17,8 +19,12 @@ import_modules(__name__, __path__)
 
 def registry() -> dict[str, type[Effect]]:
     """Every effect that is defined by now, by name, in the order of the stages."""
-    in_order = sorted(EFFECTS.values(), key=lambda cls: (STAGES.index(cls.stage), cls.order, cls.name))
-    return {cls.name: cls for cls in in_order}
+    return {cls.name: cls for cls in _in_order(tuple(EFFECTS.values()))}
+
+
+@lru_cache(maxsize=4)
+def _in_order(classes: tuple[type[Effect], ...]) -> list[type[Effect]]:
+    return sorted(classes, key=lambda cls: (STAGES.index(cls.stage), cls.order, cls.name))
 
 
 def effect_class(entry: str) -> type[Effect]:
@@ -29,8 +35,12 @@ def effect_class(entry: str) -> type[Effect]:
 
 def unlisted() -> dict[str, type[Effect]]:
     """What the library does not hold but a diagnosis looks for, by name: the effects whose constant angle swings instead."""
-    found = (swinging(cls) for cls in registry().values() if cls.swings)
-    return {cls.name: cls for cls in found}
+    return {cls.name: cls for cls in _swinging(tuple(EFFECTS.values()))}
+
+
+@lru_cache(maxsize=4)
+def _swinging(classes: tuple[type[Effect], ...]) -> list[type[Effect]]:
+    return [swinging(cls) for cls in _in_order(classes) if cls.swings]
 
 
 def names() -> tuple[str, ...]:

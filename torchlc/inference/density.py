@@ -128,7 +128,14 @@ class Posterior:
         )
 
     def noise(self, g: Tensor) -> Noise:
-        return self.model.noise(self.theta(g))
+        """The noise at coordinates (..., P), of which it has few."""
+        columns = [column for column in self.noise_columns if column < self.own]
+        theta = self._start.expand(*g.shape[:-1], -1) if columns else self._start
+        return self.model.noise(theta if not columns else self.scores.put(theta, g, columns))
+
+    @cached_property
+    def _start(self) -> Tensor:
+        return self.model.parameter_set.start()
 
     def log_density(self, g: Tensor) -> Tensor:
         """ln of likelihood times prior, (N,), at coordinates (N, P)."""

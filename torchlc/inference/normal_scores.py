@@ -13,7 +13,7 @@ Letters: P parameters, (...) any batch axes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -45,6 +45,9 @@ class NormalScores:
             coupled: [pair for pair in whole if (pair in parameters.coupled) == coupled]
             for coupled in (False, True)
         }
+        self._straight = straight(
+            {i: one.prior for i, one in enumerate(parameters.free) if i not in self._pairs}
+        )
 
     def _apart(
         self, values: Sequence[Tensor], change: Callable[..., tuple[Tensor, Tensor]]
@@ -62,6 +65,8 @@ class NormalScores:
         """Natural values at coordinates g."""
         values = g.unbind(-1)
         spread = self._apart(values, reflectances)
+        for alike in self._straight:
+            spread.update(alike.natural(values))
         columns: list[Tensor] = []
         for index, (entry, value) in enumerate(zip(self.parameters.free, values, strict=True)):
             pair = self._pairs.get(index)
@@ -77,6 +82,13 @@ class NormalScores:
             else:
                 columns.append(natural(entry.prior, value))
         return torch.stack(columns, -1) if columns else g.clone()
+
+    def put(self, theta: Tensor, g: Tensor, columns: Sequence[int]) -> Tensor:
+        """theta (..., P) with the values of some ``columns`` without partners at coordinates g (..., P)."""
+        found = list(theta.unbind(-1))
+        for column in columns:
+            found[column] = natural(self.parameters.free[column].prior, g[..., column])
+        return torch.stack(found, -1)
 
     def scores(self, theta: Tensor) -> Tensor:
         """Coordinates of natural values, those of a bound at +-FARTHEST."""
@@ -100,6 +112,48 @@ class NormalScores:
     def _marginal(self, pair: tuple[int, int]) -> Marginal:
         first, second = (self.parameters.free[index].prior for index in pair)
         return marginal(first, second)
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Numbers at ``places`` whose values on their prior's own scale are ``centre`` + ``width`` times their coordinate, or times its share of a
+    ``flat`` prior between ``low`` and ``high``: worked out together, for there are many and each alone takes as long. All (K,)."""
+
+    places: tuple[int, ...]
+    flat: bool
+    logarithmic: bool
+    centre: Tensor
+    width: Tensor
+    low: Tensor
+    high: Tensor
+
+    def natural(self, g: Sequence[Tensor]) -> dict[int, Tensor]:
+        """Natural values (...) at coordinates, by place."""
+        several = torch.stack([g[place] for place in self.places], -1)
+        centre, width, low, high = (one.to(several) for one in (self.centre, self.width, self.low, self.high))
+        y = centre + width * (torch.special.ndtr(several) if self.flat else several)
+        x = torch.exp(y) if self.logarithmic else y
+        x = x.clamp(low, high) if self.flat else x
+        return dict(zip(self.places, x.unbind(-1), strict=True))
+
+
+def straight(priors: Mapping[int, Prior]) -> list[Straight]:
+    """Of priors by place those that are a straight line on their own scale, in groups."""
+    groups: dict[tuple[bool, bool], dict[int, tuple[float, float, float, float]]] = {}
+    for place, prior in priors.items():
+        low, high = prior.flat_range()
+        if unbounded(prior):
+            numbers = (prior.flat_centre, prior.sigma, prior.low, prior.high)
+        elif not prior.peaked and not prior.isotropic:
+            numbers = (low, high - low, prior.low, prior.high)
+        else:
+            continue
+        groups.setdefault((not prior.peaked, prior.logarithmic), {})[place] = numbers
+    found = []
+    for (flat, logarithmic), rows in groups.items():
+        columns = torch.tensor(list(rows.values()), dtype=torch.float64, device="cpu").unbind(-1)
+        found.append(Straight(tuple(rows), flat, logarithmic, *columns))
+    return found
 
 
 @dataclass(frozen=True)
@@ -185,18 +239,17 @@ def log_diffuse(g: Tensor) -> Tensor:
     """ln d (...) with d (1 - ln d) = Phi(g): from a table, then a step of Newton's method, which carries the slope."""
     log_share = torch.log(torch.special.ndtr(g))
     with torch.no_grad():
-        nodes, w, slope = (one.to(g) for one in _table())
-        step = float(nodes[1] - nodes[0])
-        place = ((g - nodes[0]) / step).clamp(0, NODES - 1.001)
+        place = ((g + FARTHEST) * ((NODES - 1) / (2 * FARTHEST))).clamp(0, NODES - 1.001)
         k = place.to(torch.long)
         t = place - k
-        known = hermite(t, w[k], w[k + 1], slope[k] * step, slope[k + 1] * step)
+        a, b, c, d = _table().to(g)[k].unbind(-1)
+        known = a + t * (b + t * (c + t * d))
     return _newton(known, log_share)
 
 
 @lru_cache
-def _table() -> tuple[Tensor, Tensor, Tensor]:
-    """Coordinates (NODES,), ln d there and its slope."""
+def _table() -> Tensor:
+    """Cubics (NODES - 1, 4) of ln d over the share of a step from each coordinate to the next, lowest power first."""
     g = torch.linspace(-FARTHEST, FARTHEST, NODES, dtype=torch.float64, device="cpu")
     log_share = torch.log(torch.special.ndtr(g))
     near_one = -torch.sqrt(-2 * log_share)
@@ -204,7 +257,9 @@ def _table() -> tuple[Tensor, Tensor, Tensor]:
     for _ in range(NEWTON_STEPS):
         w = _newton(w, log_share)
     density = torch.exp(-0.5 * g**2) / math.sqrt(2 * math.pi)
-    return g, w, density / (-w * torch.exp(w))
+    slope = density / (-w * torch.exp(w)) * float(g[1] - g[0])
+    rise, first, last = torch.diff(w), slope[:-1], slope[1:]
+    return torch.stack([w[:-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise], -1)
 
 
 def _newton(w: Tensor, log_share: Tensor) -> Tensor:

@@ -198,8 +198,10 @@ def test_effects_and_materials_are_listed(capsys: pytest.CaptureFixture[str]):
     from torchlc.effects import names
 
     assert run(["effects", "--json"]) == 0
-    listed = {one["name"]: one for one in json.loads(capsys.readouterr().out)["effects"]}
+    told = json.loads(capsys.readouterr().out)
+    listed = {one["name"]: one for one in [*told["effects"], *told["looked_for"]]}
     assert set(listed) == set(names())
+    assert {one["name"] for one in told["looked_for"]}.isdisjoint(one["name"] for one in told["effects"])
     assert all(one["sentence"].endswith(".") for one in listed.values())
     deg = listed["panel_offset"]["parameters"][0]
     assert (deg["name"], deg["unit"], deg["low"], deg["high"], deg["sigma"]) == ("deg", "deg", -15, 15, 3)

@@ -17,7 +17,7 @@ from torchlc.diagnosis.candidates import check_candidates
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
 from torchlc.diagnosis.result import completed_scene
 from torchlc.diagnosis.run import diagnose
-from torchlc.effects import Entry, registry
+from torchlc.effects import Entry, effect_class, names, registry
 from torchlc.errors import InputError
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembly import assemble
@@ -83,7 +83,7 @@ def case(tmp_path_factory):
         + "[model]\neffects = []\n[model.parameters]\nband_sun_magnitude = -26.7\n"
     )
     (folder / "scene.toml").write_text(text)
-    scene = Scene.from_toml(text, known_effects=registry())
+    scene = Scene.from_toml(text, known_effects=names())
     lines = ["time,station,mag,mag_err,exptime,curve,object"]
     station = scene.stations[0].id
     lines += [
@@ -140,7 +140,7 @@ def test_every_effect_alone_comes_back_from_the_file(case):
         wide = str(Entry(parsed.name, parsed.target, parsed.per, 0.125 if parsed.per else None))
         added = LightCurve(scene, recording, assembly=assemble(scene, recording, [wide], base=base))
         text = completed_scene(scene, added.effects).to_toml()
-        again = Scene.from_toml(text, known_effects=registry())
+        again = Scene.from_toml(text, known_effects=names())
         assert_same_model(added, LightCurve(again, recording))
 
 
@@ -181,7 +181,7 @@ def test_sets_of_effects_with_numbers_of_the_scene_come_back_from_the_file(case,
     model = scene.model.model_copy(update={"parameters": scene.model.parameters | given_numbers})
     scene = scene.model_copy(update={"model": model})
     added = LightCurve(scene, recording, effects=entries)
-    again = Scene.from_toml(completed_scene(scene, added.effects).to_toml(), known_effects=registry())
+    again = Scene.from_toml(completed_scene(scene, added.effects).to_toml(), known_effects=names())
     assert_same_model(added, LightCurve(again, recording))
 
 
@@ -227,7 +227,7 @@ def test_check_candidates_and_diagnose_take_the_same_names(case):
     bench = Workbench(scene, recording)
     for entry in every_entry(case):
         check_candidates([entry], base)
-        if registry()[Entry.parse(entry).name].stage != "noise":
+        if effect_class(entry).stage != "noise":
             assert entry in bench.candidates([entry])
             assert all(Entry.parse(one).name == Entry.parse(entry).name for one in bench.candidates([entry]))
     only = bench.candidates(["second_material[body]", "time_offset@curve"])
@@ -263,7 +263,7 @@ def test_a_scene_with_a_target_that_is_not_there_is_refused(case, entry, said):
     scene, recording, _ = case
     text = scene.to_toml().replace("effects = []", f"effects = [{json.dumps(entry)}]")
     with pytest.raises(InputError, match=said):
-        LightCurve(Scene.from_toml(text, known_effects=registry()), recording)
+        LightCurve(Scene.from_toml(text, known_effects=names()), recording)
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def test_a_scene_with_a_target_that_is_not_there_is_refused(case, entry, said):
 )
 def test_a_target_of_another_role_is_told_from_one_that_cannot_carry_the_effect(tmp_path, entry, said):
     """A material's name is no component's: the sentence is not that of a scene that could not have the effect at all."""
-    scene = Scene.from_toml(SCENE_OF_ROLES.replace("ENTRY", json.dumps(entry)), known_effects=registry())
+    scene = Scene.from_toml(SCENE_OF_ROLES.replace("ENTRY", json.dumps(entry)), known_effects=names())
     rows = [f"{2459140.1 + k / 96:.6f},1,0,0.2,1,0.1,0,12.0,0.05" for k in range(4)]
     (tmp_path / "rows.csv").write_text(
         "\n".join(["time,sun_x,sun_y,sun_z,obs_x,obs_y,obs_z,mag,mag_err", *rows])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchlc.effects import Entry, names, registry
+from torchlc.effects import Entry, effect_class, names
 from torchlc.errors import InputError
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.scene.problems import shown
@@ -28,7 +28,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
                 f"some of {', '.join(known)}",
                 did_you_mean(entry.name, known),
             )
-        divisible = registry()[entry.name].divisible
+        divisible = effect_class(entry.name).divisible
         if entry.width is not None or (entry.per is not None and not (divisible and entry.per in DIVISIONS)):
             raise InputError(
                 None,
@@ -45,7 +45,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
                 expected = f"several {entry.per}s, of which the recording has {has}"
                 raise InputError(None, "--effects", shown(text), expected)
         if entry.target is not None and assembly is not None:
-            targets = [one for one in registry()[entry.name].targets(assembly.context) if one is not None]
+            targets = [one for one in effect_class(entry.name).targets(assembly.context) if one is not None]
             if entry.target not in targets:
                 raise InputError(
                     None,

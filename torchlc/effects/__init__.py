@@ -44,8 +44,8 @@ def _swinging(classes: tuple[type[Effect], ...]) -> list[type[Effect]]:
 
 
 def names() -> tuple[str, ...]:
-    """The names that a scene's ``effects`` list may hold."""
-    return tuple(registry())
+    """The names that a scene's ``effects`` list may hold, those of what a diagnosis looks for but the library does not hold among them."""
+    return (*registry(), *unlisted())
 
 
 def mending_kind() -> type[NoiseKind]:
@@ -63,7 +63,7 @@ def object_kind() -> type[NoiseKind]:
 def with_title(entry: str) -> str:
     """The name of an effect, or an item of a list of them, and what it is in plain words; the item alone where the library does
     not have the effect."""
-    cls = (registry() | unlisted()).get(Entry.parse(entry).name)
+    cls = (unlisted() | registry()).get(Entry.parse(entry).name)
     return entry if cls is None else f"{entry} ({cls.title})"
 
 

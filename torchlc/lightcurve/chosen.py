@@ -29,7 +29,7 @@ def held_already(wanted: Sequence[str], context: Context) -> dict[str, str]:
 
 def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
     known = registry()
-    every = known | unlisted()
+    every = known | {name: cls for name, cls in unlisted().items() if name not in known}
     numbers = frozenset(scene.origins())
     parts = frozenset(component.name for component in scene.components)
 

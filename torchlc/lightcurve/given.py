@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from torchlc.effects import registry
+from torchlc.effects import registry, unlisted
 from torchlc.errors import InputError
 from torchlc.parameters import Quantity
 from torchlc.scene import Free as SceneFree
@@ -23,13 +23,13 @@ def check_given(scene: Scene, context: Context) -> None:
         if match is None:
             continue
         name, quantity, target = match["effect"], match["quantity"], match["target"]
-        place, known = f'model.parameters."{key}"', registry()
+        place, known = f'model.parameters."{key}"', unlisted() | registry()
         if name not in known:
             found, expected = (
                 f"unknown effect {shown(name)}",
                 f"one of the {len(known)} that torchlc effects lists",
             )
-            raise InputError(scene.source, place, found, expected, did_you_mean(name, registry()))
+            raise InputError(scene.source, place, found, expected, did_you_mean(name, known))
         numbers = [one.name for one in known[name].quantities]
         if quantity not in numbers:
             expected = f"one of {', '.join(numbers)}" if numbers else "no such key: the effect has no numbers"

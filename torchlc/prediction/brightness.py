@@ -14,7 +14,7 @@ import torch
 from scipy.special import ndtri
 from torch import Tensor
 
-from torchlc.effects import object_kind, registry
+from torchlc.effects import effect_class, object_kind
 from torchlc.geometry.orbit.earth import julian_dates
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise.kind import NoiseKind
@@ -23,7 +23,6 @@ from torchlc.readers import Recording
 from torchlc.readers.groups import compact, local_nights
 from torchlc.scene import Free, Orbit, Scene
 from torchlc.stages.effect import Effect
-from torchlc.stages.entry import Entry
 
 LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 """Ends of the 95 % interval and of the 68 % interval, and the median."""
@@ -100,13 +99,13 @@ def predicting_scene(scene: Scene) -> tuple[Scene, list[str]]:
     plain = scene.model_copy(update={"orbit": Orbit(vectors="icrs")})
     if listed is None:
         return plain, []
-    kept = [entry for entry in listed if not _of_the_recording(registry()[Entry.parse(entry).name])]
+    kept = [entry for entry in listed if not _of_the_recording(effect_class(entry))]
     # rows of a prediction are instants: exposures have nothing to smear, and nothing is lost
     lost = [
         entry
         for entry in listed
         if entry not in kept
-        and not (cls := registry()[Entry.parse(entry).name]).spans_exposure
+        and not (cls := effect_class(entry)).spans_exposure
         and cls is not object_kind()  # which the scatter of the draws holds
     ]
     said = f"left out of the prediction, for it belongs to a recording: {', '.join(lost)}"

@@ -6,24 +6,25 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchlc.digits import number_of
-from torchlc.effects import registry
+from torchlc.effects import registry, unlisted
 from torchlc.errors import InputError
 from torchlc.materials.goniometer import ReflectanceFit
 from torchlc.materials.known import load_library
 from torchlc.parameters import Quantity
-from torchlc.stages.effect import first_sentence
+from torchlc.stages.effect import Effect, first_sentence
 
+LOOKED_FOR = "Not in the library, but looked for by a diagnosis, which then says that something unknown is missing and what it is like"
 LEAST_PROBABILITY = 1e-3
 """Matches below this are not printed."""
 
 
-def effects_listing() -> list[dict[str, Any]]:
-    """Every effect in the order of its stage: name, title, one sentence, parameters."""
+def effects_listing(classes: Mapping[str, type[Effect]] | None = None) -> list[dict[str, Any]]:
+    """Every effect in the order of its stage, or each of some ``classes`` by name: name, title, one sentence, parameters."""
     return [
         {
             "name": name,
@@ -34,7 +35,7 @@ def effects_listing() -> list[dict[str, Any]]:
             "per": effect.per,
             "parameters": [_told(quantity) for quantity in effect.quantities],
         }
-        for name, effect in registry().items()
+        for name, effect in (registry() if classes is None else classes).items()
     ]
 
 
@@ -56,9 +57,14 @@ def _told(quantity: Quantity) -> dict[str, Any]:
 
 
 def effects_lines() -> list[str]:
-    """The listing as text: an effect a paragraph, its parameters indented."""
+    """The listing as text: an effect a paragraph, its parameters indented; then what is no effect of the library, but looked for."""
+    lines = _paragraphs(effects_listing())
+    return [*lines, "", f"{LOOKED_FOR}:", *_paragraphs(effects_listing(unlisted()))]
+
+
+def _paragraphs(effects: Sequence[dict[str, Any]]) -> list[str]:
     lines = []
-    for effect in effects_listing():
+    for effect in effects:
         target = f" [{effect['per']}]" if effect["per"] else ""
         usual = " (in every model unless its scene lists effects)" if effect["default"] else ""
         lines.append(f"{effect['name']}{target}{usual}: {effect['title']}. {effect['sentence']}")

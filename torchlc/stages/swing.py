@@ -12,8 +12,8 @@ import torch
 from torchlc.parameters import Quantity
 from torchlc.stages.effect import Context, Effect, Parameters
 
-SWING = "swing of "
-"""What the name of an effect whose angle swings begins with; no class of the library's has a name with a space."""
+SWING = "_swing"
+"""What the name of an effect whose angle swings ends with."""
 DEG, PERIOD, PHASE = "deg", "period_min", "phase_deg"
 """Its numbers, by name."""
 SHORTEST_MIN, TYPICAL_MIN, LONGEST_MIN = 1.0, 10.0, 720.0
@@ -25,12 +25,17 @@ MOST_DEG = 15.0
 @cache
 def swinging(cls: type[Effect]) -> type[Effect]:
     """An effect of the stage "pointing" with its angle ``cls.swings`` = deg sin(2 pi t / period + phase), t from the first row:
-    0.3 mag for 1 deg beside a glint. Neglects a swing within an exposure, and one that dies out. It is none of the library's effects: a diagnosis
+    0.3 mag for 1 deg beside a glint. It is none of the library's effects: a diagnosis
     that finds it says that something is missing which the library does not hold, and what it looks like."""
     (steady,) = (one for one in cls.quantities if one.name == cls.swings)
     typical = steady.typical or 1.0
 
     class Swinging(cls):
+        """The angle swings: deg sin(2 pi t / period + phase), t from the first row.
+
+        Neglects a swing within an exposure, and one that dies out.
+        """
+
         title = f"{cls.title}, by an angle that swings"
         timed_by_rows = True
         turning = "swing"
@@ -57,5 +62,5 @@ def swinging(cls: type[Effect]) -> type[Effect]:
             turn = 2 * math.pi * context.seconds / (60 * p[PERIOD]) + torch.deg2rad(p[PHASE])
             return super().pointing(poses, {steady.name: p[DEG] * torch.sin(turn)}, context)
 
-    Swinging.name = SWING + cls.name
+    Swinging.name = cls.name + SWING
     return Swinging

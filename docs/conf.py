@@ -60,7 +60,6 @@ myst_substitutions = {
     "again": str(probes.AGAIN),
     "grown": str(growth.GROWN),
     "material_starts": str(fits.STARTS),
-    "material_starts_slow": str(fits.STARTS_IF_SLOW),
     "as_likely": f"{100 * counts.AS_LIKELY:g}",
     "linear_near": f"{promises.LINEAR_NEAR:g}",
     "slow_ms": f"{1000 * density.DEAR_S:g}",

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL
 from torchlc.diagnosis.discrepancy import discrepancies
-from torchlc.diagnosis.fits import REACH, STARTS, STARTS_IF_SLOW
+from torchlc.diagnosis.fits import REACH, STARTS
 from torchlc.diagnosis.growth import GROWN, JOINT, Growth
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis, carried, effect_columns
 from torchlc.diagnosis.joint import joint_sets
@@ -29,6 +29,8 @@ from torchlc.stages.entry import Entry
 
 LAWS_IF_SLOW = 2
 """Best laws that the leading sets are refitted under where each geometry of a free one takes long: a set then takes some 5 s under each."""
+FOLLOWED = 12
+"""Draws of the materials under another law that are followed where the geometry is free: light is then worked out anew for every lobe."""
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 MOST_LOOKED = 6
@@ -165,7 +167,7 @@ class Search(Growth):
                 continue
             self.begun_afresh.add(one)
             generator = torch.Generator().manual_seed(one.seed + self.seed)
-            starts = self.drawn(at.posterior, at.theta, generator)
+            starts = material_starts(at.posterior, at.theta, STARTS, generator)
             # each point that is followed further takes geometries of its own
             most = MOST_MINIMA // 2 if at.posterior.slow else MOST_MINIMA
             self.refit(one, torch.cat([at.theta[None], starts]), at, most=most)
@@ -291,7 +293,7 @@ class Search(Growth):
                     starts = material_starts(posterior, theta, STARTS, generator)
                 if posterior.model.geometry_free:
                     # light of a free geometry is worked out anew for every lobe: only the best are followed
-                    starts = posterior.theta(likeliest(posterior, starts, STARTS_IF_SLOW))
+                    starts = posterior.theta(likeliest(posterior, starts, FOLLOWED))
                 self.refit(hypothesis, starts, at)
 
     def strangers(self, coordinates: dict[str, Tensor]) -> None:

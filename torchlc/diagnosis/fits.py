@@ -42,10 +42,11 @@ from torchlc.stages.entry import Entry
 
 REACH = 12.0
 """Log odds below the leader within which a hypothesis is looked at closely: one in 160,000."""
-STARTS, STARTS_IF_SLOW = 48, 12
+STARTS = 48
 """Draws of the materials that a minimum is looked for from, each as drawn and with its reflectances regressed: of 17 nominal scenes without
-anything missing 12 draws miss the true minimum of two by 2 and 9 in log evidence, 48 that of none, in half a second more. Fewer where each geometry
-takes long, for light is worked out anew for every lobe."""
+anything missing 12 draws miss the true minimum of two by 2 and 9 in log evidence, 48 that of none, in half a second more."""
+MODES = 24
+"""Starts of a search for minima where the rows have no errors."""
 PLACES = 3
 """Values of an effect's own parameters that a refit begins from."""
 ROOM = 2.0
@@ -61,6 +62,13 @@ class Minimum:
     """Coordinates of a minimum, (P,)."""
 
     g: Tensor
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """CPU seconds that a new geometry of a hypothesis takes."""
+
+    seconds: float
 
 
 @dataclass
@@ -159,7 +167,11 @@ class Fits:
     def posterior(self, hypothesis: Hypothesis) -> Posterior:
         if hypothesis not in self._posteriors:
             likelihood = self.bench.likelihood(hypothesis)
-            self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
+            made = self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
+            name = f"seconds of a geometry of {hypothesis}"
+            made.timed = lambda measured: (
+                self.steps.of(name, Seconds, lambda: [Seconds(measured())])[0].seconds
+            )
         return self._posteriors[hypothesis]
 
     def keep(self, new: Fitted) -> Fitted:
@@ -229,22 +241,15 @@ class Fits:
         theta = posterior.theta(torch.zeros(posterior.size, dtype=torch.float64))
         generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
         starts = [posterior.model.parameter_set.start()[None], theta[None]]
-        starts.append(self.drawn(posterior, theta, generator))
+        starts.append(material_starts(posterior, theta, STARTS, generator))
         if posterior.likelihood.fitted_errors:
-            modes = find_modes(
-                posterior.likelihood, starts=2 * STARTS_IF_SLOW, adam_steps=60, seed=self.seed
-            )[0]
+            modes = find_modes(posterior.likelihood, starts=MODES, adam_steps=60, seed=self.seed)[0]
             starts = [torch.stack([mode.theta for mode in modes[:BEAM]])]
         found = self.refit(hypothesis, torch.cat(starts))
         found = self.from_counts(found, found)
         for noise in self.noises():
             if noise != self.robust:
                 self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
-
-    def drawn(self, posterior: Posterior, theta: Tensor, generator: torch.Generator) -> Tensor:
-        """Natural values (S, P) like theta (P,), with draws of the materials."""
-        count = STARTS_IF_SLOW if posterior.slow else STARTS
-        return material_starts(posterior, theta, count, generator)
 
     def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
         """A hypothesis under another noise, from its minima; and from natural values (S, P) that get the geometry of the first of these,
@@ -379,7 +384,7 @@ class Fits:
         if len(at.minima) < 2 or at.posterior.slow or at.noise.processes:
             return at
         generator = torch.Generator().manual_seed(at.hypothesis.seed + self.seed)
-        starts = torch.cat([at.theta[None], self.drawn(at.posterior, at.theta, generator)])
+        starts = torch.cat([at.theta[None], material_starts(at.posterior, at.theta, STARTS, generator)])
         found = fit(at.hypothesis, at.posterior, at.posterior.coordinates(starts), most=MOST_CHARTED)
         return merged([*at.minima, *found.minima], MOST_CHARTED)
 

@@ -53,6 +53,7 @@ class Posterior:
         self.likelihood = likelihood
         self.scores = NormalScores(likelihood.model.parameter_set)
         self.scaled = scaled and not likelihood.fitted_errors
+        self.timed: Callable[[Callable[[], float]], float] = lambda measured: measured()
         self.own = len(likelihood.model.names)
         self.size = self.own + self.scaled
         self.noise_columns = [*noise_columns(likelihood), *([self.own] if self.scaled else [])]
@@ -67,9 +68,11 @@ class Posterior:
 
     @cached_property
     def geometry_seconds(self) -> float:
-        """CPU seconds that a new geometry takes; 0 where it is fixed."""
-        if not self.model.geometry_free:
-            return 0.0
+        """CPU seconds that a new geometry takes; 0 where it is fixed. Much is decided by them, so that a run that goes on has to know those of the
+        run before: ``timed`` gives what was kept, or keeps what is measured now."""
+        return self.timed(self._geometry_seconds) if self.model.geometry_free else 0.0
+
+    def _geometry_seconds(self) -> float:
         # effects keep what they made of the last geometries: those timed here are no others' but this model's
         own = 1e-6 * (1 + zlib.crc32(" ".join(self.model.names).encode()) / 2**32)
         g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)

@@ -59,15 +59,15 @@ def _trained(case: Case, patterns: Tensor, owner: Tensor, causes: int, seed: int
         torch.manual_seed(seed)
         network = nn.Sequential(nn.Linear(case.rows, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU(),
                                 nn.Linear(WIDTH, causes))  # fmt: skip
-    members = [torch.nonzero(owner == k)[:, 0] for k in range(causes)]
+    count = torch.bincount(owner, minlength=causes)
+    first, order = torch.cumsum(count, 0) - count, torch.argsort(owner)
     null = torch.tensor(case.null_residuals(20 * BATCH, seed)).float()
     optimiser = torch.optim.Adam(network.parameters(), LEARNING_RATE)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=STEPS)
     for _ in range(STEPS):
         which = torch.randint(causes, (BATCH,), generator=generator)
-        one = torch.stack(
-            [members[k][torch.randint(len(members[k]), (), generator=generator)] for k in which.tolist()]
-        )
+        place = (torch.rand(BATCH, generator=generator, dtype=torch.float64) * count[which]).long()
+        one = order[first[which] + place]
         size = torch.exp(torch.rand(BATCH, generator=generator) * np.log(SIZES[1] / SIZES[0])) * SIZES[0]
         noise = null[torch.randint(len(null), (2 * BATCH,), generator=generator)]
         distorted = network(noise[:BATCH] + size[:, None] * patterns[one])

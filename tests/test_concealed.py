@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,9 @@ import pytest
 import torch
 from scipy import stats
 
-from benchmarks.concealed.__main__ import main, run
+from benchmarks.concealed.__main__ import main
 from benchmarks.concealed.answer import absent, method, method_names
+from benchmarks.concealed.asking import run
 from benchmarks.concealed.case import Case
 from benchmarks.concealed.linear import conditional
 from benchmarks.concealed.methods.distortion_snr import statistics, trained
@@ -26,6 +29,8 @@ from benchmarks.concealed.scores import (
     overview,
     reliability,
 )
+
+ROOT = Path(__file__).parents[1]
 
 
 def test_auc_is_mann_and_whitneys() -> None:
@@ -190,6 +195,22 @@ def test_the_command_makes_asks_and_scores(
         for row in case.null_residuals(400, 1)
     ]
     assert stats.kstest(p, "uniform").pvalue > 0.01  # the refit takes one degree of freedom for each number
+
+
+@pytest.mark.long
+def test_the_command_shares_its_cases_among_processes(tmp_path: Path) -> None:
+    """Started as a person starts it: each process has to find what it is to do."""
+    call = ["--seed", "6", "--cases", "2", "--classes", "one,other law", "--generators", "reference", "--processes", "2",
+            "--methods", "chi_square", "-o", str(tmp_path)]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.concealed", *call],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "summary.json").read_text())["scores"]["chi_square"]["all"]["cases"] == 2
 
 
 def test_every_method_says_what_it_is() -> None:

@@ -16,38 +16,21 @@ import multiprocessing
 import platform
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from benchmarks.concealed.answer import absent, method, method_names
-from benchmarks.concealed.case import Case
-from benchmarks.concealed.scores import judged, overview, summary
+from benchmarks.concealed.asking import Job, results, run
+from benchmarks.concealed.scores import overview, summary
 
 CLASSES = ("none", "one", "two", "three", "unlisted", "other law", "nominal scene")
 GENERATORS = {"reference": None, "tracer": "mitsuba"}
 """By name, the module beside numpy that it needs; its cases come from ``<name>_cases``."""
 TRACED = ("none", "one", "two", "unlisted", "nominal scene")
 """Classes that the path tracer makes as well."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One case: its class, number and generator, and whom to ask."""
-
-    kind: str
-    number: int
-    generator: str
-    seed: int
-    folder: Path
-    methods: tuple[str, ...]
 
 
 def jobs(
@@ -69,67 +52,6 @@ def jobs(
         folder = out / "cases" / f"{generator}-{kind.replace(' ', '-')}-{number}"
         made.append(Job(kind, number, generator, seed, folder, tuple(methods)))
     return made
-
-
-def run(job: Job) -> str:
-    """Makes the case if it is not there, asks the methods that have not answered; returns a line about it."""
-    torch.set_num_threads(1)
-    began = time.process_time()
-    if not (job.folder / "answer.json").exists() or "class" not in _answer(job):
-        import_module(f"benchmarks.concealed.{job.generator}_cases").make(
-            job.kind, job.number, job.seed, job.folder
-        )
-    made = time.process_time() - began
-    done = {(row["method"], row["without"]) for row in results(job.folder)}
-    case, shared = Case(job.folder), {}
-    for name in job.methods:
-        for without in (False, True) if case.kind == "one" and method(name).NAMES else (False,):
-            if (name, without) not in done:
-                row = asked(case, name, without, job.seed, shared)
-                with (job.folder / "results.jsonl").open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-    return f"{job.folder.name}: made in {made:.0f} s, asked in {time.process_time() - began - made:.0f} s"
-
-
-def asked(case: Case, name: str, without: bool, seed: int, shared: dict[str, float]) -> dict[str, Any]:
-    """One method's answer with its score and its CPU seconds, those of what it shares with others included."""
-    one = method(name)
-    row = {"case": case.folder.name, "class": case.kind, "method": name, "without": without}
-    for part in one.SHARES:
-        if part not in shared:
-            began = time.process_time()
-            _ = case.nominal if part == "nominal" else case.menu()
-            shared[part] = time.process_time() - began
-    began = time.process_time()
-    names = set().union(*case.accepted) if without else set()
-    try:
-        found = judged(case, one.examine(case, names, seed))
-    except (
-        ArithmeticError,
-        AssertionError,
-        ValueError,
-        RuntimeError,
-    ) as problem:  # what a method's numbers may end in
-        print(f"{case.folder.name}: {name} failed: {problem}", file=sys.stderr)
-        return {**row, "failed": str(problem)}
-    seconds = time.process_time() - began + sum(shared[part] for part in one.SHARES)
-    return {**row, **found, "seconds": seconds}
-
-
-def results(folder: Path) -> list[dict[str, Any]]:
-    """Answers that a case has; a last line cut short by a kill is left out."""
-    path = folder / "results.jsonl"
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
-def _answer(job: Job) -> dict[str, Any]:
-    return json.loads((job.folder / "answer.json").read_text(encoding="utf-8"))
 
 
 def told(options: argparse.Namespace) -> dict[str, Any]:

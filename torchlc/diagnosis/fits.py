@@ -64,13 +64,6 @@ class Minimum:
     g: Tensor
 
 
-@dataclass(frozen=True)
-class Seconds:
-    """CPU seconds that a new geometry of a hypothesis takes."""
-
-    seconds: float
-
-
 @dataclass
 class Fits:
     """What has been visited: every hypothesis at its minima."""
@@ -167,11 +160,7 @@ class Fits:
     def posterior(self, hypothesis: Hypothesis) -> Posterior:
         if hypothesis not in self._posteriors:
             likelihood = self.bench.likelihood(hypothesis)
-            made = self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
-            name = f"seconds of a geometry of {hypothesis}"
-            made.timed = lambda measured: (
-                self.steps.of(name, Seconds, lambda: [Seconds(measured())])[0].seconds
-            )
+            self._posteriors[hypothesis] = Posterior(likelihood, SCALE in hypothesis.noise)
         return self._posteriors[hypothesis]
 
     def keep(self, new: Fitted) -> Fitted:

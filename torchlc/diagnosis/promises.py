@@ -10,7 +10,14 @@ import torch
 
 from torchlc.diagnosis.fits import REACH, Fits
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis
-from torchlc.diagnosis.probes import Probe, least_seconds, probe, rescored, turns
+from torchlc.diagnosis.probes import (
+    Probe,
+    least_seconds,
+    probe,
+    rescored,
+    seconds_a_geometry,
+    turns,
+)
 from torchlc.inference.density import Fitted, Linear, Posterior
 from torchlc.inference.posterior import LONGEST, fit
 from torchlc.stages.entry import Entry
@@ -25,7 +32,7 @@ the best may reach half as much again, the 9 below which an effect counts as not
 DEAR_STEPS = 24
 """Steps of a refit, each of which takes one geometry and one more for every number that is fitted."""
 PROBING_S = 10.0
-"""CPU seconds of all probes beside one set of effects, of which each takes some hundredths where the geometry is not dear."""
+"""CPU seconds of the geometries of all probes beside one set of effects, of which each takes some hundredths where they are not dear."""
 SLOW_FIT_S = 0.5
 """CPU seconds of a refit beside a clean leader beyond which its linear form, which takes some tenths, is asked first."""
 LONG_FIT_S = 30.0
@@ -69,12 +76,13 @@ class Promises(Fits):
             return entry in held, -held[entry].score if entry in held else 0.0, turns(alone[entry], entry)
 
         found = {}
-        began = self.clock.spent
+        spent = 0.0
         for entry in sorted(entries, key=place):
             if not self.clock.left(share):
                 break
-            spent = self.clock.spent - began > PROBING_S
-            if entry in held and (spent or (not anew and (at.posterior.dear or alone[entry].dear))):
+            if entry in held and (
+                spent > PROBING_S or (not anew and (at.posterior.dear or alone[entry].dear))
+            ):
                 found[entry] = held[entry]
                 continue
             hypothesis = at.hypothesis.with_effect(entry)
@@ -87,6 +95,7 @@ class Promises(Fits):
                 seed = hypothesis.seed + self.seed
                 known = rescored(*self.whole[entry], at) if entry in self.whole else None
                 found[entry] = probe(self.bench, at, posterior, entry, seed, known)
+                spent += max(cost, len(found[entry].psi) * seconds_a_geometry(posterior, entry))
                 self.latest[entry] = found[entry], at
                 self.whole.setdefault(entry, self.latest[entry])
             else:

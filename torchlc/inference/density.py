@@ -9,7 +9,6 @@ Letters: S starts, T rows, P coordinates.
 from __future__ import annotations
 
 import math
-import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from torchlc.noise import Noise, Residuals
 from torchlc.stages.noise import Law, Normal
 from torchlc.tensors.least_squares import Colours
 from torchlc.tensors.normal_tail import HALF_LOG_2PI
+from torchlc.tensors.work import Work
 
 SCALE_SIGMA = 0.3
 """What is believed of quoted errors: a third too small or too large."""
@@ -35,8 +35,8 @@ NEAR_ZERO = 1e-3
 """Deviate below which a deviance residual is taken as linear, for its square root has no slope at 0."""
 AT_ONCE = 256
 """Draws that are worked out together."""
-MOST_TIMED_S = 60.0
-"""CPU seconds of a first geometry, with the tables that all share, beyond which no second is timed for what each takes alone."""
+MOST_SHARED_S = 60.0
+"""CPU seconds of a first geometry, with the tables that all share, beyond which no second is asked for what each takes alone."""
 DEAR_S = 4e-3
 """CPU seconds of one new geometry beyond which draws are taken from the linear form instead."""
 AFFORDED_S = 0.03
@@ -53,7 +53,6 @@ class Posterior:
         self.likelihood = likelihood
         self.scores = NormalScores(likelihood.model.parameter_set)
         self.scaled = scaled and not likelihood.fitted_errors
-        self.timed: Callable[[Callable[[], float]], float] = lambda measured: measured()
         self.own = len(likelihood.model.names)
         self.size = self.own + self.scaled
         self.noise_columns = [*noise_columns(likelihood), *([self.own] if self.scaled else [])]
@@ -68,26 +67,23 @@ class Posterior:
 
     @cached_property
     def geometry_seconds(self) -> float:
-        """CPU seconds that a new geometry takes; 0 where it is fixed. Much is decided by them, so that a run that goes on has to know those of the
-        run before: ``timed`` gives what was kept, or keeps what is measured now."""
-        return self.timed(self._geometry_seconds) if self.model.geometry_free else 0.0
-
-    def _geometry_seconds(self) -> float:
-        # effects keep what they made of the last geometries: those timed here are no others' but this model's
+        """CPU seconds that a new geometry takes; 0 where it is fixed. Much is decided by them: they are counted, not timed, so that every
+        machine decides alike."""
+        if not self.model.geometry_free:
+            return 0.0
+        # effects keep what they made of the last geometries: those counted here are no others' but this model's
         own = 1e-6 * (1 + zlib.crc32(" ".join(self.model.names).encode()) / 2**32)
-        g = self.coordinates(self.model.parameter_set.start()).repeat(8, 1)
+        g = self.coordinates(self.model.parameter_set.start())[None]
         with torch.no_grad():
-            began = time.process_time()
-            self.residuals(g[:1] - own)  # what all geometries share is made here
-            first = time.process_time() - began
-            if first > MOST_TIMED_S:
+            with Work() as shared:
+                self.residuals(g - own)  # what all geometries share is made here
+            if shared.seconds > MOST_SHARED_S:
                 self.model.forget()
-                return first
-            g = g[:1] if first > 5 * DEAR_S else g
-            began = time.process_time()
-            self.residuals(g + own * torch.arange(1.0, 1.0 + len(g), dtype=g.dtype)[:, None])
+                return shared.seconds
+            with Work() as each:
+                self.residuals(g + own)
         self.model.forget()
-        return (time.process_time() - began) / len(g)
+        return each.seconds
 
     @property
     def dear(self) -> bool:

@@ -1,0 +1,44 @@
+"""How much a calculation has to do, counted and not timed: what is decided by it is decided alike on every machine, however busy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+OPERATION_S = 1.25e-6
+"""CPU seconds of an operation of PyTorch itself, in a batch of eight: 10 us together, measured on one core at 3 GHz."""
+ELEMENT_S = 1e-9
+"""CPU seconds of one element of the largest tensor of an operation. With both, the CPU seconds of 180 geometries of scenes from 0.4 to
+130 ms are met within a factor of 1.5, nine times of ten."""
+
+
+class Work(TorchDispatchMode):
+    """Counts what PyTorch does while it is entered: ``operations``, views left out, and ``elements``, those of the largest tensor that
+    each reads or makes. What NumPy does is not seen."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.operations = self.elements = 0
+
+    @property
+    def seconds(self) -> float:
+        """CPU seconds that as much takes on the machine of OPERATION_S."""
+        return OPERATION_S * self.operations + ELEMENT_S * self.elements
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        made = func(*args, **(kwargs or {}))
+        if not func.is_view:
+            self.operations += 1
+            self.elements += max((one.numel() for one in _tensors((made, *args))), default=0)
+        return made
+
+
+def _tensors(found: Iterable[Any]) -> Iterator[torch.Tensor]:
+    for one in found:
+        if isinstance(one, torch.Tensor):
+            yield one
+        elif isinstance(one, (list, tuple)):
+            yield from _tensors(one)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchlc.diagnosis.alternatives import NOMINAL, under_other_laws, with_free_sizes
-from torchlc.effects import effect_class, registry, unlisted
+from torchlc.effects import effect_class, nameable, registry, unlisted
 from torchlc.inference.likelihood import Likelihood
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.assembly import assemble
@@ -97,9 +97,17 @@ class Workbench:
         self._scenes = {**self.laws, **({} if freed is None else {NOMINAL: freed})}
         self._bases: dict[str, Assembly] = {"": self.base}
         self._likelihoods: dict[tuple[str, tuple[str, ...]], Likelihood] = {}
-        self.entries: list[str] = []
+        self._entries: list[str] = []
+        self._log_odds: dict[Hypothesis, float] = {}
+
+    @property
+    def entries(self) -> list[str]:
         """Candidates, among which prior odds are shared."""
-        self._log_odds: dict[tuple[Hypothesis, tuple[str, ...]], float] = {}
+        return self._entries
+
+    @entries.setter
+    def entries(self, entries: list[str]) -> None:
+        self._entries, self._log_odds = entries, {}
 
     def likelihood(self, hypothesis: Hypothesis) -> Likelihood:
         kinds = tuple(kind for kind in hypothesis.noise if kind != SCALE)
@@ -132,10 +140,9 @@ class Workbench:
     def log_odds(self, hypothesis: Hypothesis) -> float:
         """ln of the prior odds: an effect has 1 : (N - 1) of N names, times what its class says, shared by its targets
         and divisions; a way to err NOISE_ODDS times what its class says."""
-        key = hypothesis, tuple(self.entries)
-        if key not in self._log_odds:
-            self._log_odds[key] = self._prior(hypothesis)
-        return self._log_odds[key]
+        if hypothesis not in self._log_odds:
+            self._log_odds[hypothesis] = self._prior(hypothesis)
+        return self._log_odds[hypothesis]
 
     def _prior(self, hypothesis: Hypothesis) -> float:
         known = registry()
@@ -158,7 +165,7 @@ class Workbench:
         for all its targets and divisions."""
         present = {effect.name for effect in self.base.effects}
         entries = []
-        for name, cls in (registry() | unlisted()).items():
+        for name, cls in nameable().items():
             if cls.stage == "noise" or name in present:
                 continue
             for target in cls.targets(self.base.context):

@@ -10,7 +10,7 @@ from torchlc.diagnosis.discrepancy import FAR, Discrepancy
 from torchlc.diagnosis.fits import REACH
 from torchlc.diagnosis.hypotheses import Hypothesis, effect_columns
 from torchlc.diagnosis.promises import NEAR, Promises
-from torchlc.diagnosis.swinging import shape_of
+from torchlc.diagnosis.swing_shape import shape_of
 from torchlc.inference.density import SCALE_SIGMA, Fitted
 
 CLEAN_P = 0.05

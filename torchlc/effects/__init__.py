@@ -35,7 +35,7 @@ def effect_class(entry: str) -> type[Effect]:
 
 def unlisted() -> dict[str, type[Effect]]:
     """What the library does not hold but a diagnosis looks for, by name: the effects whose constant angle swings instead."""
-    return {cls.name: cls for cls in _swinging(tuple(EFFECTS.values()))}
+    return {cls.name: cls for cls in _swinging(tuple(EFFECTS.values())) if cls.name not in EFFECTS}
 
 
 @lru_cache(maxsize=4)
@@ -43,9 +43,14 @@ def _swinging(classes: tuple[type[Effect], ...]) -> list[type[Effect]]:
     return [swinging(cls) for cls in _in_order(classes) if cls.swings]
 
 
+def nameable() -> dict[str, type[Effect]]:
+    """What a scene's ``effects`` list may name: the library's effects, and then those that are :func:`unlisted`."""
+    return registry() | unlisted()
+
+
 def names() -> tuple[str, ...]:
-    """The names that a scene's ``effects`` list may hold, those of what a diagnosis looks for but the library does not hold among them."""
-    return (*registry(), *unlisted())
+    """The names of :func:`nameable`."""
+    return tuple(nameable())
 
 
 def mending_kind() -> type[NoiseKind]:
@@ -63,7 +68,7 @@ def object_kind() -> type[NoiseKind]:
 def with_title(entry: str) -> str:
     """The name of an effect, or an item of a list of them, and what it is in plain words; the item alone where the library does
     not have the effect."""
-    cls = (unlisted() | registry()).get(Entry.parse(entry).name)
+    cls = nameable().get(Entry.parse(entry).name)
     return entry if cls is None else f"{entry} ({cls.title})"
 
 
@@ -75,6 +80,7 @@ __all__ = [
     "Entry",
     "effect_class",
     "mending_kind",
+    "nameable",
     "names",
     "registry",
     "unlisted",

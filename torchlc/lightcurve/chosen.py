@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from torchlc.effects import object_kind, registry, unlisted
+from torchlc.effects import nameable, object_kind, registry
 from torchlc.errors import InputError
 from torchlc.lightcurve.given import from_population, given_number
 from torchlc.lightcurve.numbers import prior_within
@@ -28,8 +28,7 @@ def held_already(wanted: Sequence[str], context: Context) -> dict[str, str]:
 
 
 def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> tuple[Effect, ...]:
-    known = registry()
-    every = known | {name: cls for name, cls in unlisted().items() if name not in known}
+    known = nameable()
     numbers = frozenset(scene.origins())
     parts = frozenset(component.name for component in scene.components)
 
@@ -39,7 +38,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
 
     found: list[Effect] = []
     if wanted is None:
-        standard = [effect for cls in known.values() if (effect := cls()).standard(context)]
+        standard = [effect for cls in registry().values() if (effect := cls()).standard(context)]
         found = [made(effect) for effect in standard if effect.missing(context) is None]
     asked = list(wanted or ())
     if from_population(scene) and (differ := object_kind().name) not in asked:
@@ -49,7 +48,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
     for entry in asked:
         parsed = Entry.parse(entry)
         name, target = parsed.name, parsed.target
-        if name not in every:
+        if name not in known:
             raise InputError(
                 scene.source,
                 "model.effects",
@@ -57,7 +56,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
                 f"one of the {len(known)} that torchlc effects lists",
                 did_you_mean(name, known),
             )
-        cls = every[name]
+        cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
         for one in targets:
             effect = cls(one)
@@ -74,7 +73,7 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
         reason = effect.beside([other for other in found if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
-    order = list(every)
+    order = list(known)
     return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from torchlc.effects import registry, unlisted
+from torchlc.effects import nameable
 from torchlc.errors import InputError
 from torchlc.parameters import Quantity
 from torchlc.scene import Free as SceneFree
@@ -23,7 +23,7 @@ def check_given(scene: Scene, context: Context) -> None:
         if match is None:
             continue
         name, quantity, target = match["effect"], match["quantity"], match["target"]
-        place, known = f'model.parameters."{key}"', unlisted() | registry()
+        place, known = f'model.parameters."{key}"', nameable()
         if name not in known:
             found, expected = (
                 f"unknown effect {shown(name)}",

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from torchlc.effects import names
+from torchlc.effects import registry
 
 HERE = Path(__file__).parents[1] / "docs" / "effects"
 LARGEST_BYTES = 60_000
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", registry())
 def test_an_effect_has_a_figure_and_a_size(name: str) -> None:
     figure = HERE / "figures" / f"{name}.png"
     assert figure.is_file(), f"run docs/effects/make_figures.py {name}"

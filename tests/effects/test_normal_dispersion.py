@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from tests.effects.cases import PLATE, check_contract, flux, material, seen_from, still, tilted
+from torchlc.inference.identifiability import limits
+from torchlc.lightcurve.model import LightCurve
 
 
 @pytest.mark.parametrize(("n", "deg"), [(1000.0, 3.0), (50.0, 2.0), (1e5, 1.0)])
@@ -33,6 +36,35 @@ def test_is_the_mean_over_tilted_normals(tmp_path, n, deg):
     recording = seen_from(scene, tmp_path, to_sun, to_observer)
     found = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
     np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.005 * expected.max())
+
+
+@pytest.mark.parametrize("deg", [4.0, 15.0])
+def test_what_it_neglects_of_diffuse_light_is_told(tmp_path, deg):
+    """Against many plates whose normals scatter by as much, evenly tilted over +-4 standard deviations."""
+    scene = still(PLATE, material("white", 10.0, 0.0, 0.5))
+    x = np.linspace(-4, 4, 41)
+    tilts = np.radians(deg) * np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
+    weight = np.exp(-0.5 * (tilts / np.radians(deg)) ** 2).prod(-1)
+    angle = np.linalg.norm(tilts, axis=-1, keepdims=True)
+    normal = np.concatenate([np.sinc(angle / np.pi) * tilts, np.cos(angle)], -1)
+    u = np.stack([normal[:, 2], 0 * normal[:, 0], -normal[:, 0]], -1)
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    frame = np.stack([u, np.cross(normal, u), normal], 1)
+    to_sun, to_observer = tilted([5.0]), tilted([5.0], 180.0)
+    turned = [np.einsum("kij,tj->kti", frame, one).reshape(-1, 3) for one in (to_sun, to_observer)]
+    each = flux(scene, seen_from(scene, tmp_path, *turned))
+    recording = seen_from(scene, tmp_path, to_sun, to_observer)
+    (found,) = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
+    wrong = 2.5 * np.log10(found / (weight @ each / weight.sum()))
+    model = LightCurve(scene, recording, effects=["normal_dispersion"])
+    told = limits(model, model.parameter_set.start().index_fill(0, torch.tensor([0]), deg))
+    assert model.names == ["normal_dispersion.deg[white]"]
+    if deg < 5:
+        assert wrong < 0.03
+        assert told == []
+    else:
+        (line,) = told
+        assert float(line.split(" mag brighter")[0].split()[-1]) == pytest.approx(wrong, rel=0.15)
 
 
 def test_contract(tmp_path):

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.concealed.answer import absent, method, method_names
-from benchmarks.concealed.asking import Job, results, run
+from benchmarks.concealed.asking import Job, answer_of, results, run
 from benchmarks.concealed.scores import overview, summary
 
 CLASSES = ("none", "one", "two", "three", "unlisted", "other law", "nominal scene")
@@ -57,7 +57,7 @@ def jobs(
 def told(options: argparse.Namespace) -> dict[str, Any]:
     """The summary of all that the folder holds, of this call and of earlier ones, with what it was made by."""
     folders = [one for one in sorted((options.out / "cases").iterdir()) if results(one)]
-    answers = [json.loads((one / "answer.json").read_text(encoding="utf-8")) for one in folders]
+    answers = [answer_of(one) for one in folders]
     rows = [row for one in folders for row in results(one)]
     good = [row for row in rows if "failed" not in row]
     commit = subprocess.run(

@@ -36,7 +36,7 @@ def run(job: Job) -> str:
     """Makes the case if it is not there, asks the methods that have not answered; returns a line about it."""
     torch.set_num_threads(1)
     began = time.process_time()
-    if not (job.folder / "answer.json").exists() or "class" not in _answer(job):
+    if not (job.folder / "answer.json").exists() or "class" not in answer_of(job.folder):
         import_module(f"benchmarks.concealed.{job.generator}_cases").make(
             job.kind, job.number, job.seed, job.folder
         )
@@ -89,5 +89,6 @@ def results(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _answer(job: Job) -> dict[str, Any]:
-    return json.loads((job.folder / "answer.json").read_text(encoding="utf-8"))
+def answer_of(folder: Path) -> dict[str, Any]:
+    """What is concealed in a case."""
+    return json.loads((folder / "answer.json").read_text(encoding="utf-8"))

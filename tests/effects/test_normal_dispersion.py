@@ -11,11 +11,19 @@ from torchlc.inference.identifiability import limits
 from torchlc.lightcurve.model import LightCurve
 
 
+def of_tilted(scene, folder, normal: np.ndarray, to_sun, to_observer) -> np.ndarray:
+    """Light (K, T) of plates with these unit normals (K, 3): turning a plate is turning Sun and observer back."""
+    u = np.stack([normal[:, 2], 0 * normal[:, 0], -normal[:, 0]], -1)
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    frame = np.stack([u, np.cross(normal, u), normal], 1)
+    turned = [np.einsum("kij,tj->kti", frame, one).reshape(-1, 3) for one in (to_sun, to_observer)]
+    return flux(scene, seen_from(scene, folder, *turned)).reshape(len(normal), -1)
+
+
 @pytest.mark.parametrize(("n", "deg"), [(1000.0, 3.0), (50.0, 2.0), (1e5, 1.0)])
 def test_is_the_mean_over_tilted_normals(tmp_path, n, deg):
-    """Turning the plate by a tilt is turning Sun and observer back. 40 x 40 Gauss-Hermite tilts resolve the
-    lobe; what remains is the curvature of min(mu0, mu) and of Fresnel's factor, of the order of the
-    variance (0.003 at 3 deg)."""
+    """40 x 40 Gauss-Hermite tilts resolve the lobe; what remains is the curvature of min(mu0, mu) and of Fresnel's factor, of the order of
+    the variance (0.003 at 3 deg)."""
     scene = still(PLATE, material("white", n, 0.5, 0.0))
     width = np.degrees(np.sqrt(1 / n + np.radians(deg) ** 2))
     glint = np.array([0.0, 0.5, 1.0, 1.5, 2.0]) * width
@@ -27,11 +35,7 @@ def test_is_the_mean_over_tilted_normals(tmp_path, n, deg):
     tilts, weight = tilts[weight > 1e-9], weight[weight > 1e-9]
     normal = np.concatenate([tilts, np.ones((len(tilts), 1))], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    u = np.stack([normal[:, 2], 0 * normal[:, 0], -normal[:, 0]], -1)
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    frame = np.stack([u, np.cross(normal, u), normal], 1)
-    turned = [np.einsum("kij,tj->kti", frame, one).reshape(-1, 3) for one in (to_sun, to_observer)]
-    each = flux(scene, seen_from(scene, tmp_path, *turned)).reshape(len(tilts), -1)
+    each = of_tilted(scene, tmp_path, normal, to_sun, to_observer)
     expected = weight @ each
     recording = seen_from(scene, tmp_path, to_sun, to_observer)
     found = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
@@ -47,12 +51,8 @@ def test_what_it_neglects_of_diffuse_light_is_told(tmp_path, deg):
     weight = np.exp(-0.5 * (tilts / np.radians(deg)) ** 2).prod(-1)
     angle = np.linalg.norm(tilts, axis=-1, keepdims=True)
     normal = np.concatenate([np.sinc(angle / np.pi) * tilts, np.cos(angle)], -1)
-    u = np.stack([normal[:, 2], 0 * normal[:, 0], -normal[:, 0]], -1)
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    frame = np.stack([u, np.cross(normal, u), normal], 1)
     to_sun, to_observer = tilted([5.0]), tilted([5.0], 180.0)
-    turned = [np.einsum("kij,tj->kti", frame, one).reshape(-1, 3) for one in (to_sun, to_observer)]
-    each = flux(scene, seen_from(scene, tmp_path, *turned))
+    each = of_tilted(scene, tmp_path, normal, to_sun, to_observer)[:, 0]
     recording = seen_from(scene, tmp_path, to_sun, to_observer)
     (found,) = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
     wrong = 2.5 * np.log10(found / (weight @ each / weight.sum()))

@@ -30,9 +30,8 @@ class Work(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         made = func(*args, **(kwargs or {}))
-        if any(
-            not one._is_view() for one in _tensors([made])
-        ):  # none at all where a shape or a dtype is asked for
+        results = _tensors([made])  # none where a shape or a dtype is asked for
+        if not all(one._is_view() for one in results):
             self.operations += 1
             self.elements += max(one.numel() for one in _tensors((made, *args)))
         return made

@@ -94,6 +94,7 @@ FEW_NIGHTS = (0.0, 4.03, 7.02)
 MS_A_DAY = 2.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("nights", "open_counts"), [(NIGHTS, False), (FEW_NIGHTS, True)])
 def test_a_drift_is_named_whatever_turned_between_nights(
     nights: tuple[float, ...], open_counts: bool, tmp_path: Path

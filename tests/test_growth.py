@@ -52,6 +52,7 @@ def test_what_promises_most_is_refitted_first_whichever_set_it_grows(ball) -> No
     assert [one for one in search.visited if len(one.added) == 2] == pairs  # once is enough
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("nothing_left", [True, False])
 def test_a_round_ends_where_the_foremost_leaves_nothing(ball, nothing_left) -> None:
     """Two effects of which the first takes the drift that there is: the other is not refitted once nothing is left."""
@@ -67,6 +68,7 @@ def test_a_round_ends_where_the_foremost_leaves_nothing(ball, nothing_left) -> N
     assert search.foremost.added == ("zero_point_drift",)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("nothing_left", [True, False])
 def test_as_long_as_structure_is_left_every_effect_is_refitted(ball, nothing_left) -> None:
     """A step of 0.3 mag gains thousands; what others promise is far less, and is a bound only beside what leaves nothing."""

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from tests.effects.cases import PLATE, check_contract, flux, material, seen_from, still, tilted
-from torchlc.inference.identifiability import limits
-from torchlc.lightcurve.model import LightCurve
 
 
 def of_tilted(scene, folder, normal: np.ndarray, to_sun, to_observer) -> np.ndarray:
@@ -42,29 +39,26 @@ def test_is_the_mean_over_tilted_normals(tmp_path, n, deg):
     np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.005 * expected.max())
 
 
+@pytest.mark.parametrize(("n", "r_spec"), [(10.0, 0.0), (500.0, 0.5)])
+@pytest.mark.parametrize("half", [5.0, 40.0])
 @pytest.mark.parametrize("deg", [4.0, 15.0])
-def test_what_it_neglects_of_diffuse_light_is_told(tmp_path, deg):
-    """Against many plates whose normals scatter by as much, evenly tilted over +-4 standard deviations."""
-    scene = still(PLATE, material("white", 10.0, 0.0, 0.5))
-    x = np.linspace(-4, 4, 41)
+def test_wide_tilts_are_the_mean_of_tilted_plates(tmp_path, n, r_spec, half, deg):
+    """Diffuse light alone and a lobe alone, at phase angles of 10 and 80 deg, to a standard deviation and a half from the glint. Without
+    what tilts do to cosines the former is out by 0.3 mag at 15 deg and the latter by 0.5. What is left: orders of the tilts beyond the second, how min(mu0, mu) bends, 0.03 mag, and that a power of the
+    cosine falls faster than the Gaussian, 0.05 mag."""
+    scene = still(PLATE, material("white", n, r_spec, 0.5 - r_spec))
+    x = np.linspace(-4, 4, 61)
     tilts = np.radians(deg) * np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
     weight = np.exp(-0.5 * (tilts / np.radians(deg)) ** 2).prod(-1)
+    tilts, weight = tilts[weight > 1e-6], weight[weight > 1e-6]
     angle = np.linalg.norm(tilts, axis=-1, keepdims=True)
     normal = np.concatenate([np.sinc(angle / np.pi) * tilts, np.cos(angle)], -1)
-    to_sun, to_observer = tilted([5.0]), tilted([5.0], 180.0)
-    each = of_tilted(scene, tmp_path, normal, to_sun, to_observer)[:, 0]
+    off = np.array([0.0, 0.75, 1.5]) * deg
+    to_sun, to_observer = tilted(half + off), tilted(half - off, 180.0)
+    expected = weight @ of_tilted(scene, tmp_path, normal, to_sun, to_observer) / weight.sum()
     recording = seen_from(scene, tmp_path, to_sun, to_observer)
-    (found,) = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
-    wrong = 2.5 * np.log10(found / (weight @ each / weight.sum()))
-    model = LightCurve(scene, recording, effects=["normal_dispersion"])
-    told = limits(model, model.parameter_set.start().index_fill(0, torch.tensor([0]), deg))
-    assert model.names == ["normal_dispersion.deg[white]"]
-    if deg < 5:
-        assert wrong < 0.03
-        assert told == []
-    else:
-        (line,) = told
-        assert float(line.split(" mag brighter")[0].split()[-1]) == pytest.approx(wrong, rel=0.15)
+    found = flux(scene, recording, ["normal_dispersion"], normal_dispersion__deg=deg)
+    np.testing.assert_allclose(found, expected, rtol=0.055)
 
 
 def test_contract(tmp_path):

@@ -70,7 +70,13 @@ class Ggx(Brdf):
 
     @staticmethod
     def broadened(values: Mapping[str, Tensor], variance: Tensor) -> dict[str, Tensor]:
-        return {**values, "alpha": torch.sqrt(values["alpha"] ** 2 + 4 * variance)}
+        """The lobe that shines as brightly on its axis as the mean over tilts: alpha'^2 = 2 v / (1 - z exp(z) E1(z)), z = alpha^2 / 2 v, here a
+        rational function of 1/z within 0.5 %. Neglected: the mean's flanks are those of a Gaussian where v is the larger, 0.35 mag brighter at
+        a standard deviation."""
+        square = values["alpha"] ** 2
+        tilts = 2 * variance / square
+        more = (1 + 0.404 * tilts) / (1 + tilts * (1.836 + 0.127 * tilts))
+        return {**values, "alpha": torch.sqrt(square + 2 * variance * (1 + more))}
 
 
 class GgxDielectric(Ggx):

@@ -193,7 +193,11 @@ class Assembly:
     def learners(self) -> dict[str, nn.Module]:
         """What learns beside the free parameters, by whose it is: effects and laws of materials."""
         effects = {f"effects.{effect.entry}": effect for effect in self.effects}
-        laws = {f"materials.{name}": law for name, law in self.models.items() if isinstance(law, nn.Module)}
+        laws = {
+            f"materials.{name}": law
+            for name, law in self.context.models.items()
+            if isinstance(law, nn.Module)
+        }
         return {name: module for name, module in (effects | laws).items() if _has_state(module)}
 
     def effect_of(self, name: str) -> Effect | None:

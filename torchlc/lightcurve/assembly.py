@@ -63,6 +63,8 @@ def assemble(
     if base is not None:
         _share_learnt(chosen, base)
     models |= {effect.material_key: effect.brdf for effect in chosen if effect.brdf is not None}
+    for effect in chosen:
+        models |= {name: effect.law(law) for name, law in models.items() if name == effect.target}
     row_index = _row_index(context, recording)
     sun, warnings = _sun_magnitude(scene, recording)
     numbers = Numbers.of(scene, chosen, models, row_index, pinned or {})
@@ -129,7 +131,7 @@ def _share_learnt(chosen: Sequence[Effect], base: Assembly) -> None:
 
 def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:
     """The law of a material; that of ``base`` if it is the same, with what it has learnt."""
-    own = None if base is None else base.models.get(material)
+    own = None if base is None else base.context.models.get(material)
     return law.of_material() if own is None or own.__class__ is not law else own
 
 

@@ -385,6 +385,10 @@ class Effect(nn.Module):
         parameters."""
         return Scatter(lambda reflect, p: {})
 
+    def law(self, model: type[Brdf]) -> type[Brdf]:
+        """Of a material: the law that its surfaces have with the effect, which may tabulate more than ``model`` does."""
+        return model
+
     def material(
         self, reflect: Reflect, surface: Surface, values: Mapping[str, Tensor], p: Parameters
     ) -> Reflect:

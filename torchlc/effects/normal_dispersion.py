@@ -16,10 +16,12 @@ from torchlc.parameters import EXPONENT, LOBE_REFLECTANCE, Quantity
 from torchlc.stages.effect import Effect, Reflect
 from torchlc.stages.showing import NIGHT, PANEL_GLINT, Shown
 
-TILT = math.radians(6.0)
-"""Of the facets that give the curvature of the diffuse part: the standard deviation from which on it matters."""
-PREFIX = "tilted "
-"""Begins the names of what a table holds of tilted facets."""
+NODES = tuple(math.radians(deg) for deg in (5.0, 10.0, 15.0, 20.0))
+"""Standard deviations, rad, at which diffuse light is tabulated; a quartic through these and the flat facet lies between."""
+TOLD_SHARE = 0.03
+"""Of a facet's light face-on that is lacking at its edge where that is told: three times the error of a good row."""
+TILTED, DIFFUSE = "tilted ", "diffuse of tilts "
+"""Begin the names of what a table holds of facets that glint, and of the diffuse light at each of ``NODES``."""
 LEAST_EXPONENT = 1e-9
 """Of a lobe: the least that an optimiser reaches."""
 DARK = 1e-30
@@ -30,11 +32,10 @@ class NormalDispersion(Effect):
     """Gaussian tilts of ``deg`` about each in-plane axis widen the lobe: 1/n grows by their variance v, light is conserved.
 
     Inseparable from n but by a prior on one of them. What glints has turned towards the half vector: the share v / (v + 1/n) of
-    the lobe is that of facets which lie there. Diffuse light follows its mean over tilts to second order, mu0 mu as
-    mu0 mu exp(-3 v) + cos(phase) (1 - exp(-3 v)) / 3. Within 0.02 mag of the mean of tilted plates for diffuse light up to 15 deg, and within
-    0.05 mag for the lobes of Ashikhmin-Shirley, Beckmann, Cook-Torrance and phong-half to 1.5 standard deviations. Neglected: the
-    flanks of a ggx lobe stay its own, 0.2 mag too faint where tilts widen it most; a phong-mirror lobe does not become round, 0.2 mag in
-    its middle at a phase angle of 80 deg. Facets whose mean one is not lit and seen add nothing.
+    the lobe is that of facets which lie there. Diffuse light is the mean of facets that lean to four sides. Within 0.02 mag of the mean of tilted
+    plates at 15 deg, and within 0.04 at a phase angle of 80 deg. Neglected: a facet whose mean is turned away is dark, and lacks up to 0.4 sqrt(v) of
+    what it sends out face-on; the lobes of beckmann and cook-torrance have slopes for angles, 0.08 mag at two standard deviations of 8 deg; the flanks of a ggx lobe stay its own, 0.2 mag too
+    faint where tilts widen it most; a phong-mirror lobe does not become round, 0.2 mag in its middle at a phase angle of 80 deg.
     """
 
     name = "normal_dispersion"
@@ -55,16 +56,27 @@ class NormalDispersion(Effect):
     def targets(cls, context):
         return [name for name in context.materials if has_lobe(context.models[name])]
 
+    def limits(self, p, context):
+        deg = float(p["deg"].max())
+        share = 0.4 * math.radians(deg)
+        if share < TOLD_SHARE:
+            return ()
+        return (
+            f"normal_dispersion: a surface that is turned away as a whole is dark, though some of it is not for another {2 * deg:.2g} deg; "
+            f"what it lacks is up to {100 * share:.2g} % of what it sends out face-on",
+        )
+
     def law(self, model):
         return Tilted(model)
 
     def material(self, reflect: Reflect, surface, values, p):
-        model, variance = surface.model, torch.deg2rad(p["deg"][..., 0]) ** 2
+        model, deviation = surface.model, torch.deg2rad(p["deg"][..., 0])
+        variance = deviation**2
 
         def scattered(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
             wide, some = model.broadened(material, variance), {**material, **_with_lobe(model, material)}
             left = model.lobe_variance(some) / model.lobe_variance(model.broadened(some, variance))
-            lobe, diffuse = reflect({**wide, "tilt_variance": variance, "tilt_share": 1 - left})
+            lobe, diffuse = reflect({**wide, "tilt_deviation": deviation, "tilt_share": 1 - left})
             return per_epoch(left * peak(model, material) / peak(model, wide)) * lobe, diffuse
 
         return scattered
@@ -74,8 +86,8 @@ class NormalDispersion(Effect):
 class Tilted:
     """A ``law`` whose tables also hold what tilted facets reflect; in all else it is the law.
 
-    Its entries that are summed over pairs are of facets tilted by ``TILT`` to four sides, those of each pair are of a facet that has
-    turned to the half vector.
+    Entries of the law's table that are summed over pairs are its diffuse light, which is also tabulated for facets that lean to four sides;
+    entries of each pair are its lobe, also tabulated for facets that have turned to the half vector.
     """
 
     law: type[Brdf]
@@ -88,46 +100,79 @@ class Tilted:
     def tabulate(self, angles: Incidence, weight: Tensor) -> dict[str, Tensor]:
         *fields, weight = torch.broadcast_tensors(*vars(angles).values(), weight)
         angles = Incidence(*fields)
-        turned = replace(angles, cos_i=angles.cos_half, cos_r=angles.cos_half)
-        lobe = self.law.tabulate(turned, weight)
-        diffuse = self.law.tabulate(to_four_sides(angles), torch.cat([weight / 4] * 4, -2))
-        tilted = {name: (lobe if lobe[name].ndim == weight.ndim else diffuse)[name] for name in lobe}
-        return self.law.tabulate(angles, weight) | {PREFIX + name: entry for name, entry in tilted.items()}
+        table = self.law.tabulate(angles, weight)
+        summed = [name for name, entry in table.items() if entry.ndim < weight.ndim]
+        glinting = self.law.tabulate(*turned(angles, weight))
+        tilted = {f"{TILTED}{name}": entry for name, entry in glinting.items() if name not in summed}
+        for number, deviation in enumerate(NODES):
+            sides = self.law.tabulate(to_four_sides(angles, deviation), torch.cat([weight / 4] * 4, -2))
+            tilted |= {f"{DIFFUSE}{number} {name}": sides[name] for name in summed}
+        return table | tilted
 
     def condense(self, table: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        flat, tilted = parted(table)
-        return self.law.condense(flat) | {
-            PREFIX + name: entry for name, entry in self.law.condense(tilted).items()
+        flat, tilted, diffuse = parted(table)
+        lobes = {f"{TILTED}{name}": entry for name, entry in self.law.condense({**flat, **tilted}).items()}
+        sums = {
+            f"{DIFFUSE}{number} {name}": e for number, node in enumerate(diffuse) for name, e in node.items()
         }
+        return self.law.condense(flat) | lobes | sums
 
     def parts(self, table: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        flat, tilted = parted(table)
-        lobe, diffuse = self.law.parts(flat, values)
-        if "tilt_variance" not in values:
-            return lobe, diffuse
-        turned, aside = self.law.parts(tilted, values)
-        # of a function that a second-order mean describes the four sides hold TILT^2 / 4 of the Laplacian, all tilts v / 2 of it;
-        # exp(-3 v) is what all orders leave of mu0 mu
-        curved = -torch.expm1(-3 * values["tilt_variance"]) * 2 / (3 * TILT**2)
-        return (
-            torch.lerp(lobe, turned, per_epoch(values["tilt_share"])),
-            (diffuse + per_epoch(curved) * (aside - diffuse)).clamp(min=0),
-        )
+        flat, tilted, diffuse = parted(table)
+        lobe, light = self.law.parts(flat, values)
+        if "tilt_deviation" not in values:
+            return lobe, light
+        first, *shares = map(per_epoch, through_nodes(values["tilt_deviation"]))
+        sums = {
+            name: first * flat[name]
+            + sum(share * node[name] for share, node in zip(shares, diffuse, strict=True))
+            for name in diffuse[0]
+        }
+        glinting, light = self.law.parts({**flat, **tilted, **sums}, values)
+        return torch.lerp(lobe, glinting, per_epoch(values["tilt_share"])), light.clamp(min=0)
 
 
-def parted(table: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """What a table holds of the mean facet and of tilted ones; both have the extent of the source."""
-    flat = {name: entry for name, entry in table.items() if not name.startswith(PREFIX)}
-    tilted = {name.removeprefix(PREFIX): entry for name, entry in table.items() if name not in flat}
-    return flat, tilted | ({"spread": flat["spread"]} if "spread" in flat else {})
+def parted(
+    table: Mapping[str, Tensor],
+) -> tuple[dict[str, Tensor], dict[str, Tensor], list[dict[str, Tensor]]]:
+    """What a table holds of the mean facet, of the lobe of those that glint, and of the diffuse light at each of ``NODES``."""
+    flat = {name: entry for name, entry in table.items() if not name.startswith((TILTED, DIFFUSE))}
+
+    def after(start: str) -> dict[str, Tensor]:
+        return {name.removeprefix(start): entry for name, entry in table.items() if name.startswith(start)}
+
+    return flat, after(TILTED), [after(f"{DIFFUSE}{number} ") for number in range(len(NODES))]
 
 
-def to_four_sides(angles: Incidence) -> Incidence:
-    """Angles on facets tilted by ``TILT`` towards the Sun's side, away from it and to both others, along the pair axis."""
+def through_nodes(deviation: Tensor) -> list[Tensor]:
+    """Shares (...) of the flat facet and of ``NODES`` in a polynomial through all of them, at a standard deviation (...), rad (Lagrange)."""
+    nodes = (0.0, *NODES)
+    shares = []
+    for own in nodes:
+        factors = [(deviation - other) / (own - other) for other in nodes if other != own]
+        shares.append(math.prod(factors[1:], start=factors[0]))
+    return shares
+
+
+def turned(angles: Incidence, weight: Tensor) -> tuple[Incidence, Tensor]:
+    """Angles and weight of facets that have turned to the half vector. How many have is a Gaussian of the glint angle e, exp(-n e^2 / 2) with
+    e / sin(e) of them per solid angle, where a lobe's own slopes have cos(e)^n."""
+    depth = -angles.log_half
+    bend = 1 / (1 + depth / 3 + depth**2 / 15)  # e^2 / 2 over -log(cos(e)), within 0.3 % to 85 deg
+    square = 2 * depth * bend
+    towards = replace(angles, cos_i=angles.cos_half, cos_r=angles.cos_half)
+    towards = replace(towards, log_u=bend * angles.log_u, log_v=bend * angles.log_v)
+    return towards, weight * (1 + square / 6 + 7 * square**2 / 360)
+
+
+def to_four_sides(angles: Incidence, deviation: float) -> Incidence:
+    """Angles on facets tilted by sqrt(2) times a standard deviation, rad, towards the Sun's side, away from it and to both others, along the
+    pair axis: their mean is that over all tilts to second order, and at an edge 0.35 standard deviations for 0.40."""
     sine = torch.sqrt((1 - angles.cos_i**2).clamp(min=DARK))
     along = (2 * angles.cos_half**2 - 1 - angles.cos_i * angles.cos_r) / sine
     across = torch.sqrt((1 - angles.cos_r**2 - along**2).clamp(min=DARK))
-    upright, aside = math.cos(TILT), math.sin(TILT)
+    tilt = math.sqrt(2) * deviation
+    upright, aside = math.cos(tilt), math.sin(tilt)
     sides = ((sine, along), (-sine, -along), (0 * sine, across), (0 * sine, -across))
     cos_i = torch.cat([upright * angles.cos_i + aside * sun for sun, _ in sides], -2)
     cos_r = torch.cat([upright * angles.cos_r + aside * observer for _, observer in sides], -2)

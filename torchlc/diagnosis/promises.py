@@ -110,6 +110,8 @@ class Promises(Fits):
         linear form, which is kept, is all that is asked of it. Effects that have no value to try, or of which probes do not tell, are always asked."""
         if not len(found.scores) or not found.psi.shape[-1] or self.counted(entry):
             return True
+        if not self.promises_hold(at):
+            return True
         hypothesis = at.hypothesis.with_effect(entry)
         without = at.log_z + self.bench.log_odds(hypothesis)
         # larger sets are ahead of many that come to them by further effects
@@ -123,17 +125,33 @@ class Promises(Fits):
         self.linear[hypothesis] = without + 0.5 * found.score
         return False
 
+    def promises_hold(self, at: Fitted) -> bool:
+        """Whether probes beside a fit bound what its candidates may gain: the best set of one effect more gained at most LONGEST times what the
+        probe of this effect promised. Where a lobe has gone from the materials for want of an effect, a probe sees nothing of what would bring it back."""
+        added = set(at.hypothesis.added)
+        more = [
+            one
+            for one in self.of_size(len(added) + 1)
+            if one.law == at.hypothesis.law and added < set(one.added)
+        ]
+        if not more:
+            return True
+        (entry,) = set(more[0].added) - added
+        known, beside = self.latest.get(entry, (None, None))
+        if known is None or beside is None or beside.hypothesis != at.hypothesis or not len(known.scores):
+            return True
+        return self.visited[more[0]].log_z - at.log_z <= LONGEST * 0.5 * known.score
+
     def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
         """Whether an effect is refitted. One whose geometry is dear, or slow beside a clean leader, is judged by its linear form, which is
         kept, and refitted only if that could be the answer and there is time. Linear forms are good to LINEAR_NEAR where little is left
         to be gained, and far too low where much is."""
         hypothesis = at.hypothesis.with_effect(entry)
         posterior = self.posterior(hypothesis)
-        cost = refit_seconds(
-            posterior, posterior.geometry_seconds if self.settled else posterior.seconds_each
-        )
-        near = LINEAR_NEAR if self.settled else NEAR
-        if cost < (SLOW_FIT_S if self.settled else DEAR_FIT_S):
+        settled = self.settled and self.promises_hold(at)
+        cost = refit_seconds(posterior, posterior.geometry_seconds if settled else posterior.seconds_each)
+        near = LINEAR_NEAR if settled else NEAR
+        if cost < (SLOW_FIT_S if settled else DEAR_FIT_S):
             return True
         if Entry.parse(entry).per is not None:
             promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
@@ -152,12 +170,12 @@ class Promises(Fits):
         with torch.no_grad():
             linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
-        if self.settled:
+        if settled:
             # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
             self.linear[hypothesis] -= 0.5 * max(found.psi.shape[-1] - 1, 0) * math.log(max(found.score, 1.0))
         if self.linear[hypothesis] < self.mark - near:
             return False
-        if self.settled and cost > LONG_FIT_S and self.linear[hypothesis] < self.mark:
+        if settled and cost > LONG_FIT_S and self.linear[hypothesis] < self.mark:
             self.unexamined[entry] = (
                 f"{cost:.0f} s of light worked out anew; its linear form is near, but behind what leaves nothing"
             )

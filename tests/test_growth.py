@@ -31,6 +31,20 @@ def test_an_effect_that_promises_too_little_beside_the_foremost_is_not_refitted(
     assert ("zero_point_drift" in search.unexamined) is refitted  # here nothing has refitted it
 
 
+@pytest.mark.parametrize(("step", "hold"), [(0.3, False), (0.03, True)])
+def test_promises_bound_nothing_where_the_best_gained_far_more_than_its_own(ball, step, hold) -> None:
+    """Beside a step of 0.3 mag that is not in the model errors are fitted fifteen times as large: all probes promise too little."""
+    search = searched(stepped(ball, step, 0.01))
+    at = search.visited[Hypothesis().under(*search.robust)]
+    assert search.promises_hold(at)  # nothing is known yet
+    probes = search.probe_all(at, ["zero_point_step", "zero_point_drift"])
+    search.extend(at, "zero_point_step", probes["zero_point_step"])
+    assert search.promises_hold(at) is hold
+    if not hold:
+        assert search.within_reach("zero_point_drift", at, probes["zero_point_drift"])
+        assert not search.linear
+
+
 def test_what_promises_most_is_refitted_first_whichever_set_it_grows(ball) -> None:
     """Beside a step of 0.1 mag that is in the model a drift is all that is left; beside a background there is the step."""
     search = searched(stepped(ball, 0.1, 0.02))

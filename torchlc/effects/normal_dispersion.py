@@ -35,7 +35,8 @@ class NormalDispersion(Effect):
     the lobe is that of facets which lie there. Diffuse light is the mean of facets that lean to four sides. Within 0.02 mag of the mean of tilted
     plates at 15 deg, and within 0.04 at a phase angle of 80 deg. Neglected: a facet whose mean is turned away is dark, and lacks up to 0.4 sqrt(v) of
     what it sends out face-on; the lobes of beckmann and cook-torrance have slopes for angles, 0.08 mag at two standard deviations of 8 deg; the flanks of a ggx lobe stay its own, 0.2 mag too
-    faint where tilts widen it most; a phong-mirror lobe does not become round, 0.2 mag in its middle at a phase angle of 80 deg.
+    faint where tilts widen it most; a phong-mirror lobe does not become round, 0.2 mag in its middle at a phase angle of 80 deg. No
+    lumps are left, such as few wrinkles make.
     """
 
     name = "normal_dispersion"

@@ -15,7 +15,7 @@ stage          what passes through
 ``surface``    :class:`Patch` surfaces: area, visible fraction
 ``shade``      share of the Sun that the object sees, by row
 ``scatter``    further sunlight that needs the whole geometry, added per component
-``material``   lobe and diffuse light of a patch as functions of its material
+``material``   lobe and diffuse light of a patch as functions of its material; ``law`` may tabulate more for them
 ``detector``   :class:`Brightness`: total flux and component shares
 ``noise``      :class:`Noise`: variance, law and correlation of the residuals
 =============  ===========================================================================================

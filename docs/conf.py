@@ -33,12 +33,13 @@ from torchlc.inference import density, posterior
 from torchlc.noise.red_noise import RedNoise
 
 HERE = Path(__file__).parent
-sys.path += [str(HERE / folder) for folder in ("calibration", "evidence", "how_to")]
+sys.path += [str(HERE / folder) for folder in ("", "calibration", "evidence", "how_to")]
 
 from benchmark_tables import evidence_of_the_benchmark  # noqa: E402
 from calibration_tables import calibration_of_the_posterior, calibration_of_the_verdict  # noqa: E402
 from hostile_file_tables import hostile_files  # noqa: E402
 from overview import tables  # noqa: E402
+from page_lists import page_lists  # noqa: E402
 from peak_tables import evidence_of_the_peak  # noqa: E402
 from tumbling_tables import tumbling_tables  # noqa: E402
 
@@ -91,7 +92,7 @@ myst_substitutions = {
 """The numbers of the verdict, as the code has them; fill_numbers.py writes them into the pages."""
 
 
-myst_substitutions |= hostile_files()
+myst_substitutions |= hostile_files() | page_lists()
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
 myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak() | tables() | tumbling_tables()
 myst_heading_anchors = 3
@@ -102,6 +103,7 @@ autodoc_typehints_description_target = "documented_params"
 html_theme = "furo"
 html_title = f"torchlc {version}"
 
+HIDDEN = re.compile(r"<!--(toctree|eval-rst)\n(.*?)-->", re.DOTALL)
 BOLD = re.compile(r'<mi mathvariant="bold">([a-z])</mi>')
 
 
@@ -115,5 +117,11 @@ def write_formula(page: Any, node: nodes.math | nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def directives(app: Any, page: str, source: list[str]) -> None:
+    """What only a site shows stands in a page as a comment, which a reader of the repository does not see."""
+    source[0] = HIDDEN.sub(r"```{\1}\n\2```", source[0])
+
+
 def setup(app: Any) -> None:
+    app.connect("source-read", directives)
     app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))

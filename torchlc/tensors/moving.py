@@ -42,10 +42,11 @@ def moved(
     dtype: torch.dtype,
     device: torch.device,
     kept: tuple[type, ...] = (),
+    parameter: Callable[[nn.Parameter], nn.Parameter] = lambda parameter: parameter,
 ) -> Thing:
     """A copy of an object, of all that it holds, and of all that these hold, with ``convert(tensor)`` for every tensor,
-    and for ``dtype`` and ``device`` those that convert changes them to. Classes, ``nn.Parameter`` and objects of the types
-    ``kept`` are not copied. What is one object in two places is so in the copy, unless a function encloses it.
+    and for ``dtype`` and ``device`` those that convert changes them to. Classes and objects of the types
+    ``kept`` are not copied; ``parameter`` says what becomes of an ``nn.Parameter``, which stays what it is. What is one object in two places is so in the copy, unless a function encloses it.
 
     The copy is by pickle, which finds whatever an object holds; neither tensors nor functions are pickled.
     """
@@ -59,7 +60,7 @@ def moved(
 
     def other(one: Any) -> Any:
         if isinstance(one, Tensor):
-            return one if isinstance(one, nn.Parameter) else convert(one)
+            return parameter(one) if isinstance(one, nn.Parameter) else convert(one)
         if isinstance(one, torch.dtype) and one == dtype:
             return like.dtype
         if isinstance(one, torch.device) and one == device:

@@ -163,7 +163,8 @@ class Evaluator(ABC):
 
     def joined(self, pieces: list[Brightness], theta: Tensor) -> Brightness:
         """Pieces of a batch as one, in the shape of theta (..., P)."""
-        flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
+        flux = torch.cat([piece.flux for piece in pieces])
+        flux = flux.reshape(*theta.shape[:-1], flux.shape[-1])
         several = [piece.shares for piece in pieces if piece.shares is not None]
         if not several:
             return Brightness(flux, None, self.assembly.components)

@@ -82,7 +82,7 @@ def moved(
         taking = _Taking(stream, (Tensor, torch.dtype, torch.device, type, FunctionType, *kept))
         taking.dump(whole)
         stream.seek(0)
-        return _Giving(stream, [replaced(one) for one in taking.taken]).load()
+        return _Giving(stream, [replaced(item) for item in taking.taken]).load()
 
     return copied(thing)
 

@@ -175,29 +175,31 @@ class Expansion(Evaluator):
 
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
-        return replace(made, surfaces=tuple(condensed(one) for one in made.surfaces))
+        return replace(made, surfaces=tuple(condensed(surface) for surface in made.surfaces))
 
     def _expanded(self, made: list[Tables]) -> Tables:
         several: dict[Key, list[Surface | None]] = {}
         for number, tables in enumerate(made):
-            for one in tables.surfaces:
-                key = one.component, one.material, one.sunlit, one.scale
-                several.setdefault(key, [None] * len(made))[number] = one
+            for surface in tables.surfaces:
+                key = surface.component, surface.material, surface.sunlit, surface.scale
+                several.setdefault(key, [None] * len(made))[number] = surface
         surfaces = tuple(self._surface(surfaces) for surfaces in several.values())
         sky = made[0].sky
-        state, nodes = (self._record([getattr(one.sky, name) for one in made]) for name in ("state", "nodes"))
+        state, nodes = (
+            self._record([getattr(entry.sky, name) for entry in made]) for name in ("state", "nodes")
+        )
         return replace(made[0], surfaces=surfaces, sky=replace(sky, state=state, nodes=nodes))
 
     def _surface(self, surfaces: list[Surface | None]) -> Surface:
-        known = next(one for one in surfaces if one is not None)
+        known = next(surface for surface in surfaces if surface is not None)
         table = {}
         for name, like in known.table.items():
             blank = torch.full_like(like, DARK) if name == "lobes" else torch.zeros_like(like)
             if name == "lobes":
                 blank.unflatten(0, (-1, 2))[:, 1] = 0.0
-            values = torch.stack([blank if one is None else one.table[name] for one in surfaces])
+            values = torch.stack([blank if surface is None else surface.table[name] for surface in surfaces])
             table |= self._lobes(values) if name == "lobes" else self._sums(name, values)
-        phase = torch.stack([(known if one is None else one).phase_angle for one in surfaces])
+        phase = torch.stack([(known if surface is None else surface).phase_angle for surface in surfaces])
         return replace(known, table=table, phase_angle=self._coefficients(phase))
 
     def _lobes(self, values: Tensor) -> dict[str, Tensor]:
@@ -229,13 +231,13 @@ class Expansion(Evaluator):
 
     def _record(self, records: list[Record]) -> Record:
         """Places or instants with coefficients in place of what differs over the stencil, (M, 1, ...)."""
-        found = {}
+        changed = {}
         for field in fields(records[0]):
-            several = [getattr(one, field.name) for one in records]
+            several = [getattr(record, field.name) for record in records]
             first = several[0]
             if first is not None and any(not torch.equal(first, other) for other in several[1:]):
-                found[field.name] = self._coefficients(torch.stack(several))
-        return replace(records[0], **found) if found else records[0]
+                changed[field.name] = self._coefficients(torch.stack(several))
+        return replace(records[0], **changed) if changed else records[0]
 
     def tables_at(self, theta: Tensor, detail: bool) -> Tables:
         """Tables at theta (..., P), whether within the reach or not."""
@@ -243,11 +245,11 @@ class Expansion(Evaluator):
         monomials = self.monomials(theta)
         surfaces = tuple(
             replace(
-                one,
-                table=_evaluated(one.table, monomials),
-                phase_angle=_polynomial(one.phase_angle, monomials),
+                surface,
+                table=_evaluated(surface.table, monomials),
+                phase_angle=_polynomial(surface.phase_angle, monomials),
             )
-            for one in tables.surfaces
+            for surface in tables.surfaces
         )
         sky = Sky(
             self._moved(tables.sky.state, reference.sky.state, monomials),
@@ -311,7 +313,7 @@ class Expansion(Evaluator):
         u = self.reach * share.to(towards) * towards / length
         radius = self.reach * share[:, 0]
         low, high = (
-            self.theta.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
+            self.theta.new_tensor([getattr(parameter.prior, end) for parameter in self.parameters.free])
             for end in ("low", "high")
         )
         others = torch.maximum(torch.minimum(self.theta + self.spread * materials, high), low)
@@ -323,9 +325,9 @@ class Expansion(Evaluator):
         points, radius = points[sound], radius[sound]
         if not len(points):
             raise UnsuitableError("the scale of the geometry is wider than its bounds")
-        found, expected = self._near(points, False).flux, self.exact.brightness(points, False).flux
-        counted = (expected > FAINT * expected.amax()) & (found > 0)
-        ratio = torch.where(counted, found, 1.0) / torch.where(counted, expected, 1.0)
+        flux, expected = self._near(points, False).flux, self.exact.brightness(points, False).flux
+        counted = (expected > FAINT * expected.amax()) & (flux > 0)
+        ratio = torch.where(counted, flux, 1.0) / torch.where(counted, expected, 1.0)
         self.row_errors = 2.5 * torch.log10(ratio).abs()
         error = self.row_errors.amax(-1)
         good = error <= MOST_MAG - self.exact.error_mag
@@ -346,12 +348,12 @@ def _polynomial(coefficients: Tensor, monomials: Tensor) -> Tensor:
 
 def _evaluated(table: Mapping[str, Tensor], monomials: Tensor) -> dict[str, Tensor]:
     """A surface's table (of coefficients) at monomials (..., M)."""
-    found: dict[str, Tensor] = {}
+    evaluated: dict[str, Tensor] = {}
     for name, coefficients in table.items():
         smooth = table.get(f"{name} in logarithms")
         if name == "lobes":
-            found |= {"lobes": coefficients, "monomials": monomials[..., table["order"]]}
+            evaluated |= {"lobes": coefficients, "monomials": monomials[..., table["order"]]}
         elif smooth is not None:
             value = _polynomial(coefficients, monomials)
-            found[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
-    return found
+            evaluated[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
+    return evaluated

@@ -219,7 +219,7 @@ def fit_map(
     """The maximum a posteriori of a likelihood, its modes, and whether the search converged; the best so far where the
     ``budget`` is spent."""
     budget = Budget() if budget is None else budget
-    modes, history, found = find_modes(
+    modes, history, minima = find_modes(
         likelihood,
         starts=starts,
         adam_steps=adam_steps,
@@ -230,16 +230,16 @@ def fit_map(
     )
     with torch.no_grad():
         chi2 = float(likelihood.chi2(modes[0].theta))
-    if found is None:
+    if minima is None:
         return Fit(likelihood, modes, chi2, True, "nothing is free: the model was evaluated as it stands")
-    cost = found.cost
+    cost = minima.cost
     best = int(torch.argmin(cost))
     reached = int((cost < cost[best] + 0.01 * (1 + cost[best].abs())).sum())
-    converged = bool(found.converged[best]) and math.isfinite(chi2)
+    converged = bool(minima.converged[best]) and math.isfinite(chi2)
     reason = (
         f"the best of {number_of(len(cost), 'start')} stopped improving; {reached} reached it"
         if converged
-        else f"chi-square was still falling after {number_of(found.iterations, 'step')} of the polish"
+        else f"chi-square was still falling after {number_of(minima.iterations, 'step')} of the polish"
     )
     if not budget.left():
         reason += "; the time allowed for the search was spent, and this is the best so far"

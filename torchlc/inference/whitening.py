@@ -60,4 +60,8 @@ def noise_columns(likelihood: Likelihood) -> list[int]:
     """Which elements of theta belong to noise effects."""
     owners = {effect.name for effect in likelihood.model.assembly.stage("noise")}
     free = likelihood.model.parameter_set.free
-    return [i for i, one in enumerate(free) if one.origin.role == "effects" and one.origin.owner in owners]
+    return [
+        i
+        for i, parameter in enumerate(free)
+        if parameter.origin.role == "effects" and parameter.origin.owner in owners
+    ]

@@ -36,30 +36,30 @@ def fits_of_turns(
     change of the period is tried even where a steady turn explains the light."""
     always = changing or isinstance(problem.scene.attitude.period_rate, Free)
     trials = [trial for kind in turns.kinds for trial in _trials(problem, kind)]
-    told: list[str] = []
+    sentences: list[str] = []
     if not trials:
-        told.append(
+        sentences.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
         )
-    found: list[Candidate] = []
+    fits: list[Candidate] = []
     for number, trial in enumerate(trials):
-        if trial.changing and not always and found and not _wanting(found, problem.rows):
+        if trial.changing and not always and fits and not _wanting(fits, problem.rows):
             continue
-        if any_finite(found) and not course.allowed(FITS):
+        if any_finite(fits) and not course.allowed(FITS):
             break
-        found.append(fitted(trial, problem.recording))
+        fits.append(fitted(trial, problem.recording))
         course.say("model", (number + 1) / len(trials))
-    if found and not found[0].trial.complete:
-        told.append(
+    if fits and not fits[0].trial.complete:
+        sentences.append(
             "the passes are too far apart for their phases to be connected: the counts of turns between them that are "
             "told are some of many"
         )
-    return found, told
+    return fits, sentences
 
 
 def any_finite(found: Sequence[Candidate]) -> bool:
     """Whether a fit has a chi-square; one whose light is nowhere has none."""
-    return any(math.isfinite(one.chi2) for one in found)
+    return any(math.isfinite(fit.chi2) for fit in found)
 
 
 def period_at(one: Connection, seconds: float) -> float:
@@ -140,11 +140,18 @@ def _trials(problem: Problem, turns: Turns) -> list[Trial]:
             ways = _Ways(joined, changes, turns.symmetry, epoch)
             # of counts that are some of many, one fit tells what any leaves
             tried = JOINED if number == 0 and joined.complete else 1
-            for one in ways.near[:tried]:
+            for connection in ways.near[:tried]:
                 trial = steady_trial(
-                    scene, recording, rows, local, one, turns.symmetry, changing=drifts, tilted=turns.tilted
+                    scene,
+                    recording,
+                    rows,
+                    local,
+                    connection,
+                    turns.symmetry,
+                    changing=drifts,
+                    tilted=turns.tilted,
                 )
-                trials.append(ways.left_open(trial, one))
+                trials.append(ways.left_open(trial, connection))
     return trials
 
 
@@ -153,17 +160,19 @@ def _joined(problem: Problem, turns: Turns, local: Local, *, changing: bool) -> 
 
 
 def _about_as_possible(ways: Connections) -> list[Connection]:
-    return [one for one in ways.found if one.distance < ways.found[0].distance + KEPT_CHI2]
+    return [
+        connection for connection in ways.found if connection.distance < ways.found[0].distance + KEPT_CHI2
+    ]
 
 
 def _chances(near: Sequence[Connection]) -> np.ndarray:
     """Probabilities of counts of turns by the distances of their phases."""
-    weight = np.exp(-0.5 * (np.array([one.distance for one in near]) - near[0].distance))
+    weight = np.exp(-0.5 * (np.array([connection.distance for connection in near]) - near[0].distance))
     return weight / weight.sum()
 
 
 def _wanting(found: Sequence[Candidate], rows: Rows) -> bool:
     """Whether steady spin leaves more than the errors allow: chi-square beyond 3 of its standard deviations."""
-    least = min((one.chi2 for one in found if not one.trial.changing), default=math.inf)
+    least = min((fit.chi2 for fit in found if not fit.trial.changing), default=math.inf)
     count = len(rows.flux)
     return least > count + 3 * math.sqrt(2 * count)

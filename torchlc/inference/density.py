@@ -327,8 +327,8 @@ def deviance_rows(likelihood: Likelihood, noise: Noise, at: Residuals) -> Callab
     if noise.processes or likelihood.fitted_errors or likelihood.selected is not None:
         return whitener(likelihood, at, noise, fitted=True)
 
-    def rows(found: Residuals) -> Tensor:
-        return deviance(noise.law, found.delta / noise.sigma(found.sigma, at.scale))
+    def rows(residuals: Residuals) -> Tensor:
+        return deviance(noise.law, residuals.delta / noise.sigma(residuals.sigma, at.scale))
 
     return rows
 

@@ -178,18 +178,18 @@ def _crowded(roles: Sequence[str], draws: Tensor, generator: torch.Generator) ->
     return draws
 
 
-def _distinct(likelihood: Likelihood, found: Minimum) -> list[Mode]:
+def _distinct(likelihood: Likelihood, minima: Minimum) -> list[Mode]:
     """Minima within DISTINCT_CHI2 of the best that differ by more than 2 standard deviations in some
     parameter."""
     low, high = likelihood.model.parameter_set.flat_bounds()
     modes: list[Mode] = []
     kept: list[Tensor] = []
-    for index in torch.argsort(found.cost).tolist():
-        cost = float(found.cost[index])
+    for index in torch.argsort(minima.cost).tolist():
+        cost = float(minima.cost[index])
         if modes and cost > modes[0].objective + DISTINCT_CHI2:
             break
-        y = found.y[index]
-        covariance, held = laplace(found.jacobian[index], y, low, high)
+        y = minima.y[index]
+        covariance, held = laplace(minima.jacobian[index], y, low, high)
         sd = torch.sqrt(torch.diagonal(covariance)).clamp(min=1e-9)
         if any(bool((((y - other).abs() / sd)[~held] < 2.0).all()) for other in kept):
             continue

@@ -117,16 +117,16 @@ def descend(
     return points, reached.cost[order]
 
 
-def _row_slopes(rows: Callable[[Residuals], Tensor], found: Residuals, slopes: Tensor) -> Tensor:
+def _row_slopes(rows: Callable[[Residuals], Tensor], residuals: Residuals, slopes: Tensor) -> Tensor:
     """Slopes (S, T + K, K) of rows and of the prior's rows at residuals (S, T) whose own are (S, T, K), some NaN."""
     starts, _, count = slopes.shape
     shape = (starts, count, slopes.shape[1])
 
-    def each(one: Tensor) -> Tensor:
-        return one.expand(found.delta.shape)[:, None].expand(shape).flatten(0, 1)
+    def each(tensor: Tensor) -> Tensor:
+        return tensor.expand(residuals.delta.shape)[:, None].expand(shape).flatten(0, 1)
 
     step = torch.nan_to_num(slopes).transpose(1, 2).reshape(-1, shape[-1])
-    held = found.each(each)
+    held = residuals.each(each)
     size = 1e-6 / step.abs().amax(-1, keepdim=True).clamp(min=1.0)
     change = (rows(replace(held, delta=held.delta + size * step)) - rows(held)) / size
     change = change.reshape(*shape[:2], -1).transpose(1, 2)
@@ -188,16 +188,16 @@ def likeliest(posterior: Posterior, theta: Tensor, count: int) -> Tensor:
     return g[torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:count]]
 
 
-def _noise_objective(posterior: Posterior, g: Tensor, found: Residuals) -> Callable[[Tensor], Tensor]:
-    """Minus the log density (B,) at noise coordinates (B, k), the residuals held at those ``found`` at g (P,)."""
+def _noise_objective(posterior: Posterior, g: Tensor, residuals: Residuals) -> Callable[[Tensor], Tensor]:
+    """Minus the log density (B,) at noise coordinates (B, k), the ``residuals`` held at those found at g (P,)."""
     index = torch.tensor(posterior.noise_columns)
-    plain = found.sigma / posterior.factor(g)
+    plain = residuals.sigma / posterior.factor(g)
 
     def objective(part: Tensor) -> Tensor:
         whole = g.repeat(len(part), 1).index_copy(1, index, part)
-        shape = (len(part), len(found.delta))
-        rows = {name: getattr(found, name).expand(shape) for name in ("delta", "scale", "prediction")}
-        held = replace(found, sigma=(plain * posterior.factor(whole)).expand(shape), **rows)
+        shape = (len(part), len(residuals.delta))
+        rows = {name: getattr(residuals, name).expand(shape) for name in ("delta", "scale", "prediction")}
+        held = replace(residuals, sigma=(plain * posterior.factor(whole)).expand(shape), **rows)
         value = -posterior.held_density(held, whole)
         return torch.where(torch.isfinite(value), value, 1e12)
 
@@ -377,10 +377,10 @@ def _sloped(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
     return _at(hypothesis, posterior, g, residuals, slopes)
 
 
-def _at(hypothesis: Any, posterior: Posterior, g: Tensor, found: Residuals, slopes: Tensor) -> Fitted:
-    peak = float(posterior.held_density(found, g))
+def _at(hypothesis: Any, posterior: Posterior, g: Tensor, residuals: Residuals, slopes: Tensor) -> Fitted:
+    peak = float(posterior.held_density(residuals, g))
     unknown = torch.eye(len(g), dtype=g.dtype)
-    return Fitted(hypothesis, posterior, g, found, posterior.noise(g), slopes, peak, unknown)
+    return Fitted(hypothesis, posterior, g, residuals, posterior.noise(g), slopes, peak, unknown)
 
 
 def _covariance(at: Fitted) -> Tensor:

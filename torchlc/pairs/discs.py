@@ -67,11 +67,11 @@ class DiscPairs:
     def picked(self, member: Tensor) -> DiscPairs:
         """Those of the geometries that ``member`` (B,) names."""
 
-        def one(tensor: Tensor) -> Tensor:
+        def of_members(tensor: Tensor) -> Tensor:
             return tensor[member] if len(tensor) > 1 else tensor
 
         values = {each.name: getattr(self, each.name) for each in fields(self)}
-        tensors = {name: one(value) for name, value in values.items() if isinstance(value, Tensor)}
+        tensors = {name: of_members(value) for name, value in values.items() if isinstance(value, Tensor)}
         return replace(self, **tensors)
 
     def middle(self) -> Mapping[str, Tensor]:

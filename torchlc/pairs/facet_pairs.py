@@ -178,13 +178,13 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...] | None:
     return tuple(column[:, 0] if alone else column.movedim(0, 1) for column in joint)
 
 
-def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
+def _side_by_side(groups: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
     """Columns (K, B or 1, T) of several groups of pairs as one, each of one axis B that is 1 where nothing differs."""
-    if len(found) == 1:
-        return list(found[0])
-    sizes = [max(map(len, columns)) for columns in found]
+    if len(groups) == 1:
+        return list(groups[0])
+    sizes = [max(map(len, columns)) for columns in groups]
     joint = []
-    for column in zip(*found, strict=True):
+    for column in zip(*groups, strict=True):
         batch = max(piece.shape[1] for piece in column)
         joint.append(
             torch.cat([piece.expand(size, batch, -1) for size, piece in zip(sizes, column, strict=True)])

@@ -37,8 +37,8 @@ class Work(TorchFunctionMode):
         return made
 
 
-def _tensors(found: Iterable[Any]) -> Iterator[torch.Tensor]:
-    for value in found:
+def _tensors(values: Iterable[Any]) -> Iterator[torch.Tensor]:
+    for value in values:
         if isinstance(value, torch.Tensor):
             yield value
         elif isinstance(value, (list, tuple)):

@@ -131,14 +131,14 @@ class _PhaseLine:
         both = _beyond_second_order(self.middles - self.reference, float(result[1]), float(result[2]))
         return np.concatenate([*both, [0.0]])
 
-    def expected_count(self, known: Mapping[int, int], one: int) -> tuple[float, float]:
+    def expected_count(self, known: Mapping[int, int], passed: int) -> tuple[float, float]:
         """The count of a further pass, not rounded, and its standard deviation."""
         result, spread, _ = self.solved(known)
-        index = self.passes + one
+        index = self.passes + passed
         row = self.design[index]
         deviation = float(np.sqrt(row @ spread @ row + self.covariance[index, index]))
         expected = row @ result + self.beyond(result)[index]
-        return float(expected - self.phases[one]) * self.symmetry, deviation * self.symmetry
+        return float(expected - self.phases[passed]) * self.symmetry, deviation * self.symmetry
 
 
 def _covariance(rows: Rows, local: Local) -> np.ndarray:
@@ -175,18 +175,18 @@ def _design(elapsed: np.ndarray) -> np.ndarray:
 
 
 def _extended(
-    line: _PhaseLine, kept: Sequence[dict[int, int]], one: int
+    line: _PhaseLine, kept: Sequence[dict[int, int]], passed: int
 ) -> tuple[list[dict[int, int]], bool]:
     """The sets of counts with those of one more pass that may be right, best first, and whether these are all."""
     complete = True
     grown: list[tuple[float, dict[int, int]]] = []
     for known in kept:
-        expected, deviation = line.expected_count(known, one)
+        expected, deviation = line.expected_count(known, passed)
         reach = WIDTH * deviation
         if reach > MOST:
             reach, complete = MOST, False
         around = range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1)
-        grown += [(abs(k - expected), {**known, one: k}) for k in around]
+        grown += [(abs(k - expected), {**known, passed: k}) for k in around]
         if len(grown) > 4 * MOST:
             complete = False
             break

@@ -116,10 +116,11 @@ def with_sides(problem: Problem, found: Turns, course: Course) -> Turns:
     return replace(found, best=[*sides, *found.best[1:]])
 
 
-def _near(one: Local, other: Local) -> bool:
+def _near(solution: Local, other: Local) -> bool:
     """Whether two solutions are of one region of poles and one turn."""
     return (
-        apart_deg(one.pole, other.pole) < ALIKE_DEG and abs(one.frequency / other.frequency - 1) < SAME_REGION
+        apart_deg(solution.pole, other.pole) < ALIKE_DEG
+        and abs(solution.frequency / other.frequency - 1) < SAME_REGION
     )
 
 

@@ -166,18 +166,18 @@ def sides_taken(
         if solution.chi2 < best.chi2 + KEPT_CHI2 and apart_deg(solution.pole, best.pole) < ALIKE_DEG
     ]
 
-    def joins(one: Local) -> float:
+    def joins(turn: Local) -> float:
         steady, drifting = (
             min(
                 (
                     way.distance
-                    for way in connections(rows, one, symmetry, changing=changing, bounds=bounds).found
+                    for way in connections(rows, turn, symmetry, changing=changing, bounds=bounds).found
                 ),
                 default=math.inf,
             )
             for changing in (False, True)
         )
-        return one.chi2 + min(steady, drifting + CHANGED)
+        return turn.chi2 + min(steady, drifting + CHANGED)
 
     return sorted([best, *others], key=joins)[:SIDES] if others else [best]
 
@@ -251,10 +251,10 @@ def _spread_out(states: Sequence[TumbleState], most: int) -> list[TumbleState]:
     return kept
 
 
-def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
+def _distinct_tumbles(tumbles: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
     """The best solutions of different bodies."""
     kept: list[Tumble] = []
-    for tumble, _, _ in found:
+    for tumble, _, _ in tumbles:
         if len(kept) < most and all(
             bool(((tumble.moments - other.moments).abs() > 0.05).any()) for other in kept
         ):
@@ -262,10 +262,10 @@ def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int)
     return [solution for solution in kept if solution.chi2 < 2 * kept[0].chi2]
 
 
-def _same(one: Tumble, other: Tumble) -> bool:
+def _same(tumble: Tumble, other: Tumble) -> bool:
     """Whether two solutions are one: of a pole, a body and periods."""
     return (
-        apart_deg(one.pole, other.pole) < SAME_DEG
-        and abs(one.long / other.long - 1) < 1e-3
-        and bool(((one.moments - other.moments).abs() < 0.02).all())
+        apart_deg(tumble.pole, other.pole) < SAME_DEG
+        and abs(tumble.long / other.long - 1) < 1e-3
+        and bool(((tumble.moments - other.moments).abs() < 0.02).all())
     )

@@ -171,8 +171,8 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
     ]
 
 
-def _tumbling(one: Candidate) -> bool:
-    return "nutation" in one.numbers
+def _tumbling(candidate: Candidate) -> bool:
+    return "nutation" in candidate.numbers
 
 
 def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:

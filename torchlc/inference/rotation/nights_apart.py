@@ -61,21 +61,21 @@ def settled(problem: Problem, turns: Turns, found: Sequence[Candidate], course: 
     return Settled(loose, [], sentences)
 
 
-def _unjoined(problem: Problem, found: Sequence[Candidate]) -> bool:
+def _unjoined(problem: Problem, fits: Sequence[Candidate]) -> bool:
     """Whether the best of the rotations that join the passes takes one of several counts for granted, or leaves structure."""
-    best = min(found, key=lambda fit: fit.deviance, default=None)
+    best = min(fits, key=lambda fit: fit.deviance, default=None)
     if best is None or not problem.fits(best):
         return True
     return "nutation" not in best.numbers and (best.trial.possible > 1 or not best.trial.complete)
 
 
 def _apart(
-    problem: Problem, turns: Turns, found: Sequence[Candidate], course: Course
+    problem: Problem, turns: Turns, joined: Sequence[Candidate], course: Course
 ) -> tuple[list[Candidate], list[Local]]:
     """The model fitted at the leading poles with a phase for each night; where the passes have unlike periods, or one for all leaves
     structure, with a period for each too. Where a count of turns explains the light, also the solutions with the phases and periods of
     the passes as the model has them, by which fewer counts are possible than by the light of facets."""
-    explained = any(problem.fits(candidate) for candidate in found)
+    explained = any(problem.fits(candidate) for candidate in joined)
     fits: list[Candidate] = []
     sharp: list[Local] = []
     most = APART if explained else LOCALS
@@ -100,21 +100,21 @@ def _apart(
     return fits, sharp
 
 
-def _one_turn(one: Candidate, other: Candidate) -> bool:
+def _one_turn(fit: Candidate, other: Candidate) -> bool:
     """Whether two fits of a turn about an axis are of one pole and period."""
     return (
-        "nutation" not in one.numbers
-        and apart_deg(one.pole, other.pole) < SAME_DEG
-        and abs(one.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
+        "nutation" not in fit.numbers
+        and apart_deg(fit.pole, other.pole) < SAME_DEG
+        and abs(fit.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
     )
 
 
-def _one_rate_fails(problem: Problem, apart: Sequence[Candidate], found: Sequence[Candidate]) -> bool:
+def _one_rate_fails(problem: Problem, apart: Sequence[Candidate], fits: Sequence[Candidate]) -> bool:
     """Whether nights by themselves are so much better than joined that no rotation joins them: where that leaves structure, by
     CHANGED for each further number."""
-    if not found or not apart:
-        return not found
-    best = min(found, key=lambda fit: fit.deviance)
+    if not fits or not apart:
+        return not fits
+    best = min(fits, key=lambda fit: fit.deviance)
     loose = min(apart, key=lambda fit: fit.deviance)
     further = max(1, len(loose.theta) - len(best.theta))
     return not problem.fits(best) and loose.deviance < best.deviance - CHANGED * further

@@ -130,11 +130,11 @@ def _fits(
     return [fit for fit in fits if math.isfinite(fit.chi2)], sentences
 
 
-def _explains(problem: Problem, one: Candidate) -> bool:
+def _explains(problem: Problem, fit: Candidate) -> bool:
     """Whether a fit leaves little enough that no other kind of rotation is asked for. Errors that are fitted bring chi-square to
     the count of rows whatever is left, so there the rms is held against the noise of successive rows."""
     noise = problem.noise_mag
-    return one.chi2 <= 2 * len(problem.rows.flux) if noise is None else one.rms <= NOISY * noise
+    return fit.chi2 <= 2 * len(problem.rows.flux) if noise is None else fit.rms <= NOISY * noise
 
 
 def _nothing_found(problem: Problem, allowed: Allowed) -> InputError:

@@ -82,27 +82,27 @@ class _Ways:
         """Those about as possible as the best."""
         return _about_as_possible(self.joined)
 
-    def spread(self, one: Connection) -> dict[str, float]:
-        """What the other ways leave open of the period and of its rate, of a trial of ``one``. Where the period is taken as steady,
+    def spread(self, connection: Connection) -> dict[str, float]:
+        """What the other ways leave open of the period and of its rate, of a trial of ``connection``. Where the period is taken as steady,
         the rate that would not show is that of all counts with one."""
         near = self.near
         spread: dict[str, float] = {}
         if len(near) > 1:
             periods = np.array([period_at(other, self.epoch) for other in near]) / 3600
-            off = periods - period_at(one, self.epoch) / 3600
+            off = periods - period_at(connection, self.epoch) / 3600
             spread["period"] = float(np.sqrt(_chances(near) @ off**2))
         if self.changes is not None and self.changes.found:
             most = _about_as_possible(self.changes)
             rates = np.array([other.rate for other in most])
-            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - one.rate) ** 2))
+            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - connection.rate) ** 2))
         return spread
 
-    def likely(self, one: Connection) -> tuple[Count, ...]:
-        """The counts that are as possible, from those of ``one``; none where there is only it."""
+    def likely(self, connection: Connection) -> tuple[Count, ...]:
+        """The counts that are as possible, from those of ``connection``; none where there is only it."""
         near = self.near
         if len(near) < 2:
             return ()
-        base = np.array(differences(one.counts, self.symmetry))
+        base = np.array(differences(connection.counts, self.symmetry))
         return tuple(
             Count(
                 tuple((np.array(differences(other.counts, self.symmetry)) - base).tolist()),
@@ -113,15 +113,15 @@ class _Ways:
             for other, chance in list(zip(near, _chances(near), strict=True))[:LIKELY]
         )
 
-    def left_open(self, trial: Trial, one: Connection) -> Trial:
-        """A trial of ``one`` with what the other ways leave open."""
+    def left_open(self, trial: Trial, connection: Connection) -> Trial:
+        """A trial of ``connection`` with what the other ways leave open."""
         near = self.near
         return replace(
             trial,
             possible=max(1, len(near)),
             complete=self.joined.complete or len(near) < len(self.joined.found),
-            spread=self.spread(one),
-            likely=self.likely(one),
+            spread=self.spread(connection),
+            likely=self.likely(connection),
         )
 
 
@@ -171,8 +171,8 @@ def _chances(near: Sequence[Connection]) -> np.ndarray:
     return weight / weight.sum()
 
 
-def _wanting(found: Sequence[Candidate], rows: Rows) -> bool:
+def _wanting(fits: Sequence[Candidate], rows: Rows) -> bool:
     """Whether steady spin leaves more than the errors allow: chi-square beyond 3 of its standard deviations."""
-    least = min((fit.chi2 for fit in found if not fit.trial.changing), default=math.inf)
+    least = min((fit.chi2 for fit in fits if not fit.trial.changing), default=math.inf)
     count = len(rows.flux)
     return least > count + 3 * math.sqrt(2 * count)

@@ -125,10 +125,10 @@ def _distinct(candidates: Tensor, share: Tensor, longest: float, most: int) -> l
     return kept
 
 
-def _light(rows: Rows, one: int) -> tuple[Tensor, Tensor]:
+def _light(rows: Rows, passed: int) -> tuple[Tensor, Tensor]:
     """Seconds about its middle and magnitudes about a mean and a slope of a pass."""
-    here = rows.of(one)
-    seconds = rows.seconds[here] - rows.middle[one]
+    here = rows.of(passed)
+    seconds = rows.seconds[here] - rows.middle[passed]
     light = -torch.log(rows.flux[here].clamp(min=1e-300))
     design = torch.stack([torch.ones_like(seconds), seconds / seconds.abs().max().clamp(min=1e-9)], 1)
     return seconds, light - design @ torch.linalg.lstsq(design, light[:, None]).solution[:, 0]

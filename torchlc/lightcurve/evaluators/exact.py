@@ -81,11 +81,11 @@ class ExactGeometry(Evaluator):
         if brightness is None:
             size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
 
-            def one(row: Tensor) -> tuple[Tensor, ...]:
+            def of_row(row: Tensor) -> tuple[Tensor, ...]:
                 result = self._single(row, shares)
                 return (result.flux,) if result.shares is None else (result.flux, result.shares)
 
-            flux, *kept = torch.vmap(one, chunk_size=size)(flat)
+            flux, *kept = torch.vmap(of_row, chunk_size=size)(flat)
             brightness = Brightness(flux, kept[0] if kept else None, self.assembly.components)
         return self.joined([brightness], theta)
 
@@ -141,10 +141,10 @@ class ExactGeometry(Evaluator):
             return make()
         return self._remembered(detail, distinct[0], make)
 
-    def _remembered(self, detail: bool, one: Tensor, make: Callable[[], Tables]) -> Tables:
+    def _remembered(self, detail: bool, theta: Tensor, make: Callable[[], Tables]) -> Tables:
         """Tables of the geometry of theta (P,) as they were made before, or now; the last RECENT_TABLES are kept, or as many as take
         LARGEST_MEMORY: one of a rocket body may take 200 MB."""
-        key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
+        key = (detail, tuple(theta[self.assembly.geometry_columns].tolist()))
         if key not in self._recent:
             self._recent[key] = make()
             most = max(1, min(RECENT_TABLES, LARGEST_MEMORY // max(1, bytes_of(self._recent[key]))))
@@ -180,8 +180,10 @@ class ExactGeometry(Evaluator):
         for index, geometry in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
 
-            def make(one: Tensor = geometry) -> Tables:
-                return self.pipeline.make_tables(self.pipeline.view(self.values(one)), detail, compact=True)
+            def make(geometry: Tensor = geometry) -> Tables:
+                return self.pipeline.make_tables(
+                    self.pipeline.view(self.values(geometry)), detail, compact=True
+                )
 
             piece = self.chunked(flat[rows], self._remembered(detail, geometry, make), shares)
             flux[rows] = piece.flux

@@ -60,10 +60,11 @@ def reweighted(
     )
     draws = posterior.flat
     with torch.no_grad():
-        exact, own = (
-            torch.cat([one.log_prob(piece) for piece in draws.split(AT_ONCE)]) for one in (likelihood, moving)
+        exact, approximate = (
+            torch.cat([target.log_prob(piece) for piece in draws.split(AT_ONCE)])
+            for target in (likelihood, moving)
         )
-    log_weight = torch.where(torch.isfinite(exact), exact, -math.inf) - own
+    log_weight = torch.where(torch.isfinite(exact), exact, -math.inf) - approximate
     weight = torch.softmax(log_weight, 0)
     left = float(1 / (len(draws) * weight.square().sum()))
     if not left >= LEAST_LEFT and (budget.left() or not math.isfinite(left)):

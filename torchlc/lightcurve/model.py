@@ -150,7 +150,7 @@ class LightCurve(nn.Module):
         them."""
         shaping = [e for e in self.effects if e.stage in {*GEOMETRY_STAGES, "scatter"} or e.reshapes_lobe]
         return (
-            *(str(told) for told in (self.geometry_free, bool(self.names), self.assembly.settled)),
+            *(str(item) for item in (self.geometry_free, bool(self.names), self.assembly.settled)),
             *(f"{e.entry} {e.nodes}" for e in shaping),
         )
 

@@ -205,30 +205,32 @@ class Expansion(Evaluator):
 
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
-        return replace(made, surfaces=tuple(condensed(one) for one in made.surfaces))
+        return replace(made, surfaces=tuple(condensed(surface) for surface in made.surfaces))
 
     def _expanded(self, made: list[Tables]) -> Tables:
         several: dict[Key, list[Surface | None]] = {}
         for number, tables in enumerate(made):
-            for one in tables.surfaces:
-                key = one.component, one.material, one.sunlit, one.scale
-                several.setdefault(key, [None] * len(made))[number] = one
+            for surface in tables.surfaces:
+                key = surface.component, surface.material, surface.sunlit, surface.scale
+                several.setdefault(key, [None] * len(made))[number] = surface
         surfaces = tuple(self._surface(surfaces) for surfaces in several.values())
         sky = made[0].sky
-        state, nodes = (self._record([getattr(one.sky, name) for one in made]) for name in ("state", "nodes"))
+        state, nodes = (
+            self._record([getattr(tables.sky, name) for tables in made]) for name in ("state", "nodes")
+        )
         return replace(made[0], surfaces=surfaces, sky=replace(sky, state=state, nodes=nodes))
 
     def _surface(self, surfaces: list[Surface | None]) -> Surface:
-        known = next(one for one in surfaces if one is not None)
+        known = next(surface for surface in surfaces if surface is not None)
         table = {}
         for name, like in known.table.items():
             of_lobes = name.endswith(LOBES)
             blank = torch.full_like(like, DARK) if of_lobes else torch.zeros_like(like)
             if of_lobes:
                 blank.unflatten(0, (-1, 2))[:, 1] = 0.0
-            values = torch.stack([blank if one is None else one.table[name] for one in surfaces])
+            values = torch.stack([blank if surface is None else surface.table[name] for surface in surfaces])
             table |= self._lobes(name, values) if of_lobes else self._sums(name, values)
-        phase = torch.stack([(known if one is None else one).phase_angle for one in surfaces])
+        phase = torch.stack([(known if surface is None else surface).phase_angle for surface in surfaces])
         return replace(known, table=table, phase_angle=self._coefficients(phase))
 
     def _lobes(self, name: str, values: Tensor) -> dict[str, Tensor]:
@@ -260,13 +262,13 @@ class Expansion(Evaluator):
 
     def _record(self, records: list[Record]) -> Record:
         """Places or instants with coefficients in place of what differs over the stencil, (M, 1, ...)."""
-        found = {}
+        changed = {}
         for field in fields(records[0]):
-            several = [getattr(one, field.name) for one in records]
+            several = [getattr(record, field.name) for record in records]
             first = several[0]
             if first is not None and any(not torch.equal(first, other) for other in several[1:]):
-                found[field.name] = self._coefficients(torch.stack(several))
-        return replace(records[0], **found) if found else records[0]
+                changed[field.name] = self._coefficients(torch.stack(several))
+        return replace(records[0], **changed) if changed else records[0]
 
     def tables_at(self, theta: Tensor, detail: bool) -> Tables:
         """Tables at theta (..., P), whether within the reach or not."""
@@ -274,11 +276,11 @@ class Expansion(Evaluator):
         monomials = self.monomials(theta)
         surfaces = tuple(
             replace(
-                one,
-                table=_evaluated(one.table, monomials),
-                phase_angle=_polynomial(one.phase_angle, monomials),
+                surface,
+                table=_evaluated(surface.table, monomials),
+                phase_angle=_polynomial(surface.phase_angle, monomials),
             )
-            for one in tables.surfaces
+            for surface in tables.surfaces
         )
         sky = Sky(
             self._moved(tables.sky.state, reference.sky.state, monomials),
@@ -408,13 +410,13 @@ def _polynomial(coefficients: Tensor, monomials: Tensor) -> Tensor:
 
 def _evaluated(table: Mapping[str, Tensor], monomials: Tensor) -> dict[str, Tensor]:
     """A surface's table (of coefficients) at monomials (..., M)."""
-    found: dict[str, Tensor] = {}
+    evaluated: dict[str, Tensor] = {}
     for name, coefficients in table.items():
         smooth = table.get(f"{name} in logarithms")
         if name.endswith(LOBES):
             of = name.removesuffix(LOBES)
-            found |= {name: coefficients, f"{of}monomials": monomials[..., table[f"{of}order"]]}
+            evaluated |= {name: coefficients, f"{of}monomials": monomials[..., table[f"{of}order"]]}
         elif smooth is not None:
             value = _polynomial(coefficients, monomials)
-            found[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
-    return found
+            evaluated[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
+    return evaluated

@@ -75,6 +75,5 @@ def reweighted(
         posterior,
         theta=draws[chosen].reshape(posterior.theta.shape),
         log_prob=exact[chosen].reshape(posterior.log_prob.shape),
-        note=f"{posterior.note}; the ensemble moved on an expansion of the geometry, and {left:.0%} of its draws count by their exact "
-        "densities",
+        note=f"{posterior.note}; drawn with approximate light, then weighted by the exact light, by which {left:.0%} of the draws count",
     )

@@ -189,6 +189,11 @@ class Attitude(Table):
         return numbers
 
     @property
+    def tumbles(self) -> bool:
+        """Whether the mode is a free rotation about no axis fixed in the body."""
+        return "inertia" in self.MODE_KEYS[self.mode][0]
+
+    @property
     def spins_from_first_row(self) -> bool:
         """Is there a spin whose phase is that at the first row of a recording?"""
         return self.spin_axis is not None and self.spin_epoch is None

@@ -47,6 +47,11 @@ class Candidate:
     names: tuple[str, ...]
     covariance: Tensor
 
+    @property
+    def tumbling(self) -> bool:
+        """Whether it is a free rotation about no axis fixed in the body."""
+        return self.trial.scene.attitude.tumbles
+
 
 def fitted(trial: Trial, recording: Recording) -> Candidate:
     """The model's own least squares from a trial."""

@@ -127,7 +127,7 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
     kept_kinds = list(found)
     for simpler, richer in (
         (lambda candidate: not candidate.trial.changing, lambda candidate: candidate.trial.changing),
-        (lambda candidate: not _tumbling(candidate), _tumbling),
+        (lambda candidate: not candidate.tumbling, lambda candidate: candidate.tumbling),
     ):
         plain = [candidate.deviance for candidate in kept_kinds if simpler(candidate)]
         rich = [candidate.deviance for candidate in kept_kinds if richer(candidate)]
@@ -141,7 +141,7 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
         if all(
             apart_deg(fit.pole, other.pole) > SAME_DEG
             or abs(fit.numbers["period"] / other.numbers["period"] - 1) > SAME_PERIOD
-            or _tumbling(fit) != _tumbling(other)
+            or fit.tumbling != other.tumbling
             for other in kept
         ):
             kept.append(fit)
@@ -169,10 +169,6 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
         )
         for candidate, weight in zip(kept, weights, strict=True)
     ]
-
-
-def _tumbling(candidate: Candidate) -> bool:
-    return "nutation" in candidate.numbers
 
 
 def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:

@@ -66,7 +66,7 @@ def _unjoined(problem: Problem, fits: Sequence[Candidate]) -> bool:
     best = min(fits, key=lambda fit: fit.deviance, default=None)
     if best is None or not problem.fits(best):
         return True
-    return "nutation" not in best.numbers and (best.trial.possible > 1 or not best.trial.complete)
+    return not best.tumbling and (best.trial.possible > 1 or not best.trial.complete)
 
 
 def _apart(
@@ -103,7 +103,7 @@ def _apart(
 def _one_turn(fit: Candidate, other: Candidate) -> bool:
     """Whether two fits of a turn about an axis are of one pole and period."""
     return (
-        "nutation" not in fit.numbers
+        not fit.tumbling
         and apart_deg(fit.pole, other.pole) < SAME_DEG
         and abs(fit.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
     )

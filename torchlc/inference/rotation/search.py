@@ -85,7 +85,7 @@ def _tumbles(problem: Problem, turns: Turns, course: Course) -> tuple[list[Tumbl
     """Free rotations that explain the light better than the best turn about an axis, where that leaves structure, and what there is
     to say of them."""
     best = turns.best[0]
-    if problem.scene.attitude.mode != "rigid-body" and not turns.leaves_structure:
+    if not problem.scene.attitude.tumbles and not turns.leaves_structure:
         return [], []
     if _changed(problem.rows, best):
         least, most = (1 / float(frequency) for frequency in (best.frequencies.max(), best.frequencies.min()))

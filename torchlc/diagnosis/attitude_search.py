@@ -101,8 +101,8 @@ def _scanned(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """At each place (F,) of a scan, whose ``waves`` are (F, W, T): what the best turn takes off the sum of squares (F,),
     its axis times its amplitude in deg (F, A), and the share of each wave (F, W), of norm 1."""
-    found = [_best(target, slopes, waves(some)) for some in torch.split(places, AT_ONCE)]
-    gain, axis, wave = (torch.cat(column) for column in zip(*found, strict=True))
+    pieces = [_best(target, slopes, waves(some)) for some in torch.split(places, AT_ONCE)]
+    gain, axis, wave = (torch.cat(column) for column in zip(*pieces, strict=True))
     return gain, axis, wave
 
 

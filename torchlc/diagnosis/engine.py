@@ -34,7 +34,9 @@ FOLLOWED = 12
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 MOST_LOOKED = 6
+"""Sets of effects that are told under every noise, the best first: some ten fits each."""
 DRAWS = 500
+"""For the evidence of the leader: its error is then some 0.05 where weights are even, a tenth of what tells two answers apart."""
 RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 

@@ -24,6 +24,7 @@ exponent 200 is wide."""
 MOST_S = 0.5
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
+"""Values that are tried however long each takes: both signs, near and far."""
 AGAIN = 8
 """Values that are tried again beside another fit, of those that promise most by their change of the light beside the one before, where each
 is a geometry of its own."""

@@ -17,6 +17,7 @@ from torchlc.inference.density import Fitted
 from torchlc.stages.entry import Entry
 
 MOST_SETS = 12
+"""Rows of the table of what was tried, which then fits on a screen."""
 
 
 def candidates(

@@ -19,9 +19,13 @@ from torchlc.noise import Noise, Residuals
 from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12
+"""Straight pieces of a curve along a coordinate: a glint that takes a tenth of its range has a knot within; each has 15 rows at least."""
 FOLDS = 4
+"""Parts of the rows that are foreseen from the others, each in five runs of rows: single rows would be told by their neighbours."""
 SEEN_SIGMA = 2.0
+"""Errors of a row from which on a difference is located: what moves a row by less is hardly told from its noise, and one in twenty by chance."""
 SHORT_GAP = 2
+"""Rows within an interval that may be less: a difference that changes its sign passes through zero in one or two."""
 
 
 @dataclass(frozen=True)

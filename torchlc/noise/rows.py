@@ -60,7 +60,7 @@ class Rows:
         self.curves = len(recording.curve_ids)
         self.limit = torch.as_tensor(recording.upper_limit, device=like.device)
         self.measured = ~self.limit
-        self.censored = bool(self.limit.any())
+        self.censored = bool(np.any(recording.upper_limit))
         self.fainter = 1.0 if self.flux else -1.0
         """Sign of a fainter object in the recording's unit."""
         self.count = torch.bincount(self.curve[self.measured], minlength=self.curves).to(like)

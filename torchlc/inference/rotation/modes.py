@@ -78,7 +78,7 @@ class RotationMode:
     @property
     def tumbling(self) -> bool:
         """Whether it is a free rotation about no axis fixed in the body."""
-        return self.scene.attitude.tumbles
+        return "nutation" in self.numbers
 
     @property
     def moments(self) -> tuple[float, float, float] | None:

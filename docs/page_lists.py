@@ -22,7 +22,9 @@ def pages_of(folder: str) -> str:
 
 def names_of(text: str) -> str:
     """A table of the names that a section of the reference documents, with the first sentence of each."""
-    rows = [f"| `{name.removeprefix('torchlc.')}` | {_first_sentence(name)} |" for name in ENTRY.findall(text)]
+    rows = [
+        f"| `{name.removeprefix('torchlc.')}` | {_first_sentence(name)} |" for name in ENTRY.findall(text)
+    ]
     return "\n".join(["| name | what it is |", "|---|---|", *rows])
 
 

@@ -44,6 +44,10 @@ EXPORTS = {
     "tabs, decimal commas": table("JD\tmagnitude\tmag_error", mark="\t", comma=True),
     "bars": table("JD|Mag|MagErr", mark="|"),
     "names in a comment": table("# JD Mag Err", mark=" "),
+    "a magnitude called by its filter, below lines with commas": "Observer: Me, Location: Here\nComp star mag 12.1, 0.02\n\n\n"
+    + table("JD,V,err"),
+    "a filter in brackets": table("JD,Mag (V),Err"),
+    "errors called std": table("JD,mag,std"),
     "comments with ;": "; Observer: A. B.\n; Filter: V\n" + table("JD,Mag,Err"),
     "comments with %": "% made by a script\n" + table("JD,Mag,Err"),
     "prose above": "Light curve of the object\nTelescope 0.3 m, f/5\n\n" + table("Julian Date,Magnitude,Uncertainty"),

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,18 +28,18 @@ from tests.additions import (
     scene_with,
 )
 from tests.effects.passes import rows
-from torchlc.brdf import MODELS
+from torchlc.brdf import MODELS, Brdf
 from torchlc.cli import completion
 from torchlc.diagnosis.alternatives import under_other_laws
 from torchlc.effects import Effect
 from torchlc.lightcurve.model import LightCurve
 from torchlc.naming import Replaced
-from torchlc.readers.format import FORMATS
+from torchlc.readers.format import FORMATS, Format
 from torchlc.readers.formats import formats
-from torchlc.report.figures.contract import FIGURES
+from torchlc.report.figures.contract import FIGURES, ReportFigure
 from torchlc.report.listing import effects_listing
 from torchlc.scene import Scene
-from torchlc.shapes import SHAPES
+from torchlc.shapes import SHAPES, Component, Part
 from torchlc.stages.effect import EFFECTS
 
 
@@ -190,6 +191,32 @@ class Veil(Effect):
     def detector(self, brightness, p, context):
         return replace(brightness, flux=brightness.flux * 10 ** (-0.4 * FACTOR * p["mag"]))
 """
+
+
+@pytest.mark.parametrize("kind", ["effect", "law", "shape", "reader", "figure"])
+def test_a_cell_that_runs_again_is_told_each_time_at_its_own_line(kind: str) -> None:
+    """As a notebook runs a cell: compiled anew, with the warnings of the cell before forgotten."""
+    registry, base, head = {
+        "effect": (EFFECTS, Effect, "name = 'again'\n    stage = 'detector'"),
+        "law": (MODELS, Brdf, "model = 'again'"),
+        "shape": (SHAPES, Part, "kind = 'again'\n    keys = Component"),
+        "reader": (FORMATS, Format, "name = 'again'"),
+        "figure": (FIGURES, ReportFigure, "name = 'again'"),
+    }[kind]
+    cell = {"base": base, "Component": Component, "__name__": "__main__"}
+    source = f"class Again(base):\n    {head}\n"
+    with registry.restored(), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        for number in range(4):
+            cell.pop("__warningregistry__", None)
+            exec(compile(source, f"cell-{number}", "exec"), cell)
+    assert [one.filename for one in caught] == ["cell-1", "cell-2", "cell-3"]
+    assert all(issubclass(one.category, Replaced) for one in caught)
+
+
+def test_a_figure_of_a_page_that_is_not_there_is_refused() -> None:
+    with pytest.raises(TypeError, match="figure 'lost': page 'fits'; expected one of fit, diagnosis"):
+        type("Lost", (ReportFigure,), {"name": "lost", "page": "fits"})
 
 
 def test_a_class_of_a_notebook_is_known_at_once_and_what_its_cell_says_last_counts():

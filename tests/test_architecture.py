@@ -8,7 +8,11 @@ from __future__ import annotations
 import ast
 import functools
 import importlib.util
+import json
 from pathlib import Path
+from typing import Any
+
+from PIL import Image
 
 import torchlc
 
@@ -38,12 +42,17 @@ def imports(path: Path, known: dict[str, Path]) -> set[str]:
     return named
 
 
-def floors() -> dict[str, int]:
-    """Each room's floor, as the page's table has it from the bottom."""
+def make_picture() -> Any:
     specification = importlib.util.spec_from_file_location("make_picture", PAGE / "make_picture.py")
     assert specification is not None and specification.loader is not None
     drawing = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(drawing)
+    return drawing
+
+
+def floors() -> dict[str, int]:
+    """Each room's floor, as the page's table has it from the bottom."""
+    drawing = make_picture()
     return {room: level for level, floor in enumerate(drawing.rooms()) for room in floor}
 
 
@@ -61,6 +70,16 @@ def room(module: str) -> str:
 def test_the_page_lists_every_room() -> None:
     there = {room(name) for name in modules() if name != "torchlc"}
     assert set(floors()) == there
+
+
+def test_the_picture_is_of_the_code_as_it_is() -> None:
+    """Every room, with as many lines as are drawn within a tenth, or 100."""
+    with Image.open(PAGE / "rooms.png") as picture:
+        drawn = json.loads(picture.info["Description"])
+    now = {name: make_picture().lines(name) for name in floors()}
+    assert drawn.keys() == now.keys()
+    old = [name for name in now if abs(now[name] - drawn[name]) > max(0.1 * now[name], 100)]
+    assert not old, f"{old}: python docs/architecture/make_picture.py"
 
 
 def test_no_import_runs_up() -> None:

@@ -244,6 +244,19 @@ def test_period_of_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "min (900.0" in capsys.readouterr().out
 
 
+def test_rows_below_the_horizon_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """The demonstration's object is up all day, and from the other side of the Earth never."""
+    scene = (Path(torchlc.__file__).parent / "demo" / "scene.toml").read_text(encoding="utf-8")
+    far = re.sub(
+        r"longitude = [-\d.]+", "longitude = -60.0", re.sub(r"latitude = [-\d.]+", "latitude = -35.0", scene)
+    )
+    grid = ["--start", "2020-10-17T13:00", "--hours", "1", "--cadence", "1200"]
+    for name, text, told in (("near", scene, False), ("far", far, True)):
+        (tmp_path / f"{name}.toml").write_text(text)
+        assert run(["simulate", str(tmp_path / f"{name}.toml"), *grid, "-o", str(tmp_path / name)]) == 0
+        assert ("4 of 4 rows are below the horizon" in capsys.readouterr().err) is told
+
+
 @pytest.mark.parametrize("shape", ["box-wing", "cubesat", "rocket body", "cylinder"])
 def test_init_writes_a_scene_that_simulates(shape: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "tle.txt").write_text(TLE)
@@ -251,7 +264,7 @@ def test_init_writes_a_scene_that_simulates(shape: str, tmp_path: Path, capsys: 
     arguments = ["init", scene, "--tle", str(tmp_path / "tle.txt"), "--shape", shape]
     assert run([*arguments, "--station", "weihai,37.536,122.05,110", "--date", "2020-10-11"]) == 0
     offered = re.search(
-        r"next: torchlc (simulate .* --start 2020-10-11T00:00 .*) -o out", capsys.readouterr().out
+        r"next: torchlc (predict .* --start 2020-10-11T00:00 .*) -o out", capsys.readouterr().out
     )
     assert offered and run([*shlex.split(offered[1]), "-o", str(tmp_path / "offered"), "--quiet"]) == 0
     text = Path(scene).read_text()

@@ -251,6 +251,23 @@ def test_what_an_effect_learns_moves_along_and_still_learns(scene: Scene, record
         assert model().shape == (len(recording),)
 
 
+@pytest.mark.parametrize("where", [torch.float32, "meta"])
+def test_a_model_that_shares_what_an_effect_learns_stays_where_it_is(
+    scene: Scene, recording: Recording, where: torch.dtype | str
+) -> None:
+    with EFFECTS.restored():
+        EFFECTS.enter("tinted", Tinted)
+        model = LightCurve(scene, recording, effects=["tinted"])
+        other = LightCurve(scene, recording, assembly=model.assembly)
+        before, learnt = model().detach(), list(model.learners.parameters())
+        other.to(where)
+        assert torch.equal(model().detach(), before)
+        assert all(a is b for a, b in zip(model.learners.parameters(), learnt, strict=True))
+        moved_ones = {(one.dtype, one.device.type) for one in other.parameters()}
+        assert moved_ones == {(torch.float32, "cpu") if where is torch.float32 else (torch.float64, "meta")}
+        assert other().shape == before.shape
+
+
 def test_moved_keeps_what_is_one_and_enters_closures() -> None:
     """Against what is written out: a tensor in two places is one tensor after; a function sees the new one."""
     shared, count, learnt = torch.ones(2), torch.arange(2), nn.Parameter(torch.zeros(1))

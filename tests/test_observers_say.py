@@ -32,6 +32,23 @@ class TestUserSays:
         text = "\n".join(f"{row},{mag},{jd:.6f}" for row, (jd, mag) in enumerate(zip(JD, MAG, strict=True)))
         holds(read(text, columns="time=3,mag=2"), error=False)
 
+    def test_a_column_of_errors_that_is_not_known_is_told(self, read):
+        text = table("time,mag,e_V")
+        without = read(text)
+        assert without.error is None
+        (told,) = [one for one in without.warnings if "--columns" in one]
+        assert (
+            told
+            == "no column is taken for the errors. Not used: e_V. If one holds them: --columns mag_err=e_V"
+        )
+        holds(read(text, columns=told.partition("--columns ")[2]))
+
+    def test_a_comment_on_the_barycentre_is_answered_by_what_it_says(self, read):
+        (told,) = [
+            one for one in read("# Times are BJD_TDB\n" + table("time,mag,mag_err")).warnings if "BJD" in one
+        ]
+        assert told.endswith("--columns light_path=barycentric,time_scale=tdb")
+
     @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
     def test_date_and_time_apart_without_names_lose_no_row(self, read, mark: str):
         """The advice names both columns of the time, and the first row stays one."""

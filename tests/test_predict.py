@@ -170,6 +170,8 @@ def test_a_fit_predicts_from_its_posterior(tmp_path):
     assert found.uncertainty == "posterior"
     again = torchlc.predict(result, **later)
     np.testing.assert_array_equal(found.passes[0].mag, again.passes[0].mag)
+    stored = torchlc.predict(torchlc.load_fit(tmp_path / "fit"), **later)
+    np.testing.assert_array_equal(found.passes[0].mag, stored.passes[0].mag)
     path, mag = found.passes[0].path, found.passes[0].mag
     truth = torchlc.simulate(text, start=later["start"], hours=5.0, cadence=120.0).mag[path.index]
     # the zero point is shared by all rows, so that they are one draw, which three standard deviations hold in 99.7 %
@@ -222,6 +224,10 @@ def test_files_are_read_by_others(tmp_path, capsys):
     summaries = [line for line in whole if line.startswith("SUMMARY:")]
     assert summaries[0].startswith("SUMMARY:SHELL\\, Größe\\; ★ ")
     assert len({line for line in whole if line.startswith("UID:")}) == len(visible)
+    # a figure is named where there is one
+    assert run([*arguments, "-o", str(tmp_path / "none"), "--faintest", "-30"]) == 0
+    assert "passes.ics and prediction.json" in capsys.readouterr().out
+    assert not (tmp_path / "none" / "passes.png").exists()
     # a second run replaces its own files
     assert run([*arguments, "-o", str(out), "-q"]) == 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from sgp4.io import compute_checksum
 
+import torchlc
 from tests.good_input import BODY, MESH_SCENE, SCENE, TETRAHEDRON
 from torchlc.api import simulate
 from torchlc.errors import InputError
@@ -351,3 +353,18 @@ def test_components_of_one_name_have_the_brightness_of_named_ones():
     alike, apart = (simulate(given, **times) for given in (scene, Scene.from_toml(SCENE)))
     assert (alike.mag == apart.mag).all()
     assert {"share body 1", "share body 2"} <= set(alike.to_table().colnames)
+
+
+def test_all_that_is_missing_is_told_at_once() -> None:
+    """Keys of materials, the station and numbers of a spin, which are checked at different places."""
+    demo = (Path(torchlc.__file__).parent / "demo" / "scene.toml").read_text(encoding="utf-8")
+    bare = re.sub(r"(?m)^(n|r_spec|r_diff) = .*\n", "", demo)
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml(re.sub(r"\[\[stations\]\]\n(?:.+\n)*", "", bare))
+    keys = [f"materials.{name}.{key}" for name in ("body", "panel") for key in ("n", "r_spec", "r_diff")]
+    assert str(caught.value).startswith("stations: no station")
+    assert f"Missing too: {', '.join(keys)}" in str(caught.value)
+    with pytest.raises(
+        InputError, match=r"attitude\.pole: missing.*attitude\.period, attitude\.phase, attitude\.epoch"
+    ):
+        Scene.from_toml(demo.replace('mode = "nadir"', 'mode = "spin-pole"'))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -40,6 +41,11 @@ def lines(room: str) -> int:
     return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files)
 
 
+def rounded(count: int) -> int:
+    """To two figures, which stay true for a while."""
+    return int(float(f"{count:.1e}"))
+
+
 def draw(path: Path) -> None:
     floors = rooms()
     figure, axes = plt.subplots(figsize=(7.5, 9.0), layout="constrained")
@@ -55,7 +61,9 @@ def draw(path: Path) -> None:
             axes.add_patch(box)
             middle[room] = (left + width / 2, level + 0.31)
             if len(floor) == 1:
-                said = f"{room}: {lines(room):,} lines" + (f"; {WAY[room]}" if room in WAY else "")
+                said = f"{room}: some {rounded(lines(room)):,} lines" + (
+                    f"; {WAY[room]}" if room in WAY else ""
+                )
                 axes.text(3.0, level + 0.31, said, va="center", fontsize=9)
             left += width + 0.1
         if len(floor) > 1:
@@ -64,7 +72,8 @@ def draw(path: Path) -> None:
     axes.plot(*zip(*way, strict=True), "o-", color="#b3541e", lw=2, ms=5, zorder=3)
     axes.set(xlim=(-2.9, 6.6), ylim=(-0.3, len(floors) + 0.2))
     axes.set_axis_off()
-    figure.savefig(path, dpi=110, facecolor="white")
+    drawn = {room: lines(room) for floor in floors for room in floor}
+    figure.savefig(path, dpi=110, facecolor="white", metadata={"Description": json.dumps(drawn)})
     plt.close(figure)
 
 

@@ -12,6 +12,7 @@ from torchlc.api.inputs import Progress, read_scene
 from torchlc.api.outputs import held, input_files, made_with
 from torchlc.files.reading import sha256_of
 from torchlc.results.fit_result import FitResult
+from torchlc.results.stored_fit import StoredFit
 from torchlc.scene import Scene, Station
 from torchlc.tensors.moving import on_cpu
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @on_cpu
 def predict(
-    scene: str | Path | Scene | FitResult,
+    scene: str | Path | Scene | FitResult | StoredFit,
     *,
     elements: str | Path | None = None,
     stations: Sequence[Station] | None = None,
@@ -43,7 +44,7 @@ def predict(
 ) -> Prediction:
     """How bright, and when: passes over stations in the dark, with magnitudes and their 68 and 95 % intervals.
 
-    ``scene`` is a scene, whose priors are drawn from, or a fit or its directory, whose posterior is. ``elements``, a file
+    ``scene`` is a scene, whose priors are drawn from, or a fit, as made, as stored or as its directory, whose posterior is. ``elements``, a file
     of two-line elements of any number of objects, takes the place of the scene's orbit: every object is taken for one of
     the scene's shape and materials. ``stations`` take the place of the scene's. ``date`` is a night by its evening's date;
     or ``hours`` from ``start`` (ISO UTC or JD). Passes are above ``elevation`` deg while the Sun is below ``sun``, deg, on a

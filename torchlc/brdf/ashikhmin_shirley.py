@@ -94,7 +94,8 @@ class AshikhminShirley(Brdf):
         cuts = [slice(start, start + COLUMNS_AT_ONCE) for start in columns]
         finer, smooth = _fine_steps(table)
         pieces = [
-            _condensed({name: one[..., cut] for name, one in table.items()}, finer, smooth) for cut in cuts
+            _condensed({name: tensor[..., cut] for name, tensor in table.items()}, finer, smooth)
+            for cut in cuts
         ]
         return {"diffuse": table["diffuse"], "lobes": torch.cat(pieces, -1).flatten(2).flatten(0, 1)}
 
@@ -213,7 +214,9 @@ def _between(values: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
     """Values and slopes per whole step (N, 2, T) also at FINER - 1 places after each node but the last, by cubics:
     ((N - 1) FINER, 2, T)."""
     t = (torch.arange(FINER, dtype=values.dtype, device=values.device) / FINER).reshape(-1, 1, 1)
-    low, high, first, last = (one[:, None] for one in (values[:-1], values[1:], slopes[:-1], slopes[1:]))
+    low, high, first, last = (
+        column[:, None] for column in (values[:-1], values[1:], slopes[:-1], slopes[1:])
+    )
     step = t * t * (3 - 2 * t)
     value = low + (high - low) * step + first * t * (1 - t) ** 2 + last * t * t * (t - 1)
     slope = 6 * t * (1 - t) * (high - low) + first * (1 - t) * (1 - 3 * t) + last * t * (3 * t - 2)

@@ -77,8 +77,8 @@ def check_manifest(path: Path) -> int:
     keys = np.fromiter((_key(job) for _, job in _rows(path)), dtype=np.uint64)
     if not len(keys):
         raise InputError(path, None, "no rows below the header", "at least one object")
-    found, counts = np.unique(keys, return_counts=True)
-    repeated = set(found[counts > 1].tolist())
+    unique, counts = np.unique(keys, return_counts=True)
+    repeated = set(unique[counts > 1].tolist())
     first: dict[str, int] = {}
     for line, job in _rows(path) if repeated else ():
         if _key(job) in repeated and first.setdefault(job.directory, line) != line:
@@ -162,19 +162,19 @@ def _default_name(row: Mapping[str, str]) -> str:
 def _options(path: Path, place: str, task: str, text: str) -> dict[str, Any]:
     """Keywords of the verb from options as they are typed after its command."""
     try:
-        found = vars(_parser(task).parse_args(shlex.split(text)))
+        options = vars(_parser(task).parse_args(shlex.split(text)))
     except ValueError as error:
         raise InputError(
             path, place, f"options {text[:120]!r}: {error}", f"options as torchlc {task} takes them"
         ) from None
-    if "effects" in found:
+    if "effects" in options:
         from torchlc.diagnosis.candidates import check_candidates
 
         try:
-            check_candidates(found["effects"])
+            check_candidates(options["effects"])
         except InputError as error:
             raise InputError(path, f"{place}: --effects", error.found, error.expected, error.hint) from None
-    return found
+    return options
 
 
 class _Parser(argparse.ArgumentParser):

@@ -73,28 +73,30 @@ def _match(path: Path, sets: Sequence[Elements], reading: Reading | None) -> Mat
         reason = "no number or name of an object" if not chosen else f"fits {_labels(sorted(chosen), sets)}"
         return Match(path, (), f"{reason} in its name or at its beginning")
     number = chosen.pop()
-    return Match(path, tuple(one for one in sets if one.lines[0][2:7] == number))
+    return Match(path, tuple(elements for elements in sets if elements.lines[0][2:7] == number))
 
 
 def _objects_in(text: str, sets: Sequence[Elements]) -> list[str]:
     """Catalogue numbers (as in the lines) of the objects that a text names: by number, else by the longest name."""
-    objects = {one.lines[0][2:7]: one for one in sets}
-    numbers = {found.lstrip("0") for found in AFTER_ITS_WORD.findall(text)}
+    objects = {elements.lines[0][2:7]: elements for elements in sets}
+    numbers = {number.lstrip("0") for number in AFTER_ITS_WORD.findall(text)}
     numbers |= {
-        found.lstrip("0")
-        for found in re.findall(r"(?<![\w.])\d+(?![\w.])", text.replace("_", " "))
-        if len(found) >= WHOLE_NUMBER
+        number.lstrip("0")
+        for number in re.findall(r"(?<![\w.])\d+(?![\w.])", text.replace("_", " "))
+        if len(number) >= WHOLE_NUMBER
     }
     if text.strip().isdigit():
         numbers.add(text.strip().lstrip("0"))
-    numbered = [key for key, one in objects.items() if {one.number, one.whole_number} & numbers]
+    numbered = [
+        key for key, elements in objects.items() if {elements.number, elements.whole_number} & numbers
+    ]
     if numbered:
         return numbered
     words = _words(text)
     lengths = {
         key: len(words_of_name)
-        for key, one in objects.items()
-        if (words_of_name := _words(one.name or "")) and _within(words_of_name, words)
+        for key, elements in objects.items()
+        if (words_of_name := _words(elements.name or "")) and _within(words_of_name, words)
     }
     longest = max(lengths.values(), default=0)
     return [key for key, length in lengths.items() if length == longest]
@@ -110,5 +112,5 @@ def _within(part: Sequence[str], whole: Sequence[str]) -> bool:
 
 
 def _labels(numbers: Sequence[str], sets: Sequence[Elements]) -> str:
-    objects = {one.lines[0][2:7]: one.label for one in sets}
+    objects = {elements.lines[0][2:7]: elements.label for elements in sets}
     return ", ".join(objects[number] for number in dict.fromkeys(numbers))

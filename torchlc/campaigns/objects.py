@@ -79,10 +79,10 @@ def record_failure(
 def read_record(folder: Path) -> dict[str, Any] | None:
     """``object.json``; None if there is none that can be read."""
     try:
-        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) and found.get("schema") == SCHEMA else None
+    return record if isinstance(record, dict) and record.get("schema") == SCHEMA else None
 
 
 def origin_of(job: Job) -> dict[str, Any]:
@@ -143,7 +143,7 @@ def _outcome(
         job.scene, job.recording, seed=job.seed, out=folder, command=job.command, progress=progress, **job.options
     )  # fmt: skip
     content = json.loads((folder / RESULTS[job.task]).read_text(encoding="utf-8"))
-    read = {one["sha256"] for one in content["provenance"]["inputs"].values()}
+    read = {read_file["sha256"] for read_file in content["provenance"]["inputs"].values()}
     if not read <= set(origin["inputs"].values()):
         raise changed(job.scene, "while it was worked on, or its recording or a file that it names")
     return _fitted(content) if job.task == "fit" else _diagnosed(content)

@@ -203,10 +203,10 @@ def _run_in(root: Path, campaign: str, job: Job, tell: Tell | None = None) -> st
 
 def _failures(directory: Path) -> tuple[tuple[str, str], ...]:
     """(id, reason) of the first that failed."""
-    found = []
+    failures = []
     for row in summary_rows(directory / PARQUET, ["id", "status", "reason"]):
         if row["status"] == "failed":
-            found.append((row["id"], row["reason"] or ""))
-        if len(found) == FAILURES_TOLD:
+            failures.append((row["id"], row["reason"] or ""))
+        if len(failures) == FAILURES_TOLD:
             break
-    return tuple(found)
+    return tuple(failures)

@@ -15,12 +15,14 @@ from pydantic import ValidationError
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
 from torchlc.files.decimals import decimal
+from torchlc.geometry.orbit.elements import FRESH_DAYS
 from torchlc.prediction.posterior import POSTERIOR_FILE, read_posterior
 from torchlc.scene import Scene, Station, load_scene
 from torchlc.scene.problems import of_validation
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, sets_of_object, sound_sets
 from torchlc.scene.writer import toml_value
+from torchlc.shapes import Shape
 from torchlc.suggest import did_you_mean
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -107,6 +109,17 @@ def to_the_minute(when: str | float) -> str:
     """ISO text of an instant (ISO UTC or JD), as --start takes it."""
     moment: Any = instant(when, "utc")
     return str(moment.isot)[:16]
+
+
+def old_elements(elements: Elements, wanted: str | float) -> list[str]:
+    """What to say where elements are of another time than the one that is ``wanted``."""
+    when: Any = instant(wanted, "utc")
+    days = abs(float(when.jd) - elements.epoch)
+    if days <= FRESH_DAYS:
+        return []
+    return [
+        f"the elements are {days:,.0f} days from --date: a position along the orbit drifts by kilometres a day; take elements of that time"
+    ]
 
 
 def nearest_set(sets: Sequence[Elements], date: str | float | None) -> Elements:
@@ -280,5 +293,8 @@ def _numbers(station: Station) -> tuple[str, float, float, float]:
 
 
 def check_scene(text: str, directory: Path, source: Path) -> Scene:
-    """Read what is about to be written, so that a bad element set or station is said before a file exists."""
-    return Scene.from_toml(text, directory, source, known_effects=effect_names())
+    """Read what is about to be written, so that a bad element set, station or mesh is said before a file exists."""
+    scene = Scene.from_toml(text, directory, source, known_effects=effect_names())
+    if scene.files():
+        Shape(scene, {})
+    return scene

@@ -34,7 +34,7 @@ def with_free_sizes(scene: Scene) -> Scene | None:
 
 def _freed(size: Any) -> Any:
     if isinstance(size, tuple):
-        return tuple(_freed(one) for one in size)
+        return tuple(_freed(part) for part in size)
     if isinstance(size, Free):
         return size
     return Free(value=size, low=0.5 * size, high=2.0 * size, sigma=SIGMA * size, prior="normal")
@@ -67,7 +67,11 @@ def _under(law: str, material: Material) -> Material:
         if own.quantity(name).role == REFLECTANCE
     }
     lobe = own.rivals.get(law)
-    if lobe is None or not kept or not any(isinstance(one, Free) for one in material.parameters.values()):
+    if (
+        lobe is None
+        or not kept
+        or not any(isinstance(number, Free) for number in material.parameters.values())
+    ):
         return material
     return Material.model_construct(model=law, preset=None, parameters={**_free(law, lobe), **kept})
 

@@ -18,13 +18,17 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 OVERSAMPLING = 4
+"""Periods for each cycle by which they differ over the recording: a wave between two of them loses 5 % of its power at most."""
 MOST_PERIODS = 20_000
+"""That are tried of a swing, which bounds the time it takes; recordings of more cycles have them farther apart."""
 AT_ONCE = 500
+"""Of these, so that the waves of all rows take some tens of megabytes."""
 STEP_DEG = 0.1
 """Turn, deg, by which the slopes are taken: a twentieth of the width of a lobe of exponent 1000."""
 SIGMA_DEG = 1.0
 """Amplitudes beyond which a least-squares solution is not believed."""
 SWEEPS = 10
+"""Solutions of the wave and of the axis in turn; what they leave is for the refit."""
 Axes = tuple[tuple[float, ...], ...]
 BODY_AXES: Axes = ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0))
 """Longitude and latitude of the body axes, deg."""
@@ -101,8 +105,8 @@ def _scanned(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """At each place (F,) of a scan, whose ``waves`` are (F, W, T): what the best turn takes off the sum of squares (F,),
     its axis times its amplitude in deg (F, A), and the share of each wave (F, W), of norm 1."""
-    found = [_best(target, slopes, waves(some)) for some in torch.split(places, AT_ONCE)]
-    gain, axis, wave = (torch.cat(column) for column in zip(*found, strict=True))
+    pieces = [_best(target, slopes, waves(some)) for some in torch.split(places, AT_ONCE)]
+    gain, axis, wave = (torch.cat(column) for column in zip(*pieces, strict=True))
     return gain, axis, wave
 
 

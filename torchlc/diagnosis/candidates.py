@@ -45,7 +45,9 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
                 expected = f"several {entry.per}s, of which the recording has {has}"
                 raise InputError(None, "--effects", shown(text), expected)
         if entry.target is not None and assembly is not None:
-            targets = [one for one in effect_class(entry.name).targets(assembly.context) if one is not None]
+            targets = [
+                target for target in effect_class(entry.name).targets(assembly.context) if target is not None
+            ]
             if entry.target not in targets:
                 raise InputError(
                     None,

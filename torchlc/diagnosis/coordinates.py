@@ -50,25 +50,25 @@ def coordinates(model: LightCurve, theta: Tensor) -> dict[str, Tensor]:
     middle = view.to_sun.shape[0] // 2
     to_sun = view.to_sun[middle]
     to_observer = view.to_observer.expand(view.to_sun.shape)[middle]
-    found = {
+    by_name = {
         TIME: context.seconds,
         "phase_angle_deg": torch.rad2deg(angle_between(to_sun, to_observer)),
         "flux": flux,
         "inverse_flux": 1 / torch.where(flux > 0, flux, flux.max().clamp(min=1e-300)),
     }
     for name, direction in (("sun", to_sun), ("obs", to_observer)):
-        found[f"{name}_lon_body"] = torch.rad2deg(torch.atan2(direction[:, 1], direction[:, 0]))
-        found[f"{name}_lat_body"] = torch.rad2deg(torch.asin(direction[:, 2].clamp(-1, 1)))
+        by_name[f"{name}_lon_body"] = torch.rad2deg(torch.atan2(direction[:, 1], direction[:, 0]))
+        by_name[f"{name}_lat_body"] = torch.rad2deg(torch.asin(direction[:, 2].clamp(-1, 1)))
     if context.airmass is not None:
-        found["airmass"] = context.airmass
+        by_name["airmass"] = context.airmass
     if context.track.supports("position"):
         shadow = shadow_coordinate(view, middle)
         if bool((shadow < 20).any()):
-            found["shadow_coordinate"] = shadow
+            by_name["shadow_coordinate"] = shadow
     phase = spin_phase(model, values)
     if phase is not None:
-        found["spin_phase"] = phase
-    return found | face_angles(model, view, middle)
+        by_name["spin_phase"] = phase
+    return by_name | face_angles(model, view, middle)
 
 
 def in_words(name: str, low: float | None = None, high: float | None = None) -> str:
@@ -84,7 +84,7 @@ def in_words(name: str, low: float | None = None, high: float | None = None) -> 
 def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]:
     """Angle between normal and bisector of Sun and observer, and of incidence, degrees, for each face of the
     plain components."""
-    found = {}
+    angles = {}
     for number, part in enumerate(model.assembly.shape.parts):
         if len(part.faces) > MOST_FACES:
             continue
@@ -100,11 +100,11 @@ def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]
             seen = (normal * to_observer).sum(-1) > 0
             if not bool((lit & seen).any()):
                 continue
-            found[f"glint_angle_deg[{part.name}/{face}]"] = torch.rad2deg(
+            angles[f"glint_angle_deg[{part.name}/{face}]"] = torch.rad2deg(
                 angle_between(normal, to_sun + to_observer)
             )
-            found[f"incidence_deg[{part.name}/{face}]"] = torch.rad2deg(angle_between(normal, to_sun))
-    return found
+            angles[f"incidence_deg[{part.name}/{face}]"] = torch.rad2deg(angle_between(normal, to_sun))
+    return angles
 
 
 def shadow_coordinate(view: View, middle: int) -> Tensor:

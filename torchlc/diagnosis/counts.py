@@ -66,7 +66,7 @@ class Counted:
 def phase_entry(bench: Workbench) -> str | None:
     """The effect that gives each night, or where these are not told from curves each curve, a phase of its own; None where none
     can, or where there are too many."""
-    divisions = [one for one in ("night", "curve") if one in bench.divisions()]
+    divisions = [division for division in ("night", "curve") if division in bench.divisions()]
     if not divisions or len(bench.base.row_index[divisions[0]][1]) > MOST_OBJECTS:
         return None
     present = {effect.name for effect in bench.base.effects}
@@ -82,8 +82,12 @@ def counted(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, p
     parameters = loose.model.parameter_set
     theta = carried(parameters, at.theta[None], at.names)
     columns = effect_columns(parameters, phase)
-    kinds = [one.origin.role for one in parameters.free]
-    turning = [one for one in loose.physical if one not in columns and kinds[one] in ("attitude", "effects")]
+    kinds = [parameter.origin.role for parameter in parameters.free]
+    turning = [
+        column
+        for column in loose.physical
+        if column not in columns and kinds[column] in ("attitude", "effects")
+    ]
     begin = each_best(bench, at, loose, phase, theta)[0]
     none = Counted(at.theta.new_zeros(0, len(target.model.names)))
     if not turning or begin is None:
@@ -100,19 +104,19 @@ def counted(bench: Workbench, at: Fitted, target: Posterior, loose: Posterior, p
         if stepped is None or lattice.told(stepped) < lattice.told(free) + 1.0:
             break
         free = stepped
-    points = [found for one in (free, first) if (found := lattice.points(one)) is not None]
+    points = [pair for fitted in (free, first) if (pair := lattice.points(fitted)) is not None]
     if not points:
         return none
     # a model that cannot have the phases of its parts may do better among the counts of where it was
     starts = [
-        _leading(target, carried(target.model.parameter_set, one, loose.model.names))
-        for one, _ in points[: 1 if free is first else 2]
+        _leading(target, carried(target.model.parameter_set, thetas, loose.model.names))
+        for thetas, _ in points[: 1 if free is first else 2]
     ]
     begun = (
         torch.cat(starts) if len(starts) == 1 else target.theta(likeliest(target, torch.cat(starts), LEADING))
     )
     theta, p = points[0]
-    values = {parameters.free[one].name: theta[:, one] for one in turning}
+    values = {parameters.free[column].name: theta[:, column] for column in turning}
     return Counted(begun, int((p > AS_LIKELY * p.max()).sum()), values, p)
 
 
@@ -130,8 +134,8 @@ class _Lattice:
     def shared(self, spread: Tensor) -> tuple[Tensor, Tensor, int, bool]:
         """How much of each number a part's phase takes with it (N, K), by a covariance (N + K, N + K); how the numbers change with a whole turn of all parts
         (K,); which of them changes most; and whether that is a phase of all parts in common."""
-        own = spread[: len(self.phases), : len(self.phases)]
-        pull = torch.linalg.solve(own, spread[: len(self.phases), len(self.phases) :])
+        among = spread[: len(self.phases), : len(self.phases)]
+        pull = torch.linalg.solve(among, spread[: len(self.phases), len(self.phases) :])
         shift = self.whole * pull.sum(0)
         most = int((shift.abs() / (self.bounds[:, 1] - self.bounds[:, 0])).argmax())
         return pull, shift, most, bool((shift[most].abs() / self.whole - 1).abs() < COMMON)
@@ -143,17 +147,17 @@ class _Lattice:
         if not bool(torch.isfinite(spread).all()):
             return None
         pull, shift, most, common = self.shared(spread)
-        deg, own = free.theta[self.phases], spread[: len(self.phases), : len(self.phases)]
-        counts, distance = _counts(deg / self.whole, own / self.whole**2, self.order, common)
-        found = free.theta[self.turning] + (self.whole * counts - deg) @ pull
+        deg, among = free.theta[self.phases], spread[: len(self.phases), : len(self.phases)]
+        counts, distance = _counts(deg / self.whole, among / self.whole**2, self.order, common)
+        numbers = free.theta[self.turning] + (self.whole * counts - deg) @ pull
         low, high = self.bounds.unbind(1)
         if common:
-            found = found + shift * ((0.5 * (low + high) - found)[:, [most]] / shift[most]).round()
-        inside = ((found >= low) & (found <= high)).all(1)
+            numbers = numbers + shift * ((0.5 * (low + high) - numbers)[:, [most]] / shift[most]).round()
+        inside = ((numbers >= low) & (numbers <= high)).all(1)
         if not bool(inside.any()):
             return None
         theta = free.theta.repeat(int(inside.sum()), 1)
-        theta[:, self.turning] = found[inside]
+        theta[:, self.turning] = numbers[inside]
         return theta, torch.softmax(-0.5 * distance[inside], 0)
 
     def stepped(self, free: Fitted) -> Fitted | None:
@@ -191,7 +195,7 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
     """What the rows, and all priors but those of the ``phases``, say of these and of the numbers ``turning``: natural values (N + K,) at the
     minimum and their covariance. In natural values the light is linear over as many turns as there may be."""
     columns = [*phases, *turning]
-    rest = [one for one in free.posterior.physical if one not in columns]
+    rest = [column for column in free.posterior.physical if column not in columns]
     step = torch.zeros_like(free.g)
     step[columns] = STEP
     apart = free.posterior.theta(free.g + step) - free.posterior.theta(free.g - step)
@@ -199,19 +203,19 @@ def _by_the_rows(free: Fitted, phases: list[int], turning: list[int]) -> tuple[T
     slopes = free.whitened(free.slopes[:, [*columns, *rest]]) / slope
     believed, pulled = 1 / slope**2, free.g[[*columns, *rest]] / slope
     believed[: len(phases)], pulled[: len(phases)] = LEAST_PRECISION, 0.0
-    for place, one in enumerate(turning, len(phases)):
-        prior = free.model.parameter_set.free[one].prior
+    for index, column in enumerate(turning, len(phases)):
+        prior = free.model.parameter_set.free[column].prior
         if not prior.peaked:
-            believed[place], pulled[place] = 1 / (FLAT * (prior.high - prior.low)) ** 2, 0.0
+            believed[index], pulled[index] = 1 / (FLAT * (prior.high - prior.low)) ** 2, 0.0
     left = slopes.T @ free.whitened(free.delta[:, None])[:, 0] + pulled
     precision = slopes.T @ slopes + torch.diag(believed)
     scale = torch.diagonal(precision).sqrt()  # hours and degrees: unscaled, digits are lost
     covariance = torch.linalg.inv_ex(precision / scale[:, None] / scale).inverse / scale[:, None] / scale
-    found = free.theta[columns] - (covariance @ left)[: len(columns)]
+    values = free.theta[columns] - (covariance @ left)[: len(columns)]
     covariance = covariance[: len(columns), : len(columns)]
-    own = torch.arange(len(phases))
-    covariance[own, own] += OWN_DEG**2
-    return found, covariance
+    diagonal = torch.arange(len(phases))
+    covariance[diagonal, diagonal] += OWN_DEG**2
+    return values, covariance
 
 
 def _alike(bench: Workbench) -> int:
@@ -223,9 +227,9 @@ def _from_longest(bench: Workbench, phase: str) -> list[int]:
     """The parts, the one of most time first, others as they are farther from it."""
     part, names = bench.base.row_index[str(Entry.parse(phase).per)]
     seconds = bench.base.context.seconds
-    each = [seconds[part == one] for one in range(len(names))]
-    middle = torch.stack([0.5 * (one.max() + one.min()) for one in each])
-    longest = int(torch.stack([one.max() - one.min() for one in each]).argmax())
+    each = [seconds[part == number] for number in range(len(names))]
+    middle = torch.stack([0.5 * (times.max() + times.min()) for times in each])
+    longest = int(torch.stack([times.max() - times.min() for times in each]).argmax())
     return torch.argsort((middle - middle[longest]).abs(), stable=True).tolist()
 
 
@@ -233,21 +237,21 @@ def _counts(off: Tensor, spread: Tensor, order: list[int], common: bool) -> tupl
     """Whole numbers (C, N) near ``off`` (N,) by its covariance, nearest first, part by part in ``order``, and the squares (C,) of how far
     they are in standard deviations. ``common``: those that differ by the same in all parts are one."""
     # from a number far from its own the others would be sought along what the rows hardly tell
-    found, distance = off[order[: int(common)]].round()[None], off.new_zeros(1)
-    for k, one in list(enumerate(order))[int(common) :]:
+    counts, distance = off[order[: int(common)]].round()[None], off.new_zeros(1)
+    for k, part in list(enumerate(order))[int(common) :]:
         known = order[:k]
-        pull = torch.linalg.solve(spread[known][:, known], spread[known, one])
-        sd = float((spread[one, one] - pull @ spread[known, one]).clamp(min=0).sqrt())
-        expected = off[one] + (found - off[known]) @ pull
+        pull = torch.linalg.solve(spread[known][:, known], spread[known, part])
+        sd = float((spread[part, part] - pull @ spread[known, part]).clamp(min=0).sqrt())
+        expected = off[part] + (counts - off[known]) @ pull
         reach = min(math.ceil(WIDTH * sd), MOST // 2)
         steps = torch.arange(-reach, reach + 1, dtype=off.dtype)
         tried = expected.round()[:, None] + steps
         total = distance[:, None] + ((tried - expected[:, None]) / max(sd, 1e-9)).square()
         nearest = torch.argsort(total.flatten())[:MOST]
         of = nearest // len(steps)
-        found = torch.cat([found[of], tried.flatten()[nearest, None]], 1)
+        counts = torch.cat([counts[of], tried.flatten()[nearest, None]], 1)
         distance = total.flatten()[nearest]
-    return found[:, torch.argsort(torch.tensor(order))], distance
+    return counts[:, torch.argsort(torch.tensor(order))], distance
 
 
 def _leading(target: Posterior, theta: Tensor) -> Tensor:

@@ -79,13 +79,15 @@ class Discrepancy:
             return self.words
         if self.coordinate == REPEATING:
             return f"comes again every {self.period / 60:.3g} min"
-        first, last = (float(one) / 3600 for one in (seconds[self.rows].min(), seconds[self.rows].max()))
+        first, last = (
+            float(instant) / 3600 for instant in (seconds[self.rows].min(), seconds[self.rows].max())
+        )
         if self.coordinate == EVENT:
             return f"is there from {first:.2f} to {last:.2f} h after the first row"
-        told = f"changes with {in_words(self.coordinate)}"
+        text = f"changes with {in_words(self.coordinate)}"
         if bool(self.rows.all()):
-            return told
-        return f"{told}, {f'from {first:.2f} h' if first > 0 else f'until {last:.2f} h'} after the first row"
+            return text
+        return f"{text}, {f'from {first:.2f} h' if first > 0 else f'until {last:.2f} h'} after the first row"
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,11 @@ class Shapes:
     columns: Tensor
     periods: Tensor | None = None
 
-    def inside(self, one: int, rows: int) -> tuple[Tensor, Tensor]:
+    def inside(self, shape: int, rows: int) -> tuple[Tensor, Tensor]:
         """Columns (T, m) of one shape, and where it is (T,)."""
         empty = self.columns.new_zeros(rows, self.columns.shape[-1])
-        where = torch.zeros(rows, dtype=torch.bool).index_fill(0, self.index[one], True)
-        return empty.index_copy(0, self.index[one], self.columns[one]), where
+        where = torch.zeros(rows, dtype=torch.bool).index_fill(0, self.index[shape], True)
+        return empty.index_copy(0, self.index[shape], self.columns[shape]), where
 
 
 @dataclass(frozen=True)
@@ -134,14 +136,14 @@ def discrepancies(at: Fitted, coordinates: Mapping[str, Tensor], bench: Workbenc
     with torch.no_grad():
         plain = fit(at.hypothesis, Linear(at), at.g[None]).laplace
         scan = Scan(at)
-        found = [(name, scan.best([along(value)])) for name, value in chosen.items()]
-        found += [(name, scan.best(one_side(value, seconds))) for name, value in chosen.items()]
-        found += [(REPEATING, scan.repeating(seconds)), (EVENT, scan.best(windows(seconds)))]
-        kinds = [(name, best) for name, best in found if best is not None]
+        scanned = [(name, scan.best([along(value)])) for name, value in chosen.items()]
+        scanned += [(name, scan.best(one_side(value, seconds))) for name, value in chosen.items()]
+        scanned += [(REPEATING, scan.repeating(seconds)), (EVENT, scan.best(windows(seconds)))]
+        kinds = [(name, best) for name, best in scanned if best is not None]
         if not kinds:  # all rows are of one moment
             return []
         log_odds = math.log(ODDS / len(kinds))
-        kinds.sort(key=lambda one: -one[1].gain)
+        kinds.sort(key=lambda kind: -kind[1].gain)
         return [_refitted(at, scan.sigma, name, best, plain, log_odds) for name, best in kinds[:REFITTED]]
 
 
@@ -167,10 +169,10 @@ def along(value: Tensor) -> Shapes:
 def one_side(value: Tensor, seconds: Tensor) -> Iterator[Shapes]:
     """Along a coordinate (T,), before or after an instant."""
     columns = torch.stack([process(value, length) for length in LENGTHS])
-    place = torch.argsort(torch.argsort(seconds))
+    rank = torch.argsort(torch.argsort(seconds))
     edges = torch.linspace(0, len(seconds), INSTANTS + 1)[1:-1].round().long()
     for edge in torch.unique(edges[(edges > 0) & (edges < len(seconds))]):
-        for side in (place < edge, place >= edge):
+        for side in (rank < edge, rank >= edge):
             index = torch.nonzero(side)[:, 0]
             yield Shapes(index.expand(len(LENGTHS), -1), columns[:, index])
 
@@ -265,16 +267,16 @@ class Scan:
                     white = shapes.columns[some] * (unit / self.sigma)[index][..., None]
                     gain = self.projection.gains(white, self.amplitudes, index)
                     every.append(gain.flatten())
-                    size, place = divmod(int(gain.argmax()), gain.shape[1])
-                    if top is None or float(gain[size, place]) > top[0]:
+                    size, shape = divmod(int(gain.argmax()), gain.shape[1])
+                    if top is None or float(gain[size, shape]) > top[0]:
                         basis = unit * self.amplitudes[size]
-                        top = (float(gain[size, place]), shapes, first + place, basis)
+                        top = (float(gain[size, shape]), shapes, first + shape, basis)
         if top is None:
             return None
-        alone, shapes, place, unit = top
+        alone, shapes, shape, unit = top
         gain = torch.cat(every)
-        columns, rows = shapes.inside(place, len(unit))
-        period = 0.0 if shapes.periods is None else float(shapes.periods[place])
+        columns, rows = shapes.inside(shape, len(unit))
+        period = 0.0 if shapes.periods is None else float(shapes.periods[shape])
         mean = float(torch.logsumexp(gain, 0)) - math.log(len(gain))
         return Found(mean, alone, columns * unit[:, None], rows, period)
 
@@ -285,13 +287,13 @@ class Scan:
         if most <= FEWEST_CYCLES or span <= 0:
             return None
         count = torch.arange(FEWEST_CYCLES, most, CYCLE_STEP, dtype=seconds.dtype)
-        found = self.best(cycles(seconds, some) for some in count.split(64))
-        assert found is not None  # there is a period at least
-        near = span / found.period + CYCLE_STEP * torch.linspace(-1, 1, 17, dtype=seconds.dtype)
+        coarse = self.best(cycles(seconds, some) for some in count.split(64))
+        assert coarse is not None  # there is a period at least
+        near = span / coarse.period + CYCLE_STEP * torch.linspace(-1, 1, 17, dtype=seconds.dtype)
         finer = self.best([cycles(seconds, near)])
         assert finer is not None
         # the places between are as many more
-        return replace(finer, gain=max(found.gain, finer.alone + found.gain - found.alone))
+        return replace(finer, gain=max(coarse.gain, finer.alone + coarse.gain - coarse.alone))
 
 
 def _refitted(
@@ -307,14 +309,18 @@ def _refitted(
     step = torch.linalg.solve(system, tangent.T @ (at.delta / bounded) + start)
     other = start - step
     other[at.posterior.noise_columns] = start[at.posterior.noise_columns]
-    found = max(
-        (fit(at.hypothesis, posterior, one[None]) for one in (start, other)), key=lambda one: one.laplace
+    fitted = max(
+        (fit(at.hypothesis, posterior, begin[None]) for begin in (start, other)),
+        key=lambda candidate: candidate.laplace,
     )
-    own = slice(posterior.first, posterior.size)
+    amplitudes = slice(posterior.first, posterior.size)
     unit = at.scale
-    curve = basis @ found.g[own] / unit
+    curve = basis @ fitted.g[amplitudes] / unit
     band = (
-        torch.sqrt(torch.einsum("tm,mn,tn->t", basis, found.covariance[own, own], basis).clamp(min=0)) / unit
+        torch.sqrt(
+            torch.einsum("tm,mn,tn->t", basis, fitted.covariance[amplitudes, amplitudes], basis).clamp(min=0)
+        )
+        / unit
     )
-    gain = found.laplace - plain + best.gain - best.alone
+    gain = fitted.laplace - plain + best.gain - best.alone
     return Discrepancy(at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period)

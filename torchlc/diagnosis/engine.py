@@ -34,7 +34,9 @@ FOLLOWED = 12
 BETTER = 0.5
 """Log evidence by which a minimum has to be better that what was asked beside the one before is asked anew."""
 MOST_LOOKED = 6
+"""Sets of effects that are told under every noise, the best first: some ten fits each."""
 DRAWS = 500
+"""For the evidence of the leader: its error is then some 0.05 where weights are even, a tenth of what tells two answers apart."""
 RIVALS_SHARE = 2
 """What the draws of a rival's evidence are divided by: those of the leader are the table of the materials as well."""
 
@@ -64,16 +66,16 @@ class Search(Growth):
         for number, entry in enumerate(order):
             if not self.clock.left(0.6):
                 break
-            one = self.probes[entry]
-            if not one.visible:
+            probe = self.probes[entry]
+            if not probe.visible:
                 self.invisible.add(entry)
                 continue
             if self.foremost not in clean:
                 clean[self.foremost] = self.clean(left)
             # as long as structure is left the light is not near what probes were made beside, and their promise is no bound
-            asked = entry in first or not clean[self.foremost] or self.within_reach(entry, at, one)
-            if asked and self.affordable(entry, at, one):
-                self.extend(at, entry, one)
+            asked = entry in first or not clean[self.foremost] or self.within_reach(entry, at, probe)
+            if asked and self.affordable(entry, at, probe):
+                self.extend(at, entry, probe)
             self.clock.tell(self.state(), 0.1 + 0.4 * number / max(len(order), 1))
         self.shared_materials()
 
@@ -84,10 +86,10 @@ class Search(Growth):
         most = self.numbers(self.foremost) if clean and self.as_quoted else math.inf
         at = self.visited[Hypothesis().under(*self.robust)]
         quick = {
-            entry: one
-            for entry, one in self.probes.items()
-            if one.visible
-            and len(one.scores)
+            entry: probe
+            for entry, probe in self.probes.items()
+            if probe.visible
+            and len(probe.scores)
             and not (clean and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
@@ -105,7 +107,7 @@ class Search(Growth):
 
         for size in (2, FEW_EFFECTS):
             # threes with one that has no number are grown to: begun together they led, and left a fourth unseen
-            among = {entry: one for entry, one in quick.items() if size == 2 or one.psi.shape[-1]}
+            among = {entry: probe for entry, probe in quick.items() if size == 2 or probe.psi.shape[-1]}
             for chosen in joint_sets(among, at, size, log_odds, JOINT):
                 if not self.clock.left(0.7) or self.exactly(*chosen):
                     continue
@@ -120,7 +122,7 @@ class Search(Growth):
 
     def tell_unexamined(self) -> None:
         """Candidates that were not refitted, nor judged by their linear form, nor without a trace here."""
-        judged = {one.plain for one in (*self.visited, *self.linear)}
+        judged = {hypothesis.plain for hypothesis in (*self.visited, *self.linear)}
         for entry in self.bench.entries:
             if (entry,) not in judged and entry not in self.invisible:
                 self.unexamined.setdefault(entry, "there was no time")
@@ -129,11 +131,13 @@ class Search(Growth):
         """The best hypotheses of the first round, and the scene's own model, from the materials of the leaders: what an effect
         is blamed for may sit in the materials."""
         first = [
-            one for one in self.ranked() if len(one.added) <= 1 and one.noise == self.robust and not one.law
+            hypothesis
+            for hypothesis in self.ranked()
+            if len(hypothesis.added) <= 1 and hypothesis.noise == self.robust and not hypothesis.law
         ]
-        leaders = [self.visited[one] for one in first[:2]]
-        for one in dict.fromkeys((*first[:GROWN], Hypothesis().under(*self.robust))):
-            at = self.visited[one]
+        leaders = [self.visited[hypothesis] for hypothesis in first[:2]]
+        for hypothesis in dict.fromkeys((*first[:GROWN], Hypothesis().under(*self.robust))):
+            at = self.visited[hypothesis]
             if not self.clock.left(0.7) or at.posterior.dear or not at.posterior.physical:
                 continue
             parameters = at.model.parameter_set
@@ -142,60 +146,64 @@ class Search(Growth):
             starts = []
             for leader in leaders:
                 theta = carried(parameters, leader.theta[None], leader.names)
-                columns = [c for entry in one.added for c in effect_columns(parameters, entry)]
+                columns = [c for entry in hypothesis.added for c in effect_columns(parameters, entry)]
                 theta[:, columns] = at.theta[columns]
                 g = at.posterior.coordinates(theta)[0, materials]
                 if materials and all(float((g - other).abs().max()) > UNLIKE for other in known):
                     known.append(g)
                     starts.append(theta)
             if starts:
-                self.refit(one, torch.cat(starts), at, turns=1, most=1)
+                self.refit(hypothesis, torch.cat(starts), at, turns=1, most=1)
 
     def afresh(self) -> None:
         """The leading sets of effects once more from materials drawn from their priors: where the scene's own model came to a
         wrong minimum of the materials, for want of the effect, all that grew from it may stand there."""
-        ranked = [one for one in self.ranked() if one.added and one.noise == self.robust]
+        ranked = [
+            hypothesis for hypothesis in self.ranked() if hypothesis.added and hypothesis.noise == self.robust
+        ]
         # what holds a better set gained nothing from the effects that it has more
         best = [
-            one
-            for place, one in enumerate(ranked)
-            if not any(set(other.added) < set(one.added) for other in ranked[:place])
+            hypothesis
+            for rank, hypothesis in enumerate(ranked)
+            if not any(set(other.added) < set(hypothesis.added) for other in ranked[:rank])
         ]
-        for one in best[:2]:
-            at = self.visited[one]
-            if one in self.begun_afresh or at.posterior.dear or not self.clock.left(0.8):
+        for hypothesis in best[:2]:
+            at = self.visited[hypothesis]
+            if hypothesis in self.begun_afresh or at.posterior.dear or not self.clock.left(0.8):
                 continue
-            self.begun_afresh.add(one)
-            generator = torch.Generator().manual_seed(one.seed + self.seed)
+            self.begun_afresh.add(hypothesis)
+            generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
             starts = material_starts(at.posterior, at.theta, STARTS, generator)
             # each point that is followed further takes geometries of its own
             most = MOST_MINIMA // 2 if at.posterior.slow else MOST_MINIMA
-            self.refit(one, torch.cat([at.theta[None], starts]), at, most=most)
+            self.refit(hypothesis, torch.cat([at.theta[None], starts]), at, most=most)
 
     def noise_of_leaders(self) -> None:
         """What is within reach under every way to err, then its evidence. That rows err together takes the most time, and is asked
         of the leader and of the leading effects; and sets whose geometry is slow are only asked where they are near."""
         top = self.log_odds(self.leader)
         near = [
-            one
-            for one in self.ranked()
-            if self.log_odds(one) > top - (NEAR if self.visited[one].posterior.slow else REACH)
+            hypothesis
+            for hypothesis in self.ranked()
+            if self.log_odds(hypothesis) > top - (NEAR if self.visited[hypothesis].posterior.slow else REACH)
         ]
         # red noise far ahead may stand in for effects: how far these are behind is only told with it beside them
         near.append(self.foremost)
-        sets = list(dict.fromkeys(replace(one, noise=self.robust) for one in near))[:MOST_LOOKED]
+        sets = list(dict.fromkeys(replace(hypothesis, noise=self.robust) for hypothesis in near))[
+            :MOST_LOOKED
+        ]
         null = Hypothesis(law=self.leader.law).under(*self.robust)
-        together = {*sets[:1], *[one for one in sets if one.added][:1]}
+        together = {*sets[:1], *[hypothesis for hypothesis in sets if hypothesis.added][:1]}
         noises = self.noises()
-        for number, one in enumerate(dict.fromkeys((*sets, null))):
-            if one not in self.visited:
+        for number, hypothesis in enumerate(dict.fromkeys((*sets, null))):
+            if hypothesis not in self.visited:
                 continue
             for noise in noises:
-                asked = one in together or not self.correlated(one.under(*noise))
-                if asked and one.under(*noise) not in self.visited and self.clock.left(0.9):
-                    self.renoise(self.visited[one], noise)
+                asked = hypothesis in together or not self.correlated(hypothesis.under(*noise))
+                if asked and hypothesis.under(*noise) not in self.visited and self.clock.left(0.9):
+                    self.renoise(self.visited[hypothesis], noise)
             if number == 0:
-                noises = self.useful(one, noises)
+                noises = self.useful(hypothesis, noises)
         self.pruned()
         self.integrate()
 
@@ -213,16 +221,16 @@ class Search(Growth):
             if self.leader == best:
                 break
 
-    def useful(self, one: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    def useful(self, hypothesis: Hypothesis, noises: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
         """Ways to err that a set of effects has a use for, those of rows that err together told apart from the others: they may stand in
         for what an effect does, and say nothing then of how its rows err."""
-        visited = [one.under(*noise) for noise in noises if one.under(*noise) in self.visited]
-        found = []
+        visited = [hypothesis.under(*noise) for noise in noises if hypothesis.under(*noise) in self.visited]
+        useful = []
         for joint in (False, True):
             alike = [other for other in visited if self.correlated(other) == joint]
             best = max(map(self.log_odds, alike), default=-math.inf)
-            found += [other.noise for other in alike if self.log_odds(other) > best - NEAR]
-        return found
+            useful += [other.noise for other in alike if self.log_odds(other) > best - NEAR]
+        return useful
 
     def integrate(self) -> None:
         """Evidence by importance sampling of what is near the leader, until the order of the leaders stands; of all linear forms where the
@@ -230,21 +238,31 @@ class Search(Growth):
         by as much as they are apart, and alike for all."""
         for _ in range(2):
             top = self.log_odds(self.leader)
-            near = [one for one in self.ranked()[: 2 * MOST_LOOKED] if self.log_odds(one) >= top - NEAR]
-            linear = any(self.visited[one].posterior.slow for one in near)
-            made = {one: self.visited[one] for one in near if self.visited[one].evidence is not None}
+            near = [
+                hypothesis
+                for hypothesis in self.ranked()[: 2 * MOST_LOOKED]
+                if self.log_odds(hypothesis) >= top - NEAR
+            ]
+            linear = any(self.visited[hypothesis].posterior.slow for hypothesis in near)
+            made = {
+                hypothesis: self.visited[hypothesis]
+                for hypothesis in near
+                if self.visited[hypothesis].evidence is not None
+            }
             # those whose rows err together last: their draws are few, and others may stand in for them
-            for one in sorted(near, key=self.correlated):
+            for hypothesis in sorted(near, key=self.correlated):
                 if not self.clock.left(0.95):
                     return
-                at = self.visited[one]
-                if one not in made and not at.missed:
-                    same = (two for other, two in made.items() if other.under(*one.noise) == one)
+                at = self.visited[hypothesis]
+                if hypothesis not in made and not at.missed:
+                    same = (
+                        two for other, two in made.items() if other.under(*hypothesis.noise) == hypothesis
+                    )
                     beside = next((two for two in same if two.evidence is not None), None)
-                    draws = DRAWS if one == self.leader else DRAWS // RIVALS_SHARE
+                    draws = DRAWS if hypothesis == self.leader else DRAWS // RIVALS_SHARE
                     # how the rows err where nothing is missing is an answer itself, and cheap
-                    moving = beside is None or not one.added
-                    made[one] = self.weighed(at, draws, linear, beside, moving)
+                    moving = beside is None or not hypothesis.added
+                    made[hypothesis] = self.weighed(at, draws, linear, beside, moving)
             self.visited.update(made)
 
     def nominal_sizes(self) -> None:
@@ -260,13 +278,20 @@ class Search(Growth):
         self.alternatives(self.bench.laws, [()])
         null = Hypothesis().under(*self.robust)
         others = [replace(null, law=law) for law in self.bench.laws]
-        better = [one.law for one in self.ranked(one for one in others if self.ahead(one, null))]
+        better = [
+            hypothesis.law
+            for hypothesis in self.ranked(hypothesis for hypothesis in others if self.ahead(hypothesis, null))
+        ]
         if not better:
             return
         if self.posterior(replace(null, law=better[0])).slow:
             better = better[:LAWS_IF_SLOW]
         if not clean:
-            leaders = [one.added for one in self.ranked() if one.noise == self.robust and one.added]
+            leaders = [
+                hypothesis.added
+                for hypothesis in self.ranked()
+                if hypothesis.noise == self.robust and hypothesis.added
+            ]
             self.alternatives(better, list(dict.fromkeys(leaders))[:2])
         # a clean leader beside the wrong law may have bent to it: near is what FEW_EFFECTS would bring as far
         best = replace(null, law=better[0])
@@ -302,7 +327,11 @@ class Search(Growth):
         self.odd = [odd for odd in self.odd if self.visited[odd.beside].log_z < odd.log_z + BETTER]
         known = {odd.beside for odd in self.odd}
         for added in dict.fromkeys([(), self.leader.added]):
-            alike = [one for one in self.visited if one.added == added and not self.correlated(one)]
+            alike = [
+                hypothesis
+                for hypothesis in self.visited
+                if hypothesis.added == added and not self.correlated(hypothesis)
+            ]
             best = self.ranked(alike)[0] if alike else None
             if best is not None and best not in known:
                 self.odd += discrepancies(self.visited[best], coordinates, self.bench)

@@ -93,7 +93,7 @@ class Fits:
     @property
     def foremost(self) -> Hypothesis:
         """The leader under the robust noise."""
-        return self.ranked(one for one in self.visited if one.noise == self.robust)[0]
+        return self.ranked(hypothesis for hypothesis in self.visited if hypothesis.noise == self.robust)[0]
 
     @property
     def mark(self) -> float:
@@ -106,18 +106,20 @@ class Fits:
 
     def exactly(self, *added: str) -> list[Hypothesis]:
         """What was visited with exactly these effects, best first."""
-        return self.ranked(one for one in self.visited if set(one.plain) == set(added))
+        return self.ranked(hypothesis for hypothesis in self.visited if set(hypothesis.plain) == set(added))
 
     def likely(self, odds: Sequence[tuple[tuple[str, ...], float]]) -> list[tuple[Fitted, float]]:
         """The best fit of each of some sets of effects with its probability; without those that were judged by their linear form alone."""
-        return [(self.visited[found[0]], p) for entries, p in odds if (found := self.exactly(*entries))]
+        return [
+            (self.visited[hypotheses[0]], p) for entries, p in odds if (hypotheses := self.exactly(*entries))
+        ]
 
     def counterpart(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The hypothesis as it was visited, whatever the order of its effects, or else under the robust noise."""
-        for one in (hypothesis, hypothesis.under(*self.robust)):
-            found = sorted_as(self.visited, one)
-            if found in self.visited:
-                return found
+        for wanted in (hypothesis, hypothesis.under(*self.robust)):
+            ordered = sorted_as(self.visited, wanted)
+            if ordered in self.visited:
+                return ordered
         return None
 
     @property
@@ -137,14 +139,18 @@ class Fits:
         """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
         between rows."""
         kinds = self.bench.kinds()
-        found: list[tuple[str, ...]] = [(), *((name,) for name in kinds)]
+        noises: list[tuple[str, ...]] = [(), *((name,) for name in kinds)]
         if self.bench.base.context.errors:
-            found += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
-        return found
+            noises += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]
+        return noises
 
     def of_size(self, size: int) -> list[Hypothesis]:
         """Sets of ``size`` effects under the robust noise, best first."""
-        return [one for one in self.ranked() if len(one.added) == size and one.noise == self.robust]
+        return [
+            hypothesis
+            for hypothesis in self.ranked()
+            if len(hypothesis.added) == size and hypothesis.noise == self.robust
+        ]
 
     def last_gain(self, size: int) -> float:
         """What the best set of ``size`` effects adds to the log odds of the best with one fewer, each under the robust noise."""
@@ -153,9 +159,9 @@ class Fits:
             return 0.0
         return max(self.log_odds(sized[0]) - self.log_odds(fewer[0]), 0.0)
 
-    def ahead(self, one: Hypothesis, other: Hypothesis) -> bool:
+    def ahead(self, hypothesis: Hypothesis, other: Hypothesis) -> bool:
         """Whether a hypothesis was visited and is better than another."""
-        return one in self.visited and self.log_odds(one) > self.log_odds(other)
+        return hypothesis in self.visited and self.log_odds(hypothesis) > self.log_odds(other)
 
     def posterior(self, hypothesis: Hypothesis) -> Posterior:
         if hypothesis not in self._posteriors:
@@ -198,12 +204,12 @@ class Fits:
 
         def minima() -> list[Minimum]:
             made.append(fit(hypothesis, posterior, g, floor=floor, nominal=nominal, slopes=slopes, **options))
-            return [Minimum(one.g) for one in made[0].minima]
+            return [Minimum(minimum.g) for minimum in made[0].minima]
 
         name = f"{hypothesis} from {hashlib.sha256(g.numpy().tobytes()).hexdigest()} {options}"
-        found = self.steps.of(name, Minimum, minima)
+        points = self.steps.of(name, Minimum, minima)
         kept = self.keep(
-            made[0] if made else merged([fitted_at(hypothesis, posterior, one.g) for one in found])
+            made[0] if made else merged([fitted_at(hypothesis, posterior, minimum.g) for minimum in points])
         )
         posterior.model.forget()  # tables of a rocket body take hundreds of MB, and there are some fifty models
         return kept
@@ -218,10 +224,12 @@ class Fits:
 
     def nominal_columns(self, posterior: Posterior) -> list[int]:
         """Columns of the scene's own geometry, where there are others that leave that as it is."""
-        own = set(self.bench.likelihood(Hypothesis()).model.names)
+        own_names = set(self.bench.likelihood(Hypothesis()).model.names)
         names = posterior.model.names
-        found = [column for column in posterior.model.assembly.geometry_columns if names[column] in own]
-        return found if set(posterior.physical) - set(found) else []
+        nominal = [
+            column for column in posterior.model.assembly.geometry_columns if names[column] in own_names
+        ]
+        return nominal if set(posterior.physical) - set(nominal) else []
 
     def null(self) -> None:
         """The scene's own model, under the robust noise and under every other."""
@@ -234,18 +242,18 @@ class Fits:
         if posterior.likelihood.fitted_errors:
             modes = find_modes(posterior.likelihood, starts=MODES, adam_steps=60, seed=self.seed)[0]
             starts = [torch.stack([mode.theta for mode in modes[:BEAM]])]
-        found = self.refit(hypothesis, torch.cat(starts))
-        found = self.from_counts(found, found)
+        fitted = self.refit(hypothesis, torch.cat(starts))
+        fitted = self.from_counts(fitted, fitted)
         for noise in self.noises():
             if noise != self.robust:
-                self.renoise(found, noise, starts=torch.cat(starts) if not noise else None)
+                self.renoise(fitted, noise, starts=torch.cat(starts) if not noise else None)
 
     def renoise(self, at: Fitted, noise: tuple[str, ...], starts: Tensor | None = None) -> Fitted:
         """A hypothesis under another noise, from its minima; and from natural values (S, P) that get the geometry of the first of these,
         which then is worked out once for all of them."""
         hypothesis = at.hypothesis.under(*noise)
         parameters = self.bench.likelihood(hypothesis).model.parameter_set
-        begin = [carried(parameters, one.theta[None], at.names) for one in at.minima]
+        begin = [carried(parameters, minimum.theta[None], at.names) for minimum in at.minima]
         if starts is not None:
             geometry = at.model.assembly.geometry_columns
             starts = starts.index_copy(
@@ -255,13 +263,13 @@ class Fits:
             return self.refit(hypothesis, torch.cat(begin), at, turns=1)
         posterior = self.posterior(hypothesis)
         slopes = at.slopes.new_zeros(len(at.minima), len(at.delta), posterior.size)
-        place = {name: column for column, name in enumerate(at.names)}
+        column_of = {name: column for column, name in enumerate(at.names)}
         columns = posterior.physical
-        of = [place[posterior.model.names[column]] for column in columns]
-        slopes[..., columns] = torch.stack([one.slopes for one in at.minima])[..., of]
+        of = [column_of[posterior.model.names[column]] for column in columns]
+        slopes[..., columns] = torch.stack([minimum.slopes for minimum in at.minima])[..., of]
         return self.refit(hypothesis, torch.cat(begin), at, slopes=slopes, turns=1)
 
-    def extend(self, at: Fitted, entry: str, found: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
+    def extend(self, at: Fitted, entry: str, probe: Probe | None, *, others: Sequence[Fitted] = ()) -> Fitted:
         """``entry`` added to a fit: from its minima with the best probed values, and from the materials of others."""
         hypothesis = sorted_as(self.visited, at.hypothesis.with_effect(entry))
         posterior = self.posterior(hypothesis)
@@ -271,20 +279,20 @@ class Fits:
         places = PLACES if columns and not posterior.dear else 1
         psi = effect_starts(parameters, entry, places, generator)
         likely: Tensor | None = None
-        if found is not None and len(found.psi) and columns:
-            order = torch.argsort(found.scores, descending=True)
-            likely = order[apart(self.bench, posterior, entry, found.psi[order])][:places]
-            psi[: len(likely)] = found.psi[likely]
-        if found is not None and found.begin is not None:
-            psi[0] = found.begin
+        if probe is not None and len(probe.psi) and columns:
+            order = torch.argsort(probe.scores, descending=True)
+            likely = order[apart(self.bench, posterior, entry, probe.psi[order])][:places]
+            psi[: len(likely)] = probe.psi[likely]
+        if probe is not None and probe.begin is not None:
+            psi[0] = probe.begin
         pool = (*at.minima[:2], *others)[: 1 if posterior.dear else None]
         starts = torch.cat(
-            [carried(parameters, one.theta[None], one.names).repeat(len(psi), 1) for one in pool]
+            [carried(parameters, fitted.theta[None], fitted.names).repeat(len(psi), 1) for fitted in pool]
         )
         starts[:, columns] = psi.repeat(len(pool), 1)
         nominal = [] if posterior.dear else self.nominal_columns(at.posterior)
-        if likely is not None and found is not None and nominal:
-            aside = _made_room(at, found.moved[likely], nominal)
+        if likely is not None and probe is not None and nominal:
+            aside = _made_room(at, probe.moved[likely], nominal)
             starts[: len(likely)] = carried(parameters, aside, at.names)
             starts[: len(likely), columns] = psi[: len(likely)]
         new = self.from_no_size(self.refit(hypothesis, starts, at, turns=1, most=2), at, entry)
@@ -296,7 +304,7 @@ class Fits:
     def from_no_size(self, new: Fitted, at: Fitted, entry: str) -> Fitted:
         """A fit with one effect more than another, tried again from there with the effect at no size where it came to less than that:
         what probes promise far away may lead materials astray."""
-        quantities = {one.name: one for one in effect_class(entry).quantities}
+        quantities = {quantity.name: quantity for quantity in effect_class(entry).quantities}
         parameters = new.model.parameter_set
         columns = effect_columns(parameters, entry)
         theta = carried(parameters, at.theta[None], at.names)
@@ -326,21 +334,21 @@ class Fits:
         loose = self.posterior(new.hypothesis.with_effect(phase))
         if loose.dear:
             return new
-        found = counted(self.bench, at, new.posterior, loose, phase)
-        if not len(found.starts):
+        counts = counted(self.bench, at, new.posterior, loose, phase)
+        if not len(counts.starts):
             return new
-        self.turns[new.hypothesis.plain] = found
-        return self.refit(new.hypothesis, found.starts[:PLACES], at, turns=1)
+        self.turns[new.hypothesis.plain] = counts
+        return self.refit(new.hypothesis, counts.starts[:PLACES], at, turns=1)
 
     def rescanned(self, entry: str, at: Fitted) -> Fitted:
         """A fit of an effect that no descent finds the row of, tried again at every row from where it came to."""
         column = scanned_column(entry)
         if column is None or at.posterior.dear:
             return at
-        place = effect_columns(at.model.parameter_set, entry)[column]
+        hours_column = effect_columns(at.model.parameter_set, entry)[column]
         hours = scanned_hours(self.bench)
         theta = at.theta.repeat(len(hours), 1)
-        theta[:, place] = hours
+        theta[:, hours_column] = hours
         g = at.posterior.coordinates(theta)
         g[:, at.posterior.noise_columns] = at.g[at.posterior.noise_columns]
         # rows before its instant are as if it came last, the others as if it came first
@@ -374,8 +382,8 @@ class Fits:
             return at
         generator = torch.Generator().manual_seed(at.hypothesis.seed + self.seed)
         starts = torch.cat([at.theta[None], material_starts(at.posterior, at.theta, STARTS, generator)])
-        found = fit(at.hypothesis, at.posterior, at.posterior.coordinates(starts), most=MOST_CHARTED)
-        return merged([*at.minima, *found.minima], MOST_CHARTED)
+        charted = fit(at.hypothesis, at.posterior, at.posterior.coordinates(starts), most=MOST_CHARTED)
+        return merged([*at.minima, *charted.minima], MOST_CHARTED)
 
     def weighed(
         self,
@@ -394,26 +402,30 @@ class Fits:
 
         def evidence() -> list[Evidence]:
             seed = at.hypothesis.seed + self.seed
-            found = integrated(at, draws, seed, linear, moving=moving).evidence
-            return [] if found is None else [found]
+            result = integrated(at, draws, seed, linear, moving=moving).evidence
+            return [] if result is None else [result]
 
-        place = hashlib.sha256(torch.stack([one.g for one in at.minima]).numpy().tobytes()).hexdigest()
+        digest = hashlib.sha256(
+            torch.stack([minimum.g for minimum in at.minima]).numpy().tobytes()
+        ).hexdigest()
         form = (" of its linear form" if linear else "") + ("" if moving else " as it stands")
-        found = self.steps.of(f"evidence of {at.hypothesis} at {place} by {draws}{form}", Evidence, evidence)
+        results = self.steps.of(
+            f"evidence of {at.hypothesis} at {digest} by {draws}{form}", Evidence, evidence
+        )
         at.model.forget()
-        if beside is not None and not (found and found[0].trusted):
+        if beside is not None and not (results and results[0].trusted):
             return replace(at, missed=missed)
-        return replace(at, evidence=found[0]) if found else at
+        return replace(at, evidence=results[0]) if results else at
 
 
 def sorted_as(visited: dict[Hypothesis, Fitted], hypothesis: Hypothesis) -> Hypothesis:
     """The hypothesis in the order of effects in which it was visited, if it was."""
     return next(
         (
-            one
-            for one in visited
-            if set(one.added) == set(hypothesis.added)
-            and replace(one, added=()) == replace(hypothesis, added=())
+            known
+            for known in visited
+            if set(known.added) == set(hypothesis.added)
+            and replace(known, added=()) == replace(hypothesis, added=())
         ),
         hypothesis,
     )

@@ -58,23 +58,23 @@ class Battery:
 
     def statistics(self, u: Tensor, prior: Tensor) -> dict[str, Tensor]:
         """Each statistic (B,), large when structure is left, of residuals u (B, T) and prior rows (B, n)."""
-        found: dict[str, Tensor] = {}
+        statistics: dict[str, Tensor] = {}
         square = (u * u).sum(-1)
         if self.with_chi2:
-            found["chi2"] = square + (prior * prior).sum(-1)
-            found["too_small"] = -square
+            statistics["chi2"] = square + (prior * prior).sum(-1)
+            statistics["too_small"] = -square
         ordered = u[:, self.order]
         for lag, same in self.same.items():
             pairs = ordered[:, lag:] * ordered[:, :-lag] * same
-            found[f"lag {lag}"] = pairs.sum(-1) / square
+            statistics[f"lag {lag}"] = pairs.sum(-1) / square
         sums, squares = self._windows(ordered)
-        found["window"] = sums.amax(-1)
-        found["window of squares"] = squares.amax(-1)
+        statistics["window"] = sums.amax(-1)
+        statistics["window of squares"] = squares.amax(-1)
         for name, order in self.coordinates.items():
-            found[f"along {name}"] = _binned(u[:, order])
+            statistics[f"along {name}"] = _binned(u[:, order])
         for name, signature in self.signatures.items():
-            found[f"signature {name}"] = (u @ signature.T).square().amax(-1)
-        return found
+            statistics[f"signature {name}"] = (u @ signature.T).square().amax(-1)
+        return statistics
 
     def _windows(self, ordered: Tensor) -> tuple[Tensor, Tensor]:
         """Largest over positions of (sum u)^2 / n and of (sum u^2 - n) / sqrt(2 n), for each length: (B,
@@ -149,7 +149,7 @@ def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gat
     basis = at.basis
     rows = len(at.delta)
     free = at.model.parameter_set.free
-    peaked = [rows + index for index, one in enumerate(free) if one.prior.peaked]
+    peaked = [rows + index for index, parameter in enumerate(free) if parameter.prior.peaked]
     generator = torch.Generator().manual_seed(seed)
     z = torch.randn(draws, len(basis), generator=generator, dtype=at.delta.dtype)
     z = z - (z @ basis) @ basis.T
@@ -157,7 +157,9 @@ def gate(at: Fitted, battery: Battery, seed: int = 0, draws: int = DRAWS) -> Gat
     u, null_u = normal_scores(at)[None] * good, z[:, :rows] * good
     prior, null_prior = at.g[None, [index - rows for index in peaked]], z[:, peaked]
     if at.likelihood.fitted_errors:
-        u, null_u = (_studentised(one, at.likelihood.curve, at.likelihood.curves) for one in (u, null_u))
+        u, null_u = (
+            _studentised(scores, at.likelihood.curve, at.likelihood.curves) for scores in (u, null_u)
+        )
     observed = battery.statistics(u, prior)
     null = battery.statistics(null_u, null_prior)
     marginal, null_minimum = {}, torch.zeros(draws, dtype=u.dtype)

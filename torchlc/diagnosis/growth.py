@@ -63,7 +63,7 @@ class Growth(Standing):
             beyond = size >= FEW_EFFECTS
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
             if stems[0].law:  # beside the wrong law others lead
-                stems += [one for one in sized if not one.law][:1]
+                stems += [hypothesis for hypothesis in sized if not hypothesis.law][:1]
             steps: list[Step] = []
             for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
                 most = GROWN if number == 0 else GROWN // 2
@@ -71,9 +71,9 @@ class Growth(Standing):
             self.take(steps, None if clean else left)
             if self.settled:
                 # what probes promise beside fits that are far apart does not compare
-                for stems in (self.behind(sized), *([one] for one in self.shorter())):
+                for stems in (self.behind(sized), *([hypothesis] for hypothesis in self.shorter())):
                     self.overtake(stems, entries)
-            best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
+            best = self.ranked(hypothesis for hypothesis in self.visited if len(hypothesis.added) == size + 1)
             if not best:
                 break
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
@@ -81,7 +81,7 @@ class Growth(Standing):
                 if not self.clean(left):
                     self.exchange(best[0], entries)
                 self.rivals_anew(size + 1)
-            best = self.ranked(one for one in self.visited if len(one.added) == size + 1)
+            best = self.ranked(hypothesis for hypothesis in self.visited if len(hypothesis.added) == size + 1)
             gained = self.log_odds(best[0]) - self.log_odds(sized[0])
             if gained <= (REACH if size + 1 >= FEW_EFFECTS else 0.0):
                 break
@@ -98,31 +98,31 @@ class Growth(Standing):
             for entry in seen
             if self.bench.compatible(stem, entry) and self.bench.carries(stem.with_effect(entry))
         ]
-        found = self.probe_all(at, possible, anew=anew)
+        probes = self.probe_all(at, possible, anew=anew)
         steps = [
-            self.step(stem, entry, one)
-            for entry, one in found.items()
-            if one.score > self.least_score(stem, entry) or not one.psi.shape[-1]
+            self.step(stem, entry, probe)
+            for entry, probe in probes.items()
+            if probe.score > self.least_score(stem, entry) or not probe.psi.shape[-1]
         ]
-        fresh = [one for one in steps if one.key not in self.grown]
-        return sorted(fresh, key=lambda one: -one.probe.score)[:most]
+        fresh = [step for step in steps if step.key not in self.grown]
+        return sorted(fresh, key=lambda step: -step.probe.score)[:most]
 
-    def step(self, stem: Hypothesis, entry: str, one: Probe) -> Step:
+    def step(self, stem: Hypothesis, entry: str, probe: Probe) -> Step:
         """An effect added to a set, with the log odds that its probe promises."""
-        odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * one.score
-        return Step(stem, entry, one, odds)
+        odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * probe.score
+        return Step(stem, entry, probe, odds)
 
     def take(self, steps: Iterable[Step], left: Callable[[Fitted], float] | None = None) -> None:
         """What promises the highest odds first, whichever set it grows: what is refitted early spares what falls behind it. With ``left``, until
         the foremost is clean: what may overtake it is asked next."""
-        for one in sorted(steps, key=lambda step: -step.odds):
-            at = self.visited[one.stem]
-            if one.key in self.grown or not self.clock.left(0.8):
+        for step in sorted(steps, key=lambda step: -step.odds):
+            at = self.visited[step.stem]
+            if step.key in self.grown or not self.clock.left(0.8):
                 continue
-            if self.within_reach(one.entry, at, one.probe) and self.affordable(one.entry, at, one.probe):
-                self.grown.add(one.key)
+            if self.within_reach(step.entry, at, step.probe) and self.affordable(step.entry, at, step.probe):
+                self.grown.add(step.key)
                 foremost = self.foremost
-                self.extend(at, one.entry, one.probe)
+                self.extend(at, step.entry, step.probe)
                 if left is not None and self.foremost != foremost and self.as_quoted and self.clean(left):
                     break
 
@@ -141,7 +141,9 @@ class Growth(Standing):
         """The best sets of a size once more with each of their effects of MANY numbers begun anew beside the others: alone, or beside what was
         exchanged, it took their light for its own."""
         sized = self.of_size(size)
-        for whole in [one for one in sized if self.log_odds(one) > self.log_odds(sized[0]) - REACH][:BEAM]:
+        for whole in [
+            hypothesis for hypothesis in sized if self.log_odds(hypothesis) > self.log_odds(sized[0]) - REACH
+        ][:BEAM]:
             for entry in whole.added:
                 fewer = self.less(self.visited[whole], entry)
                 quick = refit_seconds(self.posterior(fewer)) < DEAR_FIT_S and self.clock.left(0.8)
@@ -157,25 +159,25 @@ class Growth(Standing):
             return
         self.begun_beside.add((fewer, entry))
         beside = self.visited[fewer]
-        found = self.probe_all(beside, [entry])
-        if entry in found and self.affordable(entry, beside, found[entry]):
-            self.extend(beside, entry, found[entry])
+        probes = self.probe_all(beside, [entry])
+        if entry in probes and self.affordable(entry, beside, probes[entry]):
+            self.extend(beside, entry, probes[entry])
 
     def behind(self, sized: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Sets within reach of the foremost, of those that are ranked, but the first."""
-        return [one for one in sized[1:] if self.log_odds(one) > self.mark - REACH]
+        return [hypothesis for hypothesis in sized[1:] if self.log_odds(hypothesis) > self.mark - REACH]
 
     def shorter(self) -> list[Hypothesis]:
         """The foremost without each of its effects, where it has several, fitted from its numbers."""
         at = self.visited[self.foremost]
-        found = []
+        hypotheses = []
         for entry in at.hypothesis.added if len(at.hypothesis.added) > 1 else ():
             fewer = self.less(at, entry)
             if refit_seconds(self.posterior(fewer)) < DEAR_FIT_S and self.clock.left(0.8):
                 self.shrunk(at, entry)
             if fewer in self.visited:
-                found.append(fewer)
-        return found
+                hypotheses.append(fewer)
+        return hypotheses
 
     def of_fewer_numbers(self, entries: Sequence[str]) -> None:
         """Sets in the place of a leader of many numbers, which bends to what several effects of few numbers do: the best of those of at
@@ -194,11 +196,11 @@ class Growth(Standing):
 
         def best(stem: Hypothesis) -> Hypothesis | None:
             more = (
-                one
-                for one in self.ranked()
-                if (one.noise, one.law) == (leading.noise, leading.law)
-                and set(stem.plain) < set(one.plain) <= possible
-                and len(one.added) == len(stem.added) + 1
+                hypothesis
+                for hypothesis in self.ranked()
+                if (hypothesis.noise, hypothesis.law) == (leading.noise, leading.law)
+                and set(stem.plain) < set(hypothesis.plain) <= possible
+                and len(hypothesis.added) == len(stem.added) + 1
             )
             return next(more, None)
 
@@ -223,9 +225,9 @@ class Growth(Standing):
                     continue
                 more = stem.with_effect(entry)
                 known = sorted_as(self.visited, more) in self.visited
-                one = rescored(*self.latest[entry], at)
-                if known or not one.visible or not self.bench.carries(more):
+                probe = rescored(*self.latest[entry], at)
+                if known or not probe.visible or not self.bench.carries(more):
                     continue
-                if self.within_reach(entry, at, one):
-                    steps.append(self.step(stem, entry, one))
-        self.take(sorted(steps, key=lambda one: -one.odds)[:JOINT])
+                if self.within_reach(entry, at, probe):
+                    steps.append(self.step(stem, entry, probe))
+        self.take(sorted(steps, key=lambda step: -step.odds)[:JOINT])

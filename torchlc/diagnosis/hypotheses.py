@@ -79,7 +79,7 @@ class Hypothesis:
         return replace(self, added=(*self.added, entry))
 
     def without(self, entry: str) -> Hypothesis:
-        return replace(self, added=tuple(one for one in self.added if one != entry))
+        return replace(self, added=tuple(other for other in self.added if other != entry))
 
     def under(self, *noise: str) -> Hypothesis:
         return replace(self, noise=noise)
@@ -129,8 +129,8 @@ class Workbench:
 
     def _model(self, law: str, entries: Sequence[str]) -> LightCurve:
         base = self._base(law)
-        own = [effect.entry for effect in base.effects]
-        assembly = assemble(base.scene, self.recording, [*own, *entries], base=base) if entries else base
+        present = [effect.entry for effect in base.effects]
+        assembly = assemble(base.scene, self.recording, [*present, *entries], base=base) if entries else base
         model = LightCurve(base.scene, self.recording, assembly=assembly)
         for (other_law, _), other in self._likelihoods.items():
             if other_law == law and other.model.tables_key == model.tables_key:
@@ -195,7 +195,9 @@ class Workbench:
                 reasons[text] = "it is in the scene's model already"
                 continue
             targets = [entry.target] if entry.target is not None else cls.targets(context)
-            missing = [why for one in targets or [None] if (why := cls(one).missing(context)) is not None]
+            missing = [
+                why for target in targets or [None] if (why := cls(target).missing(context)) is not None
+            ]
             reasons[text] = missing[0] if missing else "the scene has nothing that it could be applied to"
         return reasons
 
@@ -209,37 +211,37 @@ class Workbench:
         where they are neither and not too many."""
         curves, nights = len(self.recording.curve_ids), len(self.recording.night_ids)
         pairs = len(set(zip(self.recording.curve.tolist(), self.recording.night.tolist(), strict=True)))
-        found = ["curve"] if curves > 1 else []
+        divisions = ["curve"] if curves > 1 else []
         if nights > 1 and not (pairs == curves == nights):
-            found.append("night")
+            divisions.append("night")
         objects = self.recording.object
         if objects is not None and 1 < len(self.recording.object_ids) <= MOST_OBJECTS:
             count = len(self.recording.object_ids)
             others = {"curve": self.recording.curve, "night": self.recording.night}
             alike = (
-                count == len(np.unique(one)) == len(set(zip(objects, one, strict=True)))
-                for name, one in others.items()
-                if name in found
+                count == len(np.unique(labels)) == len(set(zip(objects, labels, strict=True)))
+                for name, labels in others.items()
+                if name in divisions
             )
             if not any(alike):
-                found.append("object")
-        return found
+                divisions.append("object")
+        return divisions
 
     def kinds(self) -> dict[str, NoiseKind]:
         """The kinds of noise that these data could have beyond the scene's own, by name."""
         context = self.base.context
         present = [effect for effect in self.base.effects if effect.stage == "noise"]
         longest = int(torch.bincount(context.curve).max())
-        found = {}
+        kinds = {}
         for name, cls in registry().items():
             if not issubclass(cls, NoiseKind) or name in {effect.name for effect in present}:
                 continue
             kind = cls()
             able = kind.missing(context) is None and kind.beside(present) is None
-            able = able and all(one.beside([kind]) is None for one in present)
+            able = able and all(effect.beside([kind]) is None for effect in present)
             if able and not (kind.correlates and longest > LONGEST_CURVE):
-                found[name] = kind
-        return found
+                kinds[name] = kind
+        return kinds
 
     def compatible(self, hypothesis: Hypothesis, entry: str) -> bool:
         """Whether an effect may join a set: one that is not there, or the same in another material."""
@@ -250,12 +252,12 @@ class Workbench:
 
 def carried(parameters: ParameterSet, theta: Tensor, names: Sequence[str]) -> Tensor:
     """Values (S, P) of another model's theta (S, P') for the parameters that both have; further ones at their starts."""
-    found = parameters.start().expand(len(theta), -1).clone()
-    place = {name: column for column, name in enumerate(names)}
+    values = parameters.start().expand(len(theta), -1).clone()
+    column_of = {name: column for column, name in enumerate(names)}
     for column, name in enumerate(parameters.names):
-        if name in place:
-            found[:, column] = theta[:, place[name]]
-    return found
+        if name in column_of:
+            values[:, column] = theta[:, column_of[name]]
+    return values
 
 
 def effect_columns(parameters: ParameterSet, effect: str) -> list[int]:

@@ -28,11 +28,11 @@ def joint_sets(
     promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together. Sets that need the opposite of an
     effect that has none are left out."""
     entries, places, rows = [], [], []
-    for entry, one in probes.items():
-        for place in torch.argsort(one.scores, descending=True)[:VALUES].tolist():
+    for entry, probe in probes.items():
+        for place in torch.argsort(probe.scores, descending=True)[:VALUES].tolist():
             entries.append(entry)
             places.append(place)
-            rows.append(one.moved[place])
+            rows.append(probe.moved[place])
     if len(set(entries)) < size:
         return []
     off = beyond(torch.stack(rows), at)
@@ -48,13 +48,13 @@ def joint_sets(
     one_sided = torch.tensor([effect_class(entry).one_sided() for entry in entries])
     possible = ((sizes > 0) | ~one_sided[sets]).all(1)
     sets, promised = sets[possible], (sizes * pull[sets]).sum(1)[possible]
-    found: dict[frozenset[str], dict[str, Tensor]] = {}
+    values: dict[frozenset[str], dict[str, Tensor]] = {}
     best: dict[frozenset[str], float] = {}
     # of sets that promise alike the odds decide, which are within some tens of each other
     for number in torch.argsort(promised, descending=True)[: 200 * most].tolist():
         chosen = {entries[k]: probes[entries[k]].psi[places[k]] for k in sets[number].tolist()}
         key = frozenset(chosen)
-        if key not in found:
-            found[key], best[key] = chosen, 0.5 * float(promised[number]) + log_odds(sorted(chosen))
-    order = sorted(found, key=lambda key: -best[key])
-    return [found[key] for key in order if best[key] > float("-inf")][:most]
+        if key not in values:
+            values[key], best[key] = chosen, 0.5 * float(promised[number]) + log_odds(sorted(chosen))
+    order = sorted(values, key=lambda key: -best[key])
+    return [values[key] for key in order if best[key] > float("-inf")][:most]

@@ -40,14 +40,14 @@ class Mixture:
     def of(cls, entry: str, names: Sequence[str]) -> Mixture | None:
         """That of an effect some of whose numbers, ``names``, are free; None where it has none, or not all of it is free."""
         kind = effect_class(entry)
-        sizes = [one for one in kind.quantities if one.off == 0.0 and one.typical]
+        sizes = [quantity for quantity in kind.quantities if quantity.off == 0.0 and quantity.typical]
         if not kind.simplex or len(sizes) != 1 or not {sizes[0].name, *kind.simplex} <= set(names):
             return None
-        return cls(names.index(sizes[0].name), sizes[0], tuple(names.index(one) for one in kind.simplex))
+        return cls(names.index(sizes[0].name), sizes[0], tuple(names.index(name) for name in kind.simplex))
 
     def where(self, columns: int) -> list[int]:
         """The columns that say where the light goes."""
-        return [one for one in range(columns) if one != self.size and one not in self.parts]
+        return [column for column in range(columns) if column != self.size and column not in self.parts]
 
     def solved(
         self,
@@ -68,8 +68,8 @@ class Mixture:
             return beyond(change(pure))
 
         columns = torch.stack([of_one(part) for part in parts], -1)  # (G, R, parts)
-        found = non_negative(columns.mT @ columns, torch.einsum("grk,r->gk", columns, residual))
-        bright = size * HALF * found  # size times each reflectance
+        weights = non_negative(columns.mT @ columns, torch.einsum("grk,r->gk", columns, residual))
+        bright = size * HALF * weights  # size times each reflectance
         enough = torch.clamp(bright.sum(1) / BRIGHT, self.quantity.low, self.quantity.high)
         used = bright.sum(1) > 0
         reflectance = bright / torch.where(used, enough, 1.0)[:, None]
@@ -96,7 +96,7 @@ def finer(
     centre = coordinates(psi[order])
     kept = spread_out(centre[:, where], FINER_PLACES)
     centre, best = centre[kept], scores[order][kept]
-    found: list[tuple[Tensor, Tensor]] = []
+    improved: list[tuple[Tensor, Tensor]] = []
     for sd in FINER_SD:
         around = centre.repeat_interleave(FINER, 0)
         off = sd * torch.randn(len(around), len(where), generator=generator, dtype=around.dtype)
@@ -104,16 +104,16 @@ def finer(
         values, moved, reached = solved(natural(around))
         which = reached.reshape(len(centre), FINER).argmax(1) + FINER * torch.arange(len(centre))
         better = reached[which] > best
-        found.append((values[which][better], moved[which][better]))
+        improved.append((values[which][better], moved[which][better]))
         centre = torch.where(better[:, None], around[which], centre)
         best = torch.maximum(best, reached[which])
-    return torch.cat([values for values, _ in found]), torch.cat([moved for _, moved in found])
+    return torch.cat([values for values, _ in improved]), torch.cat([moved for _, moved in improved])
 
 
 def spread_out(g: Tensor, most: int) -> list[int]:
     """Which ``most`` of places (G, k), standard deviations of their priors, best first, are apart from all before them."""
     kept: list[int] = []
-    for one in range(len(g)):
-        if len(kept) < most and bool(((g[kept] - g[one]).square().sum(-1) >= APART_SD**2).all()):
-            kept.append(one)
+    for index in range(len(g)):
+        if len(kept) < most and bool(((g[kept] - g[index]).square().sum(-1) >= APART_SD**2).all()):
+            kept.append(index)
     return kept

@@ -73,7 +73,7 @@ def next_nights(sets: Sequence[tuple[Fitted, float]], seed: int = 0) -> list[Opt
     hours = min(max(hours, 0.5), 10.0)
     error = float(torch.median(first.wide / first.scale))
     exposure = None if recording.exptime is None else float(np.median(recording.exptime))
-    p = torch.tensor([one for _, one in sets], dtype=torch.float64)
+    p = torch.tensor([weight for _, weight in sets], dtype=torch.float64)
     options = []
     for station in scene.stations:
         for days in NIGHTS:
@@ -85,25 +85,26 @@ def next_nights(sets: Sequence[tuple[Fitted, float]], seed: int = 0) -> list[Opt
                 forecasts = [_forecast(fitted, grid) for fitted, _ in sets]
             except TorchlcError:
                 continue
-            told = told_by(forecasts, p / p.sum(), torch.as_tensor(grid.error), seed)
-            if told is not None:
-                options.append(Option(str(start.isot)[:16], station.id, hours, hours * 3600 / ROWS, *told))
-    return sorted(options, key=lambda one: -one.information)
+            gain = told_by(forecasts, p / p.sum(), torch.as_tensor(grid.error), seed)
+            if gain is not None:
+                options.append(Option(str(start.isot)[:16], station.id, hours, hours * 3600 / ROWS, *gain))
+    return sorted(options, key=lambda option: -option.information)
 
 
 def told_by(forecasts: Sequence[Forecast], p: Tensor, sigma: Tensor, seed: int) -> tuple[float, float] | None:
     """Information (nats) that rows with errors sigma (T,) are expected to give on which of K forecasts is right, of
     probabilities p (K,), and the chance that one then has TOLD; None where fewer than 10 rows are seen under all."""
-    usable = torch.stack([torch.isfinite(one.mean) for one in forecasts]).all(0)
+    usable = torch.stack([torch.isfinite(forecast.mean) for forecast in forecasts]).all(0)
     if int(usable.sum()) < 10:
         return None
-    means = torch.stack([one.mean[usable] for one in forecasts])
+    means = torch.stack([forecast.mean[usable] for forecast in forecasts])
     factors = torch.stack(
         [
             torch.linalg.cholesky(
-                torch.diag(sigma[usable] ** 2) + one.slopes[usable] @ one.spread @ one.slopes[usable].T
+                torch.diag(sigma[usable] ** 2)
+                + forecast.slopes[usable] @ forecast.spread @ forecast.slopes[usable].T
             )
-            for one in forecasts
+            for forecast in forecasts
         ]
     )
     generator = torch.Generator().manual_seed(seed)
@@ -139,7 +140,7 @@ def _grid(
 def _forecast(fitted: Fitted, grid: Recording) -> Forecast:
     """Another night at a fit's coordinates, under its law of reflection."""
     scene = fitted.model.scene
-    entries = [one.entry for one in fitted.model.effects]
+    entries = [effect.entry for effect in fitted.model.effects]
     model = LightCurve(scene, grid, assembly=assemble(scene, grid, entries))
     if model.parameter_set.names != fitted.names:
         raise TorchlcError("the night has other parameters than the recording")

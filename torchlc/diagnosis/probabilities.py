@@ -99,7 +99,7 @@ class Probabilities:
         """For each named effect, itself and what may stand in its place beside the other named ones, most probable first."""
         if self.verdict != "missing_physics":
             return tuple((name,) for name in self.named)
-        found = []
+        families = []
         whole = _named_sets(self.sets)
         members = frozenset(self.named)
         for name in self.named:
@@ -111,9 +111,9 @@ class Probabilities:
                 if others <= names and len(rival := names - others) == 1 and len(names) == len(members)
             }
             rivals.pop(name, None)
-            near = [one for one, p in rivals.items() if p >= FAMILY_SHARE * own]
-            found.append((name, *sorted(near, key=lambda one: -rivals[one])))
-        return tuple(found)
+            near = [other for other, p in rivals.items() if p >= FAMILY_SHARE * own]
+            families.append((name, *sorted(near, key=lambda other: -rivals[other])))
+        return tuple(families)
 
     @property
     def told(self) -> float:
@@ -155,10 +155,14 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     """What was visited, weighed; ``p_left`` is the p-value of what the leader leaves. What was judged by its linear form alone counts
     as long as that is out of reach of the leader; what is within it is told as not examined."""
     rows: list[tuple[str, Hypothesis, float]] = []
-    rows += [("", one, search.log_odds(one)) for one in search.visited]
+    rows += [("", visited, search.log_odds(visited)) for visited in search.visited]
     far = search.log_odds(search.leader) - LINEAR_NEAR
-    judged = {one: odds for one, odds in search.linear.items() if one not in search.visited and odds < far}
-    rows += [("", one, odds) for one, odds in judged.items()]
+    judged = {
+        unfitted: odds
+        for unfitted, odds in search.linear.items()
+        if unfitted not in search.visited and odds < far
+    }
+    rows += [("", unfitted, odds) for unfitted, odds in judged.items()]
     rows += [("odd", odd.beside, search.odd_log_odds(odd)) for odd in search.odd]
     leader = max(rows, key=lambda row: row[2])
     if leader[0] != "odd":
@@ -230,29 +234,31 @@ def less_unseen(
     pending = list(masses)
     done: list[tuple[str, Hypothesis, float, float]] = []
     while pending:
-        kind, one, p = pending.pop()
+        kind, hypothesis, p = pending.pop()
         unsure = 0.0
-        if not kind and p > WEIGHED and one in search.visited:
-            for entry in one.added:
-                without = search.counterpart(one.without(entry))
+        if not kind and p > WEIGHED and hypothesis in search.visited:
+            for entry in hypothesis.added:
+                without = search.counterpart(hypothesis.without(entry))
                 if without is None:
                     continue
-                if (one, entry) not in shares:
-                    fits = search.visited[one], search.visited[without]
-                    shares[one, entry] = unseen_shares(*fits, entry, one.seed)
-                unseen, below = shares[one, entry]
+                if (hypothesis, entry) not in shares:
+                    fits = search.visited[hypothesis], search.visited[without]
+                    shares[hypothesis, entry] = unseen_shares(*fits, entry, hypothesis.seed)
+                unseen, below = shares[hypothesis, entry]
                 pending.append((kind, without, p * unseen))
                 p *= 1 - unseen
-                if len(one.added) == 1:
+                if len(hypothesis.added) == 1:
                     unsure = (below - unseen) / max(1 - unseen, WEIGHED)
             bare = Hypothesis()
-            if one != bare and not one.added and not one.law:
-                if one not in of_noise:
-                    of_noise[one] = unseen_noise_share(search.visited[one], search.visited[bare], one.seed)
-                unseen = of_noise[one]
+            if hypothesis != bare and not hypothesis.added and not hypothesis.law:
+                if hypothesis not in of_noise:
+                    of_noise[hypothesis] = unseen_noise_share(
+                        search.visited[hypothesis], search.visited[bare], hypothesis.seed
+                    )
+                unseen = of_noise[hypothesis]
                 done.append((kind, bare, p * unseen, 0.0))
                 p *= 1 - unseen
-        done.append((kind, one, p, unsure))
+        done.append((kind, hypothesis, p, unsure))
     return done
 
 
@@ -276,7 +282,8 @@ def share_taken(search: Search, hypothesis: Hypothesis) -> float:
     before, after = search.best(), search.visited[hypothesis]
     good = after.outlying() < BAD_ROW
     squares = [
-        float((one.delta / after.wide)[good].square().clamp(max=FAR**2).sum()) for one in (before, after)
+        float((fitted.delta / after.wide)[good].square().clamp(max=FAR**2).sum())
+        for fitted in (before, after)
     ]
     excess = squares[0] - int(good.sum())
     return (squares[0] - squares[1]) / excess if excess > 0 else 0.0
@@ -285,7 +292,7 @@ def share_taken(search: Search, hypothesis: Hypothesis) -> float:
 def noise_name(search: Search, hypothesis: Hypothesis) -> str:
     """What noise of a hypothesis is called: its kinds; a scale of the errors alone is what mends errors that are too small, or
     nothing where they are too large."""
-    kinds = [one for one in hypothesis.noise if one != SCALE]
+    kinds = [kind for kind in hypothesis.noise if kind != SCALE]
     if kinds:
         return kinds[0]
     if not hypothesis.noise:

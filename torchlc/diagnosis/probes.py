@@ -24,6 +24,7 @@ exponent 200 is wide."""
 MOST_S = 0.5
 """CPU seconds that the values of one effect may take where each is a geometry of its own."""
 FEWEST = 4
+"""Values that are tried however long each takes: both signs, near and far."""
 AGAIN = 8
 """Values that are tried again beside another fit, of those that promise most by their change of the light beside the one before, where each
 is a geometry of its own."""
@@ -155,8 +156,8 @@ def _mixed(
 
     def solved(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         values, moved = mixture.solved(values, change, lambda light: beyond(light, at), at.residual_rows)
-        _, found, usable, _ = _scored(moved, at, one_sided=True)
-        scores = moved.new_zeros(len(moved)).index_copy(0, torch.nonzero(usable)[:, 0], found)
+        _, usable_scores, usable, _ = _scored(moved, at, one_sided=True)
+        scores = moved.new_zeros(len(moved)).index_copy(0, torch.nonzero(usable)[:, 0], usable_scores)
         return values, moved, scores
 
     def coordinates(values: Tensor) -> Tensor:
@@ -236,7 +237,7 @@ def _tried(bench: Workbench, posterior: Posterior, entry: str, seed: int) -> Ten
         hours = scanned_hours(bench)
         hours = hours[torch.linspace(0, len(hours) - 1, min(len(hours), most)).long()]
         quantities = effect_class(entry).quantities
-        sizes = [torch.full_like(hours, one.typical or 0.0) for one in quantities]
+        sizes = [torch.full_like(hours, quantity.typical or 0.0) for quantity in quantities]
         return torch.stack([*sizes[:column], hours, *sizes[column + 1 :]], -1)
     dimensions = len(effect_columns(posterior.model.parameter_set, entry))
     count = GRID * (dimensions if dimensions > 2 else 1) if dimensions else 1
@@ -304,7 +305,7 @@ def _each_moved(entry: str, offsets: Tensor) -> Tensor:
     they are (1, k): every part alike, one quantity at a time, by what is typical of it."""
     quantities = effect_class(entry).quantities
     many = offsets.shape[1] // len(quantities)
-    steps = [(one.typical or 0.0) - (one.off or 0.0) for one in quantities]
+    steps = [(quantity.typical or 0.0) - (quantity.off or 0.0) for quantity in quantities]
     return offsets + torch.diag(offsets.new_tensor(steps)).repeat_interleave(many, 1)
 
 
@@ -343,7 +344,7 @@ def apart(bench: Workbench, posterior: Posterior, entry: str, ranked: Tensor) ->
 def _mixture(posterior: Posterior, entry: str) -> Mixture | None:
     parameters = posterior.model.parameter_set
     columns = effect_columns(parameters, entry)
-    return Mixture.of(entry, [parameters.free[one].origin.quantity for one in columns])
+    return Mixture.of(entry, [parameters.free[column].origin.quantity for column in columns])
 
 
 def least_apart(bench: Workbench) -> float:

@@ -75,7 +75,7 @@ class Promises(Fits):
         def place(entry: str) -> tuple[bool, float, bool]:
             return entry in held, -held[entry].score if entry in held else 0.0, turns(alone[entry], entry)
 
-        found = {}
+        probes = {}
         spent = 0.0
         for entry in sorted(entries, key=place):
             if not self.clock.left(share):
@@ -83,32 +83,32 @@ class Promises(Fits):
             if entry in held and (
                 spent > PROBING_S or (not anew and (at.posterior.dear or alone[entry].dear))
             ):
-                found[entry] = held[entry]
+                probes[entry] = held[entry]
                 continue
             hypothesis = at.hypothesis.with_effect(entry)
             posterior = self.posterior(hypothesis)
             as_last = entry in held and not anew and posterior.dear
             cost = 0.0 if as_last else least_seconds(posterior, entry)
             if entry in held and (as_last or cost > DEAR_FIT_S):
-                found[entry] = held[entry]
+                probes[entry] = held[entry]
             elif self.clock.affords(cost):
                 seed = hypothesis.seed + self.seed
                 known = rescored(*self.whole[entry], at) if entry in self.whole else None
-                found[entry] = probe(self.bench, at, posterior, entry, seed, known)
-                spent += max(cost, len(found[entry].psi) * seconds_a_geometry(posterior, entry))
-                self.latest[entry] = found[entry], at
+                probes[entry] = probe(self.bench, at, posterior, entry, seed, known)
+                spent += max(cost, len(probes[entry].psi) * seconds_a_geometry(posterior, entry))
+                self.latest[entry] = probes[entry], at
                 self.whole.setdefault(entry, self.latest[entry])
             else:
                 self.unexamined[entry] = (
                     f"{cost:.0f} s of light worked out anew before anything is known of it"
                 )
             posterior.model.forget()
-        return found
+        return probes
 
-    def within_reach(self, entry: str, at: Fitted, found: Probe) -> bool:
+    def within_reach(self, entry: str, at: Fitted, probed: Probe) -> bool:
         """Whether an effect beside a fit could come near the best set of as many if it gained LONGEST times what its probe promises; if not, its
         linear form, which is kept, is all that is asked of it. Effects that have no value to try, or of which probes do not tell, are always asked."""
-        if not len(found.scores) or not found.psi.shape[-1] or self.counted(entry):
+        if not len(probed.scores) or not probed.psi.shape[-1] or self.counted(entry):
             return True
         if not self.promises_hold(at):
             return True
@@ -116,13 +116,13 @@ class Promises(Fits):
         without = at.log_z + self.bench.log_odds(hypothesis)
         # larger sets are ahead of many that come to them by further effects
         alike = [
-            one
-            for one in self.visited
-            if one.noise == self.robust and len(one.added) <= len(hypothesis.added)
+            other
+            for other in self.visited
+            if other.noise == self.robust and len(other.added) <= len(hypothesis.added)
         ]
-        if without + LONGEST * 0.5 * found.score > max(map(self.log_odds, alike)) - NEAR:
+        if without + LONGEST * 0.5 * probed.score > max(map(self.log_odds, alike)) - NEAR:
             return True
-        self.linear[hypothesis] = without + 0.5 * found.score
+        self.linear[hypothesis] = without + 0.5 * probed.score
         return False
 
     def promises_hold(self, at: Fitted) -> bool:
@@ -130,9 +130,9 @@ class Promises(Fits):
         probe of this effect promised. Where a lobe has gone from the materials for want of an effect, a probe sees nothing of what would bring it back."""
         added = set(at.hypothesis.added)
         more = [
-            one
-            for one in self.of_size(len(added) + 1)
-            if one.law == at.hypothesis.law and added < set(one.added)
+            larger
+            for larger in self.of_size(len(added) + 1)
+            if larger.law == at.hypothesis.law and added < set(larger.added)
         ]
         if not more:
             return True
@@ -142,7 +142,7 @@ class Promises(Fits):
             return True
         return self.visited[more[0]].log_z - at.log_z <= LONGEST * 0.5 * known.score
 
-    def affordable(self, entry: str, at: Fitted, found: Probe) -> bool:
+    def affordable(self, entry: str, at: Fitted, probed: Probe) -> bool:
         """Whether an effect is refitted. One whose geometry is dear, or slow beside a clean leader, is judged by its linear form, which is
         kept, and refitted only if that could be the answer and there is time. Linear forms are good to LINEAR_NEAR where little is left
         to be gained, and far too low where much is."""
@@ -154,7 +154,7 @@ class Promises(Fits):
         if cost < (SLOW_FIT_S if settled else DEAR_FIT_S):
             return True
         if Entry.parse(entry).per is not None:
-            promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * found.together
+            promised = at.log_z + self.bench.log_odds(hypothesis) + 0.5 * probed.together
             if promised < self.mark - NEAR:
                 return False
             if self.clock.affords(cost):
@@ -163,16 +163,18 @@ class Promises(Fits):
                 f"{cost:.0f} s of light worked out anew; its parts together promise enough"
             )
             return False
-        if not len(found.scores):
+        if not len(probed.scores):
             return False
-        line = Linear(at, found.best_change(at)[:, None])
-        start = torch.cat([at.g, at.g.new_tensor([found.best_size(at)])])
+        line = Linear(at, probed.best_change(at)[:, None])
+        start = torch.cat([at.g, at.g.new_tensor([probed.best_size(at)])])
         with torch.no_grad():
             linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
         if settled:
             # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
-            self.linear[hypothesis] -= 0.5 * max(found.psi.shape[-1] - 1, 0) * math.log(max(found.score, 1.0))
+            self.linear[hypothesis] -= (
+                0.5 * max(probed.psi.shape[-1] - 1, 0) * math.log(max(probed.score, 1.0))
+            )
         if self.linear[hypothesis] < self.mark - near:
             return False
         if settled and cost > LONG_FIT_S and self.linear[hypothesis] < self.mark:

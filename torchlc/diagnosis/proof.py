@@ -53,7 +53,7 @@ def make_blocks(seconds: Tensor, group: Tensor, count: int = BLOCKS) -> list[tup
     if len(ids) >= 4:
         folds = min(count, len(ids))
         rows = [torch.nonzero(torch.isin(group, ids[fold::folds]))[:, 0] for fold in range(folds)]
-        return [(one, one) for one in rows]
+        return [(block, block) for block in rows]
     order = torch.argsort(seconds)
     total = len(order)
     folds = min(count, max(2, total // 4))
@@ -102,9 +102,9 @@ def _without(at: Fitted, removed: Tensor) -> Fitted:
         LightCurve(at.model.scene, some, assembly=assemble(at.model.scene, some, entries))
     )
     # numbers of curves, nights or objects that have no row left are not in the others' model
-    place = {name: column for column, name in enumerate(at.names)}
+    column_of = {name: column for column, name in enumerate(at.names)}
     columns = torch.tensor(
-        [place[name] for name in likelihood.model.names] + [at.posterior.own] * at.posterior.scaled,
+        [column_of[name] for name in likelihood.model.names] + [at.posterior.own] * at.posterior.scaled,
         dtype=torch.long,
     )
     slopes = at.slopes[torch.as_tensor(kept)][:, columns][None]

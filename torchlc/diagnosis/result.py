@@ -193,8 +193,8 @@ class Diagnosis:
 
     def turns(self, at: Fitted) -> Counted:
         """What counts of turns between nights or curves leave open beside a fit: as asked for the most of its effects."""
-        own = set(at.hypothesis.plain)
-        asked = [one for one in self.search.turns if set(one) <= own]
+        added = set(at.hypothesis.plain)
+        asked = [entries for entries in self.search.turns if set(entries) <= added]
         return self.search.turns[max(asked, key=len)] if asked else Counted(at.theta[None, :0])
 
     @property
@@ -228,7 +228,7 @@ class Diagnosis:
     def content(self) -> dict[str, Any]:
         """What :meth:`to_json` gives, worked out once."""
         recording = self.baseline.model.recording
-        time = [str(one) for one in cast(Any, recording.time.isot)]
+        time = [str(instant) for instant in cast(Any, recording.time.isot)]
         stations = (
             [recording.station_ids[i] for i in recording.station]
             if recording.station_ids
@@ -311,7 +311,9 @@ class Diagnosis:
     def _foreseen(self, at: Fitted | None) -> float | None:
         """What a model gains over the scene's own, errors as quoted, in log density of unseen rows, where it was asked."""
         shown = {"final": self.final, "null": self.baseline}
-        alike = [key for key, one in shown.items() if at is not None and one.hypothesis == at.hypothesis]
+        alike = [
+            key for key, fitted in shown.items() if at is not None and fitted.hypothesis == at.hypothesis
+        ]
         name = next((key for key in alike if key in self.proof), None)
         if name is None or "as quoted" not in self.proof:
             return None
@@ -340,15 +342,15 @@ class Diagnosis:
         rows = {
             name: {
                 "effects": list(models[name].hypothesis.plain) if name in models else None,
-                "log_density": found.total,
-                "rms_mag": found.rms,
-                "blocks": len(found.log_density),
+                "log_density": score.total,
+                "rms_mag": score.rms,
+                "blocks": len(score.log_density),
             }
-            for name, found in self.proof.items()
+            for name, score in self.proof.items()
         }
         gains = {
-            name: dict(zip(("difference", "error"), difference(self.proof["final"], found), strict=True))
-            for name, found in self.proof.items()
+            name: dict(zip(("difference", "error"), difference(self.proof["final"], score), strict=True))
+            for name, score in self.proof.items()
             if name != "final" and "final" in self.proof
         }
         return {"models": rows, "gain_of_final_over": gains}
@@ -407,7 +409,7 @@ class Diagnosis:
             if odd is not None and odd.log_gain > 0:
                 note += f"; it {odd.course(self.coordinates['time'])}"
         if at.hypothesis.noise:
-            kinds = ["a free scale" if one == SCALE else with_title(one) for one in at.hypothesis.noise]
+            kinds = ["a free scale" if kind == SCALE else with_title(kind) for kind in at.hypothesis.noise]
             note += f"; errors of rows are taken with {' and '.join(kinds)}"
         if SCALE in at.hypothesis.noise:
             note += f" ({float(at.posterior.factor(at.g)):.2f} times the quoted errors)"  # pyright: ignore[reportArgumentType]

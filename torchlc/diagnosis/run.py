@@ -65,19 +65,19 @@ def diagnose(
     untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
     clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
-    found = coordinates(search.best().model, search.best().theta)
+    coordinate_values = coordinates(search.best().model, search.best().theta)
     try:
-        _explore(search, found)
+        _explore(search, coordinate_values)
     except KeyboardInterrupt:
         clock.stopped = True
     search.tell_unexamined()
-    first_gate = _gate(_at_quoted_errors(search), found, search.probes, seed)
+    first_gate = _gate(_at_quoted_errors(search), coordinate_values, search.probes, seed)
     leader = search.visited[search.leader]
-    final_gate = _gate(leader, found, {}, seed, level=False)
+    final_gate = _gate(leader, coordinate_values, {}, seed, level=False)
     odds = probabilities(search, final_gate.global_p)
     null, final = search.best(), _final(search, odds)
     if final is not leader:
-        final_gate = _gate(final, found, {}, seed, level=False)
+        final_gate = _gate(final, coordinate_values, {}, seed, level=False)
     if clock.left():
         final = search.charted(final)
     unweighed = final.evidence is None or final.evidence.linear
@@ -93,8 +93,8 @@ def diagnose(
         final_gate=final_gate,
         baseline=null,
         final=final,
-        where=_where(search, odds, null, final, first_gate, found),
-        coordinates=found,
+        where=_where(search, odds, null, final, first_gate, coordinate_values),
+        coordinates=coordinate_values,
         proof=proof,
         quick=quick,
         untried=untried,
@@ -104,17 +104,17 @@ def diagnose(
     )
 
 
-def _explore(search: Search, found: dict[str, Tensor]) -> None:
+def _explore(search: Search, coordinate_values: dict[str, Tensor]) -> None:
     """Everything that is searched, the most telling first."""
     entries = search.bench.entries
 
     def left(at: Fitted) -> float:
-        return _gate(at, found, {}, search.seed, level=False).global_p
+        return _gate(at, coordinate_values, {}, search.seed, level=False).global_p
 
     search.singles(entries, left)
     search.afresh()
-    search.strangers(found)
-    if _gate(_at_quoted_errors(search), found, search.probes, search.seed).global_p < CLEAN_P:
+    search.strangers(coordinate_values)
+    if _gate(_at_quoted_errors(search), coordinate_values, search.probes, search.seed).global_p < CLEAN_P:
         search.jointly(bool(search.foremost.added) and search.clean(left))
         if search.bench.recording.error is not None:
             search.laws(entries, bool(search.foremost.added) and search.clean(left))
@@ -122,7 +122,7 @@ def _explore(search: Search, found: dict[str, Tensor]) -> None:
     search.afresh()
     search.nominal_sizes()
     search.noise_of_leaders()
-    search.strangers(found)
+    search.strangers(coordinate_values)
     search.clock.tell(search.state(), 0.9)
 
 
@@ -132,7 +132,9 @@ def _at_quoted_errors(search: Search) -> Fitted:
     laws = [name for name, kind in search.bench.kinds().items() if kind.reshapes]
     noises = [(), *((name,) for name in laws)]
     chosen = [Hypothesis(noise=noise) for noise in noises]
-    best = search.visited[search.ranked(one for one in chosen if one in search.visited)[0]]
+    best = search.visited[
+        search.ranked(hypothesis for hypothesis in chosen if hypothesis in search.visited)[0]
+    ]
     return best if near_quoted(best) else search.visited[Hypothesis()]
 
 
@@ -143,13 +145,21 @@ def _final(search: Search, odds: Probabilities) -> Fitted:
 
 
 def _gate(
-    at: Fitted, found: Mapping[str, Tensor], probes: Mapping[str, Probe], seed: int, level: bool = True
+    at: Fitted,
+    coordinate_values: Mapping[str, Tensor],
+    probes: Mapping[str, Probe],
+    seed: int,
+    level: bool = True,
 ) -> Gate:
     """The battery on a fit's residuals under its noise; with their ``level``, or, where it was fitted, their structure alone."""
-    signatures = {entry: one.signatures[~one.aimed] for entry, one in probes.items() if not one.aimed.all()}
+    signatures = {
+        entry: probe.signatures[~probe.aimed] for entry, probe in probes.items() if not probe.aimed.all()
+    }
     context = at.model.assembly.context
     with_chi2 = level and not at.likelihood.fitted_errors
-    return gate(at, Battery(context.seconds, at.likelihood.curve, found, signatures, with_chi2), seed)
+    return gate(
+        at, Battery(context.seconds, at.likelihood.curve, coordinate_values, signatures, with_chi2), seed
+    )
 
 
 def _proof(search: Search, odds: Probabilities, null: Fitted, final: Fitted) -> dict[str, Unseen]:
@@ -177,7 +187,7 @@ def _runner_up(search: Search, odds: Probabilities) -> Fitted | None:
     """The best set of effects beside the named one that is not that with more in it, of those that were refitted: others were
     judged by their linear form alone."""
     named = set(odds.best) if odds.verdict == "missing_physics" else set()
-    fitted = {frozenset(one.plain) for one in search.visited}
+    fitted = {frozenset(hypothesis.plain) for hypothesis in search.visited}
     rivals = [
         entries
         for entries, _ in odds.sets
@@ -189,34 +199,45 @@ def _runner_up(search: Search, odds: Probabilities) -> Fitted | None:
 
 
 def _where(
-    search: Search, odds: Probabilities, null: Fitted, final: Fitted, first: Gate, found: Mapping[str, Tensor]
+    search: Search,
+    odds: Probabilities,
+    null: Fitted,
+    final: Fitted,
+    first: Gate,
+    coordinate_values: Mapping[str, Tensor],
 ) -> Where | None:
     if odds.verdict == "adequate":
         return None
     if odds.verdict == "missing_physics":
-        return _located(search, final, null, found)
+        return _located(search, final, null, coordinate_values)
     odd = search.strongest()
     by_shape = odds.shapeless >= sum(odds.laws.values())
     if odd is not None and odd.like is not None and odds.verdict == "unexplained" and by_shape:
-        return _located(search, odd.like, null, found)
+        return _located(search, odd.like, null, coordinate_values)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     if odd is not None and odds.verdict == "unexplained":
         rows = odd.curve.abs() > 2 * torch.maximum(odd.band, null.wide / null.scale)
     order = torch.argsort(null.model.assembly.context.seconds)
-    place = torch.empty_like(order)
-    place[order] = torch.arange(len(order))
+    rank = torch.empty_like(order)
+    rank[order] = torch.arange(len(order))
     for a, b, _ in first.windows if not bool(rows.any()) else ():
-        rows[order[int(place[a]) : int(place[b]) + 1]] = True
+        rows[order[int(rank[a]) : int(rank[b]) + 1]] = True
     strength = null.delta / null.wide
-    return Where(rows, intervals(rows, strength, null), [], *best_coordinate(strength, found, rows))
+    return Where(
+        rows, intervals(rows, strength, null), [], *best_coordinate(strength, coordinate_values, rows)
+    )
 
 
-def _located(search: Search, final: Fitted, null: Fitted, found: Mapping[str, Tensor]) -> Where:
+def _located(search: Search, final: Fitted, null: Fitted, coordinate_values: Mapping[str, Tensor]) -> Where:
     """Where a fit with effects differs from the scene's own model under rows that err as in it: a law with bad rows would call what is missing
     bad, and leave the materials alone."""
     alike = search.visited.get(replace(final.hypothesis, added=()), null)
-    bares = [at for one, at in search.visited.items() if not one.added and one.law == final.hypothesis.law]
-    return locate(alike, final, fitted_bare(search, final), found, bares)
+    bares = [
+        at
+        for hypothesis, at in search.visited.items()
+        if not hypothesis.added and hypothesis.law == final.hypothesis.law
+    ]
+    return locate(alike, final, fitted_bare(search, final), coordinate_values, bares)
 
 
 def fitted_bare(search: Search, final: Fitted) -> Fitted:
@@ -229,7 +250,7 @@ def fitted_bare(search: Search, final: Fitted) -> Fitted:
 
 def _next(search: Search, odds: Probabilities, clock: Clock):
     """Candidate nights for the sets that the data leave possible, and the advice in a sentence."""
-    every = sorted([((), odds.nothing + odds.noise), *odds.sets], key=lambda one: -one[1])
+    every = sorted([((), odds.nothing + odds.noise), *odds.sets], key=lambda pair: -pair[1])
     possible = [(entries, p) for entries, p in every if p >= LEAST_P and search.exactly(*entries)][:MOST_SETS]
     if len(possible) < 2 or possible[0][1] >= TOLD or odds.spare <= 0 or not clock.left():
         return [], ""

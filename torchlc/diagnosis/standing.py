@@ -49,10 +49,10 @@ class Standing(Promises):
         """Whether the errors that the foremost leaves are :func:`near_quoted`."""
         return near_quoted(self.visited[self.foremost])
 
-    def numbers(self, one: Hypothesis) -> int:
+    def numbers(self, hypothesis: Hypothesis) -> int:
         """How many numbers the effects of a set have."""
-        parameters = self.bench.likelihood(one).model.parameter_set
-        return sum(len(effect_columns(parameters, entry)) for entry in one.added)
+        parameters = self.bench.likelihood(hypothesis).model.parameter_set
+        return sum(len(effect_columns(parameters, entry)) for entry in hypothesis.added)
 
     @property
     def stranger_leads(self) -> bool:
@@ -71,11 +71,11 @@ class Standing(Promises):
     def strongest(self) -> Discrepancy | None:
         """The discrepancy of highest odds, that of an angle that swings among them."""
         odd = max(self.odd, key=self.odd_log_odds, default=None)
-        swings = self.ranked(one for one in self.visited if one.unlisted)
+        swings = self.ranked(hypothesis for hypothesis in self.visited if hypothesis.unlisted)
         if not swings or (odd is not None and self.odd_log_odds(odd) > self.log_odds(swings[0])):
             return odd
         whole = swings[0]
-        beside = replace(whole, added=tuple(one for one in whole.added if one not in whole.unlisted))
+        beside = replace(whole, added=tuple(entry for entry in whole.added if entry not in whole.unlisted))
         without = self.counterpart(beside)
         gain = self.visited[whole].log_z - (self.visited[without].log_z if without is not None else -math.inf)
         prior = self.bench.log_odds(whole) - self.bench.log_odds(beside)

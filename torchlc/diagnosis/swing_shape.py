@@ -22,7 +22,7 @@ def shape_of(at: Fitted, beside: Hypothesis, log_gain: float, log_odds: float) -
     def curve(theta: torch.Tensor) -> torch.Tensor:
         """(..., T) of theta (..., P)."""
         still = theta.index_fill(-1, torch.tensor(amplitudes), 0.0)
-        flux, bare = (at.model.brightness(one).flux.clamp(min=1e-300) for one in (theta, still))
+        flux, bare = (at.model.brightness(values).flux.clamp(min=1e-300) for values in (theta, still))
         return -2.5 * torch.log10(flux / bare)
 
     with torch.no_grad():

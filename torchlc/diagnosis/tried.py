@@ -17,6 +17,7 @@ from torchlc.inference.density import Fitted
 from torchlc.stages.entry import Entry
 
 MOST_SETS = 12
+"""Rows of the table of what was tried, which then fits on a screen."""
 
 
 def candidates(
@@ -35,17 +36,25 @@ def candidates(
     plain = search.visited[Hypothesis()].log_z
 
     def best(added: tuple[str, ...]) -> Fitted | None:
-        chosen = [one for one in search.visited if one.plain == added and (one.noise or not one.added)]
-        chosen += [one for one in search.visited if one.plain == added and not one.noise and one.added]
+        chosen = [
+            visited
+            for visited in search.visited
+            if visited.plain == added and (visited.noise or not visited.added)
+        ]
+        chosen += [
+            visited
+            for visited in search.visited
+            if visited.plain == added and not visited.noise and visited.added
+        ]
         return search.visited[search.ranked(chosen)[0]] if chosen else None
 
-    listed = {entry: found for entry, found in search.probes.items() if Entry.parse(entry).name in registry()}
-    for entry, found in listed.items():
+    listed = {entry: probe for entry, probe in search.probes.items() if Entry.parse(entry).name in registry()}
+    for entry, probe in listed.items():
         at = best((entry,))
         rows.append(
             {
                 **_names(entry if at is None else at.hypothesis.added[0]),
-                "score": found.score,
+                "score": probe.score,
                 "p": gate.marginal.get(f"signature {entry}"),
                 "probability": odds.effects.get(Entry.parse(entry).name, 0.0),
                 "delta_log_evidence": None if at is None else at.log_z - plain,
@@ -80,16 +89,16 @@ def sets(search: Search, final: Fitted) -> list[dict[str, Any]]:
     """The sets beside the ``final`` one, best first, with the odds against each; of sets of the same names the best."""
     known = {frozenset(final.hypothesis.names)}
     rows = []
-    for one in search.ranked():
-        members = frozenset(one.names)
-        if members in known or len(one.added) < 2:
+    for hypothesis in search.ranked():
+        members = frozenset(hypothesis.names)
+        if members in known or len(hypothesis.added) < 2:
             continue
         known.add(members)
-        at = search.visited[one]
-        behind = search.log_odds(final.hypothesis) - search.log_odds(one)
+        at = search.visited[hypothesis]
+        behind = search.log_odds(final.hypothesis) - search.log_odds(hypothesis)
         rows.append(
             {
-                "effects": list(one.plain),
+                "effects": list(hypothesis.plain),
                 "delta_log_evidence": at.log_z - final.log_z,
                 "heldout_delta_log_likelihood": None,
                 "chi2_after": at.chi2,

@@ -30,30 +30,30 @@ def unseen_shares(fitted: Fitted, without: Fitted, entry: str, seed: int = 0) ->
     """The shares of a fit's posterior mass in which its effect ``entry`` changes the light by less than UNSEEN, and by less than SURE,
     beyond what the rest of the model can take up; ``without`` is the fit of the same hypothesis less that effect. Residuals are taken as
     linear about each minimum."""
-    own = set(effect_columns(fitted.model.parameter_set, entry))
-    place = {name: column for column, name in enumerate(without.names)}
+    entry_columns = set(effect_columns(fitted.model.parameter_set, entry))
+    column_of = {name: column for column, name in enumerate(without.names)}
     rest = set(range(len(without.names))) - set(without.posterior.noise_columns)
     shares, masses = [], []
-    for one in fitted.minima:
-        tangent = one.whitened(without.slopes)
+    for minimum in fitted.minima:
+        tangent = minimum.whitened(without.slopes)
         generator = torch.Generator().manual_seed(seed)
-        normal = torch.randn(DRAWS, len(one.g), generator=generator, dtype=one.g.dtype)
-        step = normal @ torch.linalg.cholesky(one.covariance).T
-        moved = one.whitened((without.delta - one.delta)[:, None] - one.slopes @ step.T)
+        normal = torch.randn(DRAWS, len(minimum.g), generator=generator, dtype=minimum.g.dtype)
+        step = normal @ torch.linalg.cholesky(minimum.covariance).T
+        moved = minimum.whitened((without.delta - minimum.delta)[:, None] - minimum.slopes @ step.T)
         # what the fit without the effect has moved by already costs under the priors, as do the steps that it may still take
         paid = moved.new_zeros(tangent.shape[1], DRAWS)
-        for column, name in enumerate(one.names):
-            if column in own or place.get(name) not in rest:
+        for column, name in enumerate(minimum.names):
+            if column in entry_columns or column_of.get(name) not in rest:
                 continue
             # halfway, for slopes change on the way from one fit to the other
-            there = one.whitened(one.slopes[:, [column]])[:, 0]
-            tangent[:, place[name]] = 0.5 * (tangent[:, place[name]] + there)
-            paid[place[name]] = without.g[place[name]] - one.g[column] - step[:, column]
+            there = minimum.whitened(minimum.slopes[:, [column]])[:, 0]
+            tangent[:, column_of[name]] = 0.5 * (tangent[:, column_of[name]] + there)
+            paid[column_of[name]] = without.g[column_of[name]] - minimum.g[column] - step[:, column]
         basis = torch.linalg.qr(torch.cat([tangent, torch.eye(len(paid), dtype=tangent.dtype)]))[0]
         whole = torch.cat([moved, paid])
         left = torch.linalg.vector_norm(whole - basis @ (basis.T @ whole), dim=0)
         shares.append(torch.stack([(left < limit).to(left).mean() for limit in (UNSEEN, SURE)]))
-        masses.append(one.laplace)
+        masses.append(minimum.laplace)
     weight = torch.softmax(torch.tensor(masses, dtype=torch.float64), 0)
     unseen, unsure = (weight @ torch.stack(shares)).tolist()
     return unseen, unsure
@@ -74,8 +74,8 @@ def unseen_noise_share(fitted: Fitted, quoted: Fitted, seed: int = 0) -> float:
         if float(likelihood.density(replace(at, sigma=sigma), noise)) - before > 0.5 * UNSEEN**2:
             continue
         made = [draw(noise, sigma, likelihood.curve, random, fitted.scale) for _ in range(NOISE_RECORDINGS)]
-        found = replace(at, delta=torch.stack(made), sigma=sigma, scale=fitted.scale)
-        gained = likelihood.density(found, noise)
-        gained -= likelihood.density(replace(found, sigma=plain), quoted.noise)
+        drawn = replace(at, delta=torch.stack(made), sigma=sigma, scale=fitted.scale)
+        gained = likelihood.density(drawn, noise)
+        gained -= likelihood.density(replace(drawn, sigma=plain), quoted.noise)
         unseen += float(gained.median()) < 0.5 * UNSEEN**2
     return unseen / NOISE_DRAWS

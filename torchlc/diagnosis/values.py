@@ -29,11 +29,11 @@ def materials(fits: Sequence[tuple[Fitted, float]]) -> dict[str, dict[str, float
         columns = [at.names.index(name) for name in names if name in at.names]
         if count and len(columns) == len(names):
             drawn.append(at.draws(count)[:, columns])
-    found = {}
+    summaries = {}
     for name, column in zip(names, torch.cat(drawn).T, strict=True):
         q05, q50, q95 = torch.quantile(column, torch.tensor([0.05, 0.5, 0.95], dtype=column.dtype)).tolist()
-        found[name] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
-    return found
+        summaries[name] = {"median": q50, "sd": float(column.std()), "q05": q05, "q95": q95}
+    return summaries
 
 
 def effect_parameters(at: Fitted, entry: str, turns: Counted) -> dict[str, dict[str, Any]]:
@@ -47,9 +47,9 @@ def effect_parameters(at: Fitted, entry: str, turns: Counted) -> dict[str, dict[
         parameters.free[column].origin.short: {
             "median": float(at.theta[column]),
             "sd": math.hypot(
-                float(sd[place]), turns.spread(parameters.names[column], float(at.theta[column]))
+                float(sd[index]), turns.spread(parameters.names[column], float(at.theta[column]))
             ),
             "unit": parameters.free[column].unit,
         }
-        for place, column in enumerate(columns)
+        for index, column in enumerate(columns)
     }

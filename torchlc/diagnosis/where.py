@@ -19,9 +19,13 @@ from torchlc.noise import Noise, Residuals
 from torchlc.noise.error_law import MAG_PER_LN
 
 BINS = 12
+"""Straight pieces of a curve along a coordinate: a glint that takes a tenth of its range has a knot within; each has 15 rows at least."""
 FOLDS = 4
+"""Parts of the rows that are foreseen from the others, each in five runs of rows: single rows would be told by their neighbours."""
 SEEN_SIGMA = 2.0
+"""Errors of a row from which on a difference is located: what moves a row by less is hardly told from its noise, and one in twenty by chance."""
 SHORT_GAP = 2
+"""Rows within an interval that may be less: a difference that changes its sign passes through zero in one or two."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,8 @@ class Weighed(Posterior):
         self.sigma = sigma
 
     def residuals(self, g: Tensor) -> Residuals:
-        found = super().residuals(g)
-        return replace(found, sigma=self.sigma.expand(found.delta.shape))
+        residuals = super().residuals(g)
+        return replace(residuals, sigma=self.sigma.expand(residuals.delta.shape))
 
 
 @torch.no_grad()
@@ -55,10 +59,16 @@ def refitted(before: Fitted, after: Fitted, others: Sequence[Fitted] = ()) -> Te
     its own would call bad, and what rows share would take up, what ``after`` explains. From the minima that the same model has under any law of the rows, ``others``, where that
     is not dear."""
     posterior = Weighed(before.likelihood, after.sigma)
-    starts = [one.g[: posterior.own] for one in before.minima]
-    known = [after] if before.posterior.dear else [after, *(one for other in others for one in other.minima)]
+    starts = [minimum.g[: posterior.own] for minimum in before.minima]
+    known = (
+        [after]
+        if before.posterior.dear
+        else [after, *(minimum for other in others for minimum in other.minima)]
+    )
     parameters = before.model.parameter_set
-    starts += [posterior.coordinates(carried(parameters, one.theta[None], one.names)[0]) for one in known]
+    starts += [
+        posterior.coordinates(carried(parameters, fitted.theta[None], fitted.names)[0]) for fitted in known
+    ]
     for start in starts:
         start[posterior.noise_columns] = starts[0][posterior.noise_columns]
     g = descend(posterior, torch.stack(starts), STEPS, Noise())[0][0]
@@ -91,26 +101,28 @@ def intervals(rows: Tensor, strength: Tensor, refit: Fitted) -> list[tuple[int, 
     """Runs of marked rows in time order within each station, with the root sum of squares of their
     strength."""
     context = refit.model.assembly.context
-    found = []
+    stretches = []
     for station in torch.unique(context.station).tolist():
         index = torch.nonzero(context.station == station)[:, 0]
         index = index[torch.argsort(context.seconds[index])]
         for first, last in joined(runs(rows[index])):
             inside = index[first : last + 1]
-            found.append((int(inside[0]), int(inside[-1]), float(torch.linalg.vector_norm(strength[inside]))))
-    return found
+            stretches.append(
+                (int(inside[0]), int(inside[-1]), float(torch.linalg.vector_norm(strength[inside])))
+            )
+    return stretches
 
 
 def joined(pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Runs of rows with those that at most SHORT_GAP rows part made one: a crossing of zero ends no
     interval."""
-    found: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for first, last in pieces:
-        if found and first - found[-1][1] - 1 <= SHORT_GAP:
-            found[-1] = (found[-1][0], last)
+        if merged and first - merged[-1][1] - 1 <= SHORT_GAP:
+            merged[-1] = (merged[-1][0], last)
         else:
-            found.append((first, last))
-    return found
+            merged.append((first, last))
+    return merged
 
 
 def component_shares(bare: Fitted, after: Fitted, rows: Tensor) -> list[tuple[str, float]]:
@@ -164,8 +176,8 @@ def held_out_r2(value: Tensor, coordinate: Tensor) -> float:
     basis = (1 - knots.abs()).clamp(min=0)
     fold = (torch.arange(total) * 5 * FOLDS // total) % FOLDS
     missed = 0.0
-    for one in range(FOLDS):
-        train, test = fold != one, fold == one
+    for number in range(FOLDS):
+        train, test = fold != number, fold == number
         a = basis[train]
         system = a.T @ a + 1e-3 * max(len(a), 1) / bins * torch.eye(bins + 1, dtype=value.dtype)
         weight = torch.linalg.solve(system, a.T @ value[train])

@@ -52,11 +52,11 @@ def headline(content: Mapping[str, Any]) -> str:
     """The verdict in one line with its probability, from the content of diagnosis.json."""
     if content["verdict"] == "adequate" and content["doubt"]:
         return f"These data cannot tell whether anything is missing: {content['doubt']}."
-    told = [_or(family) for family in content["families"]]
+    families = [_or(family) for family in content["families"]]
     noise = [with_title(name) for name in content["named"]]
     late = content["probabilities"]["not_examined"]
     words = LATE if content["verdict"] == "unexplained" and late > TOLD_LATE else VERDICTS[content["verdict"]]
-    verdict = words.format(named=_and(noise if content["verdict"] == "noise_model" else told))
+    verdict = words.format(named=_and(noise if content["verdict"] == "noise_model" else families))
     verdict = f"{verdict} (probability {probability(content['probabilities']['told'])})."
     if content["doubt"]:
         verdict = f"{verdict} {_first_upper(content['doubt'])}."
@@ -74,27 +74,35 @@ def probability(p: float) -> str:
 def odds(content: Mapping[str, Any]) -> str:
     """The probabilities of every kind of answer in one sentence."""
     p = content["probabilities"]
-    told = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
-    told += [(with_title(name), one) for name, one in list(p["effects"].items())[:MOST_PARTS] if one >= 0.005]
+    answers = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
+    answers += [
+        (with_title(name), share) for name, share in list(p["effects"].items())[:MOST_PARTS] if share >= 0.005
+    ]
     laws = p["other_laws"]
-    told += [(f"the law of reflection {law} instead", one) for law, one in laws.items() if one >= 0.005]
-    told.append(("something that is not in the library", p["not_in_library"] - sum(laws.values())))
+    answers += [
+        (f"the law of reflection {law} instead", share) for law, share in laws.items() if share >= 0.005
+    ]
+    answers.append(("something that is not in the library", p["not_in_library"] - sum(laws.values())))
     if p["not_examined"] >= 0.005:
-        told.append(("an effect that was not examined", p["not_examined"]))
+        answers.append(("an effect that was not examined", p["not_examined"]))
     among = ", among what was examined" if content["unexamined"] else ""
-    return f"Probabilities{among}: " + ", ".join(f"{name} {probability(one)}" for name, one in told) + "."
+    return (
+        f"Probabilities{among}: " + ", ".join(f"{name} {probability(share)}" for name, share in answers) + "."
+    )
 
 
 def unexamined(reasons: Mapping[str, str]) -> list[str]:
     """Candidates that were left out, by entry with the reason: a sentence for each reason, with the first of them."""
-    told = []
+    sentences = []
     for reason in dict.fromkeys(reasons.values()):
         entries = [entry for entry, why in reasons.items() if why == reason]
-        listed = [f"the law {one}" if one in MODELS else with_title(one) for one in entries[:MOST_ROWS]]
+        listed = [
+            f"the law {entry}" if entry in MODELS else with_title(entry) for entry in entries[:MOST_ROWS]
+        ]
         more = len(entries) - MOST_ROWS
         rest = f" and {more} more, which diagnosis.json lists" if more > 0 else ""
-        told.append(f"not examined, for {reason}: {', '.join(listed)}{rest}")
-    return told
+        sentences.append(f"not examined, for {reason}: {', '.join(listed)}{rest}")
+    return sentences
 
 
 def bad_rows(content: Mapping[str, Any]) -> str:
@@ -134,20 +142,20 @@ def shape(content: Mapping[str, Any]) -> str:
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
     """What a terminal shows, from the content of diagnosis.json: the verdict, what was found, the materials before and
     after, what to do next; ``completed`` is the list of effects to fit with."""
-    told = [headline(content), odds(content)]
-    told += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
-    told += [f"  {name} = {value}" for name, value in added.items()]
+    output = [headline(content), odds(content)]
+    output += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
+    output += [f"  {name} = {value}" for name, value in added.items()]
     if content["named"]:
         rows = [(f"  {name}", before, f"→ {after}") for name, before, after in changes(content["materials"])]
         rows += [(f"  {name}", before, f"→ {after}") for name, before, after in improvement(content)]
         widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
-        told += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
-    told.append(f"left: {content['remaining']['note']}")
-    told += [f"next: {step}" for step in _next_steps(content)]
+        output += [f"{name:{widths[0]}}  {before:>{widths[1]}} {after}" for name, before, after in rows]
+    output.append(f"left: {content['remaining']['note']}")
+    output += [f"next: {step}" for step in _next_steps(content)]
     if content["verdict"] == "missing_physics":
         effects = json.dumps(list(completed))
-        told.append(f"to fit with it, put into [model] of the scene: effects = {effects}")
-    return told
+        output.append(f"to fit with it, put into [model] of the scene: effects = {effects}")
+    return output
 
 
 def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
@@ -195,7 +203,7 @@ def _next_steps(content: Mapping[str, Any]) -> list[str]:
     unexplained = content["verdict"] == "unexplained"
     likely = content["probabilities"]["not_examined"] > TOLD_LATE
     if unexplained and sum(laws.values()) > 0.5:
-        law = max(laws, key=lambda one: laws[one])
+        law = max(laws, key=lambda name: laws[name])
         steps.append(
             f'write model = "{law}" with its numbers into the materials of the scene, and diagnose again'
         )
@@ -228,34 +236,34 @@ def _place(where: Mapping[str, Any]) -> str:
     text = "It is too faint to show in any one stretch of the recording"
     if intervals:
         text = f"It shows in {len(intervals)} stretch{'es' if len(intervals) != 1 else ''} of the recording"
-        strongest = max(intervals, key=lambda one: one["significance"])
+        strongest = max(intervals, key=lambda interval: interval["significance"])
         text += f", most between {_clock(strongest['start'])} and {_clock(strongest['end'])}"
     if where["components"]:
         first = where["components"][0]
         text += f"; {100 * first['share']:.0f} % of it comes from {first['name']}"
-    one = where["coordinate"]
-    if one and one["name"] != TIME:  # the stretches are of time
-        text += f"; it follows {in_words(one['name'], one['from'], one['to'])}"
+    coordinate = where["coordinate"]
+    if coordinate and coordinate["name"] != TIME:  # the stretches are of time
+        text += f"; it follows {in_words(coordinate['name'], coordinate['from'], coordinate['to'])}"
     return text + "."
 
 
 def values_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Each parameter's value with its uncertainty; those that every curve or night has for itself in one, by their
     root mean square and range."""
-    found = {}
+    texts = {}
     for name, row in parameters.items():
         short, bracket, _ = name.partition("[")
-        parts = [one["median"] for other, one in parameters.items() if other.startswith(f"{short}[")]
+        parts = [numbers["median"] for other, numbers in parameters.items() if other.startswith(f"{short}[")]
         if not bracket or len(parts) <= MOST_PARTS:
-            found[name] = _pair(row["median"], row["sd"], row["unit"])
-        elif f"{short} of {len(parts)}" not in found:
-            spread = math.sqrt(sum(one**2 for one in parts) / len(parts))
+            texts[name] = _pair(row["median"], row["sd"], row["unit"])
+        elif f"{short} of {len(parts)}" not in texts:
+            spread = math.sqrt(sum(part**2 for part in parts) / len(parts))
             unit = f" {row['unit']}" if row["unit"] else ""
             low, high = min(parts), max(parts)
-            found[f"{short} of {len(parts)}"] = (
+            texts[f"{short} of {len(parts)}"] = (
                 f"root mean square {spread:.3g}{unit}, from {low:.3g} to {high:.3g}{unit}"
             )
-    return found
+    return texts
 
 
 def _with_meaning(name: str) -> str:
@@ -263,7 +271,7 @@ def _with_meaning(name: str) -> str:
     effect, _, short = name.partition(".")
     quantity = re.split(r"\[| of ", short)[0]
     known = registry()[effect].quantities if effect in registry() else ()
-    meant = next((one.meaning for one in known if one.name == quantity), "")
+    meant = next((listed.meaning for listed in known if listed.name == quantity), "")
     return f"{meant} ({name})" if meant else name
 
 
@@ -282,12 +290,12 @@ def statistic(name: str) -> str:
 def improvement(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """(measure, before, after); chi-square only where errors are quoted, for fitted ones make it what it is."""
     rows = [("chi-square", "chi2", 0), ("rms, mag", "rms", 4), ("rms of unseen rows, mag", "heldout_rms", 4)]
-    found = []
+    table = []
     for name, key, digits in rows[content["error_source"] == "fitted" :]:
         before, after = (content["improvement"][f"{key}_{when}"] for when in ("before", "after"))
         if before is not None and after is not None:
-            found.append((name, f"{before:.{digits}f}", f"{after:.{digits}f}"))
-    return found
+            table.append((name, f"{before:.{digits}f}", f"{after:.{digits}f}"))
+    return table
 
 
 def changes(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:

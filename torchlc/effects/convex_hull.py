@@ -56,11 +56,11 @@ class ConvexHull(Effect):
         return self
 
     def surface(self, patches, view, p, context):
-        own = next(patch for patch in patches if patch.part == self._part)
+        replaced = next(patch for patch in patches if patch.part == self._part)
         hull = Patch(
-            component=own.component,
-            material=own.material,
-            model=own.model,
+            component=replaced.component,
+            material=replaced.material,
+            model=replaced.model,
             faces=["hull"] * len(self._area),
             normal=self._normal,
             u=self._u,
@@ -82,6 +82,6 @@ def _triangles(facets: Facets) -> tuple[Tensor, Tensor, Tensor]:
     twice = np.linalg.norm(cross, axis=1)
     kept = twice > 0
     outward = hull.equations[kept, :3]
-    found = (torch.as_tensor(one).to(facets.area) for one in (corners[kept], outward, twice[kept] / 2))
-    corner, normal, area = found
+    tensors = (torch.as_tensor(array).to(facets.area) for array in (corners[kept], outward, twice[kept] / 2))
+    corner, normal, area = tensors
     return corner, normal, area

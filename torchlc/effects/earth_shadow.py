@@ -95,12 +95,12 @@ class EarthShadow(Effect):
 
     def prepared(self, context):
         low, high = (
-            [context.bounds[self.full_name(one)][side] for one in ("h0", "scale_height", "refraction")]
+            [context.bounds[self.full_name(name)][side] for name in ("h0", "scale_height", "refraction")]
             for side in (0, 1)
         )
         reddest, bluest = (
-            RAYLEIGH_POWER * high[1] * math.log(GREEN_NM / one)
-            for one in reversed(context.bounds[self.full_name("wavelength")])
+            RAYLEIGH_POWER * high[1] * math.log(GREEN_NM / nm)
+            for nm in reversed(context.bounds[self.full_name("wavelength")])
         )
         self.soft, self.always_soft = high[1] >= SOFTEST_HARD_KM, low[1] >= SOFTEST_HARD_KM
         self.bends = self.soft and high[2] > 0
@@ -164,8 +164,8 @@ class EarthShadow(Effect):
     def _stands(self, context, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows (T,) that are in full sunlight and in the umbra throughout ``reach`` (T,) s, whatever the parameters are; and
         how much of the Sun's disc (T,) the limb crosses meanwhile."""
-        place = torch.tensor([-0.5, 0.0, 0.5], dtype=reach.dtype)[:, None] * reach
-        state = context.track.at(place, place, 0.0)
+        offset = torch.tensor([-0.5, 0.0, 0.5], dtype=reach.dtype)[:, None] * reach
+        state = context.track.at(offset, offset, 0.0)
         assert state.position is not None
         low, high = Limb.seen(state.position, state.sun).heights()
         disc = torch.where(torch.isfinite(low), high - low, 1.0)
@@ -237,28 +237,29 @@ class EarthShadow(Effect):
         edge = edge.reshape(-1, columns).any(0) if readable(edge) else everywhere
         weight = weight.expand(*weight.shape[:-1], columns)
         seen = partial(self._seen, p)
-        found: list[tuple[Tensor, Tensor]] = []
+        pieces: list[tuple[Tensor, Tensor]] = []
         for index, rule in _groups(instants, edge, self.crossed):
             if rule is None:
                 light = seen(position[..., index, :], sun[..., index, :], index)
                 share = weight[..., index] / weight[..., index].sum(-2, keepdim=True)
-                found.append((index, (share * light).sum(-2)))
+                pieces.append((index, (share * light).sum(-2)))
                 continue
             # a row's panel at a time: from its q instants to M finer ones and back
-            to_fine, back = (one.to(position) for one in rule)
-            place, towards = (
-                torch.einsum("mq,...nqc->...nmc", to_fine, one[..., index, :]) for one in (position, sun)
+            to_fine, back = (matrix.to(position) for matrix in rule)
+            positions, towards = (
+                torch.einsum("mq,...nqc->...nmc", to_fine, vectors[..., index, :])
+                for vectors in (position, sun)
             )
-            light = seen(place, towards, index[:, :1].expand(-1, len(to_fine)))
+            light = seen(positions, towards, index[:, :1].expand(-1, len(to_fine)))
             mean = torch.einsum("qm,...nm->...nq", back, light).flatten(-2)
-            found.append((index.flatten(), mean.mean(-2)))
-        shape = np.broadcast_shapes(*(one.shape[:-1] for _, one in found), p["h0"].shape[:-1])
+            pieces.append((index.flatten(), mean.mean(-2)))
+        shape = np.broadcast_shapes(*(lights.shape[:-1] for _, lights in pieces), p["h0"].shape[:-1])
         shape = np.broadcast_shapes(shape, lit.shape[:-1])
         factor = torch.where(dark, 0.0, p["h0"].new_ones(columns)).expand(*shape, columns)
-        if not found:
+        if not pieces:
             return factor
-        index = torch.cat([one for one, _ in found])
-        light = torch.cat([one.expand(*shape, -1) for _, one in found], -1)
+        index = torch.cat([rows for rows, _ in pieces])
+        light = torch.cat([lights.expand(*shape, -1) for _, lights in pieces], -1)
         factor = factor.index_copy(-1, index, light)
         return torch.where(lit, 1.0, torch.where(dark, 0.0, factor)) if self.moved else factor
 

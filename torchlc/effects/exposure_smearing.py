@@ -111,7 +111,7 @@ class ExposureSmearing(Effect):
         if self._whole:
             return nodes
         exposure = p["s"] if context.exptime is None else context.exptime.to(nodes.offset)
-        place, weight = (one.to(nodes.offset) for one in (self.divided.place, self.divided.weight))
+        place, weight = (column.to(nodes.offset) for column in (self.divided.place, self.divided.weight))
         return Nodes(nodes.offset + place * exposure, nodes.weight * weight)
 
 
@@ -140,7 +140,7 @@ def _divided(panels: Panels, exposure: Tensor) -> Instants:
     place, weight = exposure.new_empty(2, len(number))
     ends = panels.count.cumsum(0)
     for count in torch.unique(panels.count).tolist():
-        nodes, weights = (torch.as_tensor(one).to(exposure) for one in _rule(count))
+        nodes, weights = (torch.as_tensor(array).to(exposure) for array in _rule(count))
         chosen = torch.nonzero(panels.count == count)[:, 0]
         index = (ends[chosen] - count)[:, None] + torch.arange(count)
         place[index] = panels.start[chosen, None] - 0.5 + panels.length[chosen, None] * nodes
@@ -169,18 +169,18 @@ def _panels(context: Context, exposure: Tensor) -> Panels:
         if effect.stage == "shade":
             edge |= effect.change(context, exposure) > EDGE
     more = torch.where(edge, EDGE_INSTANTS, 0)
-    found: list[Panels] = []
+    pieces: list[Panels] = []
     for level in torch.unique(depth).tolist():
         chosen = whole[depth == level]
-        found += [
+        pieces += [
             _joined(context, some, exposure[some], level, more[some])
             for some in chosen.split(max(1, MOST_AT_ONCE >> level))
         ]
     row, start, length, count = (
-        torch.cat([getattr(one, name) for one in found]) for name in ("row", "start", "length", "count")
+        torch.cat([getattr(piece, name) for piece in pieces]) for name in ("row", "start", "length", "count")
     )
     order = torch.as_tensor(np.lexsort((start.numpy(), row.numpy())))
-    row, start, length, count = (one[order] for one in (row, start, length, count))
+    row, start, length, count = (column[order] for column in (row, start, length, count))
     wanted = int(count.sum())
     panels = Panels(row, start, length, count, wanted, rows)
     return _capped(context, panels) if context.finer is None else _finer(panels, context.finer)
@@ -190,8 +190,8 @@ def _finer(panels: Panels, rows: Tensor) -> Panels:
     """Each panel of the rows that are marked (T,) in two, with an instant more in each; none for the others."""
     kept = rows[panels.row]
     row, start, length, count = (
-        one[kept].repeat_interleave(2)
-        for one in (panels.row, panels.start, 0.5 * panels.length, panels.count + 1)
+        column[kept].repeat_interleave(2)
+        for column in (panels.row, panels.start, 0.5 * panels.length, panels.count + 1)
     )
     start[1::2] += length[1::2]
     return Panels(row, start, length, count, panels.wanted, panels.rows)
@@ -223,14 +223,14 @@ def _joined(context: Context, rows: Tensor, exposure: Tensor, level: int, more: 
     """Panels of rows (R,) whose exposures (R,) are cut into 2^level leaves, which are joined where that saves instants."""
     leaves = 2**level
     start = torch.arange(leaves, dtype=exposure.dtype) / leaves
-    place = (start + 0.5 / leaves - 0.5).expand(len(rows), leaves)
+    middle = (start + 0.5 / leaves - 0.5).expand(len(rows), leaves)
     paths, widths = _paths(
         context,
         rows.repeat_interleave(leaves),
-        (place * exposure[:, None]).flatten(),
+        (middle * exposure[:, None]).flatten(),
         (exposure / leaves).repeat_interleave(leaves),
     )
-    path, width = (one.unflatten(-1, (-1, leaves)) for one in (paths, widths.here(paths)))
+    path, width = (tensor.unflatten(-1, (-1, leaves)) for tensor in (paths, widths.here(paths)))
     cost = instants_for((path / width).amax(0)) + more[:, None]
     levels = [cost]
     whole: list[Tensor] = []
@@ -242,13 +242,13 @@ def _joined(context: Context, rows: Tensor, exposure: Tensor, level: int, more: 
         whole.append(alone <= apart)
         levels.append(alone)
         best = torch.minimum(alone, apart)
-    found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    joined: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
     open_ = torch.ones(len(rows), 1, dtype=torch.bool)
     for height in range(level, -1, -1):
         taken = open_ & whole[height - 1] if height else open_
         number, which = torch.nonzero(taken, as_tuple=True)
         length = 2.0 ** (height - level)
-        found.append(
+        joined.append(
             (
                 rows[number],
                 which * length,
@@ -257,7 +257,7 @@ def _joined(context: Context, rows: Tensor, exposure: Tensor, level: int, more: 
             )
         )
         open_ = (open_ & ~taken).repeat_interleave(2, -1)
-    row, begin, length, count = (torch.cat(column) for column in zip(*found, strict=True))
+    row, begin, length, count = (torch.cat(column) for column in zip(*joined, strict=True))
     return Panels(row, begin.to(exposure), length, count, int(count.sum()), len(rows))
 
 
@@ -282,7 +282,7 @@ def _paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) -> tu
     and their widths."""
     pieces = [
         _some_paths(context, *some)
-        for some in zip(*(one.split(MOST_AT_ONCE) for one in (rows, offset, length)), strict=True)
+        for some in zip(*(column.split(MOST_AT_ONCE) for column in (rows, offset, length)), strict=True)
     ]
     paths = torch.cat([path for path, _ in pieces], -1)
     return paths, replace(pieces[0][1], away=torch.cat([widths.away for _, widths in pieces], -1))
@@ -292,8 +292,8 @@ def _some_paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) 
     track = context.track.at_rows(rows)
     step = 1e-3 * length.clamp(min=1e-3)
     # rates at the middle and at both ends, from short differences
-    place = torch.tensor([-0.5, 0.0, 0.5], dtype=offset.dtype)[:, None] * length + offset
-    times = torch.cat([place - step / 2, place + step / 2])
+    middles = torch.tensor([-0.5, 0.0, 0.5], dtype=offset.dtype)[:, None] * length + offset
+    times = torch.cat([middles - step / 2, middles + step / 2])
     state = track.at(times, times, 0.0)
     bounds = {name: context.bounds[name] for name in context.attitude.numbers}
     steady = all(low == high for low, high in bounds.values()) and not context.turned(*GEOMETRY_STAGES)
@@ -313,18 +313,22 @@ def _some_paths(context: Context, rows: Tensor, offset: Tensor, length: Tensor) 
 
     add(torch.linalg.vector_norm(state.observer, dim=-1, keepdim=True).log(), RANGE_LN, RANGE_LN)
     for rotation in rotations:
-        to_sun, to_observer = (torch.einsum("...ij,...i->...j", rotation, one) for one in (sun, observer))
-        for part, own in zip(context.parts, context.rest, strict=True):
+        to_sun, to_observer = (
+            torch.einsum("...ij,...i->...j", rotation, direction) for direction in (sun, observer)
+        )
+        for part, facets in zip(context.parts, context.rest, strict=True):
             source, target = to_sun, to_observer
             if part.tracks_axis is not None:
                 pose = tracking_pose(like(part.tracks_axis, to_sun), like(part.front, to_sun), to_sun)
-                source, target = (torch.einsum("...ij,...i->...j", pose, one) for one in (source, target))
+                source, target = (
+                    torch.einsum("...ij,...i->...j", pose, direction) for direction in (source, target)
+                )
             bound = context.lobe_bounds if steady else context.lobes
             width = min(DIFFUSE_RAD, max(bound.get(name, 1.0) for name in part.materials) ** -0.5)
             half = normalize(source + target, dim=-1)
             distance = None
             if steady and width < DIFFUSE_RAD / TAIL_WIDTHS:
-                distance = _from_glint(half[1], own.normal)
+                distance = _from_glint(half[1], facets.normal)
             add(half, width, DIFFUSE_RAD, distance)
             add(source, DIFFUSE_RAD, DIFFUSE_RAD)
             add(target, DIFFUSE_RAD, DIFFUSE_RAD)

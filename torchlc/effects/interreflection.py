@@ -62,19 +62,19 @@ class Interreflection(Effect):
         for start in range(0, rows, size):
             cut = slice(start, min(start + size, rows))
             posed = Posed.of(view, context, cut)
-            found: dict[tuple[str, str, str, bool], list[Ways]] = {}
+            by_key: dict[tuple[str, str, str, bool], list[Ways]] = {}
             for first, second in sides:
                 for ways, dull in posed.ways(first, second):
                     key = (context.parts[second.part].name, first.material, second.material, dull)
-                    found.setdefault(key, []).append(ways)
-            for key, ways in found.items():
+                    by_key.setdefault(key, []).append(ways)
+            for key, ways in by_key.items():
                 pieces.setdefault(key, []).append(_side_by_side(ways, cut.stop - cut.start))
         bounces = []
-        for (component, one, two, dull), cuts in pieces.items():
+        for (component, first_material, second_material, dull), cuts in pieces.items():
             columns = joined(cuts, BLANK)
             if not len(columns[-1]):
                 continue
-            models = context.models[one], context.models[two]
+            models = context.models[first_material], context.models[second_material]
             tables = tuple(
                 _table(model, columns[part]) for model, part in zip(models, (FIRST, SECOND), strict=True)
             )
@@ -83,7 +83,7 @@ class Interreflection(Effect):
                 tables, products = _gathered(*tables), (*(product[:1] for product in products[:3]), 1.0)
             first, second = (
                 Surface(component, name, model, table, view.range_m[0], sunlit=False)
-                for name, model, table in zip((one, two), models, tables, strict=True)
+                for name, model, table in zip((first_material, second_material), models, tables, strict=True)
             )
             bounces.append((component, first, second, products))
 
@@ -136,11 +136,13 @@ def _inside(
     return component, surfaces, of_patch, (share, source, sink, area)
 
 
-def _side_by_side(found: list[Ways], rows: int) -> Ways:
+def _side_by_side(pairs: list[Ways], rows: int) -> Ways:
     """Ways of several pairs of sides, (slots, T) each; under a trace every way keeps its slot."""
-    columns = zip(*found, strict=True)
+    columns = zip(*pairs, strict=True)
     if traced():
-        return tuple(torch.cat([one.unflatten(0, (rows, -1)).mT for one in column]) for column in columns)[1:]
+        return tuple(
+            torch.cat([slots.unflatten(0, (rows, -1)).mT for slots in column]) for column in columns
+        )[1:]
     row, *values = (torch.cat(column) for column in columns)
     return slotted(row, values, rows, BLANK)
 
@@ -159,5 +161,5 @@ def _gathered(
     """Tables of one way in place of all, for diffuse light alone: it is a product of two materials'
     reflectances."""
     both = (first["diffuse"] * second["diffuse"]).sum(0, keepdim=True)
-    one, two = ({name: table[:1] for name, table in tables.items()} for tables in (first, second))
-    return {**one, "diffuse": both}, {**two, "diffuse": torch.ones_like(both)}
+    of_first, of_second = ({name: table[:1] for name, table in tables.items()} for tables in (first, second))
+    return {**of_first, "diffuse": both}, {**of_second, "diffuse": torch.ones_like(both)}

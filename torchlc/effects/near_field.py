@@ -46,20 +46,20 @@ def pieces(vertices: torch.Tensor, longest: float) -> tuple[torch.Tensor, torch.
     for number, polygon in enumerate(vertices):
         areas, places = [], []
         for k in range(1, len(polygon) - 1):
-            corner, one, other = polygon[0], polygon[k] - polygon[0], polygon[k + 1] - polygon[0]
-            area = float(torch.linalg.vector_norm(torch.linalg.cross(one, other)) / 2)
+            corner, first, second = polygon[0], polygon[k] - polygon[0], polygon[k + 1] - polygon[0]
+            area = float(torch.linalg.vector_norm(torch.linalg.cross(first, second)) / 2)
             if area == 0:
                 continue
-            widest = max(float(torch.linalg.vector_norm(side)) for side in (one, other, other - one))
+            widest = max(float(torch.linalg.vector_norm(side)) for side in (first, second, second - first))
             if widest <= longest:
-                places.append((corner + (one + other) / 3)[None])
+                places.append((corner + (first + second) / 3)[None])
                 areas.append(polygon.new_full((1,), area))
                 continue
             many = min(max(1, math.ceil(widest / (WIDER * longest))), FINEST)
             grid = torch.cartesian_prod(torch.arange(many), torch.arange(many)).reshape(-1, 2)
             upright, hanging = (grid[grid.sum(1) < most].to(polygon)[:, None] for most in (many, many - 1))
             at = torch.cat([upright + rule[:, 1:], hanging + 1 - rule[:, 1:]]).reshape(-1, 2) / many
-            places.append(corner + at[:, :1] * one + at[:, 1:] * other)
+            places.append(corner + at[:, :1] * first + at[:, 1:] * second)
             areas.append((area / many**2 * weights).repeat(many**2))
         whole = torch.cat(areas)
         points.append(torch.cat(places))
@@ -107,9 +107,9 @@ class NearField(Effect):
         self._longest, self._radius = longest, context.radius
         self._pieces = {
             (number, material): pieces(
-                own.vertices[[i for i, one in enumerate(part.materials) if one == material]], longest
+                facets.vertices[[i for i, name in enumerate(part.materials) if name == material]], longest
             )
-            for number, (part, own) in enumerate(zip(context.shape.parts, context.rest, strict=True))
+            for number, (part, facets) in enumerate(zip(context.shape.parts, context.rest, strict=True))
             for material in dict.fromkeys(part.materials)
         }
         self._further: list[tuple[torch.Tensor, tuple[torch.Tensor, ...]]] = []
@@ -127,7 +127,9 @@ class NearField(Effect):
             middle, share, which = self._pieces[patch.part, patch.material]
         else:
             return patch
-        visible, seen = (None if one is None else one[..., which] for one in (patch.visible, patch.seen))
+        visible, seen = (
+            None if fraction is None else fraction[..., which] for fraction in (patch.visible, patch.seen)
+        )
         return replace(
             patch,
             normal=patch.normal[..., which, :],

@@ -149,8 +149,8 @@ def through_nodes(deviation: Tensor) -> list[Tensor]:
     """Shares (...) of the flat facet and of ``NODES`` in a polynomial through all of them, at a standard deviation (...), rad (Lagrange)."""
     nodes = (0.0, *NODES)
     shares = []
-    for own in nodes:
-        factors = [(deviation - other) / (own - other) for other in nodes if other != own]
+    for node in nodes:
+        factors = [(deviation - other) / (node - other) for other in nodes if other != node]
         shares.append(math.prod(factors[1:], start=factors[0]))
     return shares
 
@@ -177,7 +177,7 @@ def to_four_sides(angles: Incidence, deviation: float) -> Incidence:
     sides = ((sine, along), (-sine, -along), (0 * sine, across), (0 * sine, -across))
     cos_i = torch.cat([upright * angles.cos_i + aside * sun for sun, _ in sides], -2)
     cos_r = torch.cat([upright * angles.cos_r + aside * observer for _, observer in sides], -2)
-    others = (torch.cat([one] * 4, -2) for one in (angles.cos_half, angles.log_u, angles.log_v))
+    others = (torch.cat([angle] * 4, -2) for angle in (angles.cos_half, angles.log_u, angles.log_v))
     return Incidence(cos_i.clamp(0, 1), cos_r.clamp(0, 1), *others)
 
 

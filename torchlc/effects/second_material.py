@@ -76,8 +76,8 @@ class SecondMaterial(Effect):
 
         def mixed(material):
             return tuple(
-                (1 - weight) * one + weight * other
-                for one, other in zip(reflect(material), reflect(second), strict=True)
+                (1 - weight) * first + weight * other
+                for first, other in zip(reflect(material), reflect(second), strict=True)
             )
 
         return mixed

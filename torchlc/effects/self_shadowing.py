@@ -34,7 +34,7 @@ class SelfShadowing(Effect):
 
     def surface(self, patches, view, p, context):
         poses = [pose for pose in view.poses if pose is not None]
-        sized = any(own.vertices.ndim > 3 for own in view.facets)
+        sized = any(facets.vertices.ndim > 3 for facets in view.facets)
         count = len(view.nodes.offset) // (view.batch if len(view.nodes.offset) > 1 else 1) * view.batch
         rows = np.broadcast_shapes(
             view.to_sun.shape[:-1],
@@ -44,20 +44,22 @@ class SelfShadowing(Effect):
         )
 
         def fractions(source):
-            found = _visible(context, view, rows, source)
-            if found is None:
+            shares = _visible(context, view, rows, source)
+            if shares is None:
                 clear = source.new_ones(()).expand(rows[0], 1, 1)
                 return [
                     None if patch.part is None else clear.expand(-1, -1, len(patch.normal))
                     for patch in patches
                 ]
-            return [None if patch.part is None else found[patch.part][..., patch.select] for patch in patches]
+            return [
+                None if patch.part is None else shares[patch.part][..., patch.select] for patch in patches
+            ]
 
         visible = fractions(view.to_sun)
         seen = visible if all(light.primary for light in view.lights) else fractions(view.to_observer)
         return tuple(
-            replace(patch, visible=one, seen=other)
-            for patch, one, other in zip(patches, visible, seen, strict=True)
+            replace(patch, visible=by_sun, seen=by_observer)
+            for patch, by_sun, by_observer in zip(patches, visible, seen, strict=True)
         )
 
 
@@ -80,50 +82,52 @@ def _visible(context, view, rows, to_sun):
         """Fractions (instants, T, F) at the instants ``which``."""
         which = torch.as_tensor(which, device=sun.device)
         if meeting is None:
-            place, row = (
+            item, row = (
                 which.repeat_interleave(each),
                 torch.arange(each, device=which.device).repeat(len(which)),
             )
         else:
-            place, row = torch.nonzero(meeting[which], as_tuple=True)
-        instant = which[place] if meeting is not None else place
-        found = visible_fractions(
+            item, row = torch.nonzero(meeting[which], as_tuple=True)
+        instant = which[item] if meeting is not None else item
+        shares = visible_fractions(
             context.shape,
             [
-                replace(own, vertices=sized(own.vertices, 3, instant)) if own.vertices.ndim > 3 else own
-                for own in view.facets
+                replace(facets, vertices=sized(facets.vertices, 3, instant))
+                if facets.vertices.ndim > 3
+                else facets
+                for facets in view.facets
             ],
             [None if pose is None else pose[instant, row] for pose in poses],
             sun[instant, row],
             observer[instant, row],
         )
         if meeting is None:
-            return [one.unflatten(0, (-1, each)) for one in found]
-        blank = [one.new_ones(len(which), each, one.shape[-1]) for one in found]
-        return [whole.index_put((place, row), one) for whole, one in zip(blank, found, strict=True)]
+            return [share.unflatten(0, (-1, each)) for share in shares]
+        blank = [share.new_ones(len(which), each, share.shape[-1]) for share in shares]
+        return [whole.index_put((item, row), share) for whole, share in zip(blank, shares, strict=True)]
 
     if traced():
-        found = of(instants)
+        shares = of(instants)
     else:
         alone = [
             [
                 sun[k],
                 observer[k],
                 *(pose[k] for pose in poses if pose is not None),
-                *(sized(own.vertices, 3, k) for own in view.facets),
+                *(sized(facets.vertices, 3, k) for facets in view.facets),
             ]
             for k in instants
         ]
-        found = context.memory.recall(alone, lambda new: of([instants[k] for k in new]))
+        shares = context.memory.recall(alone, lambda new: of([instants[k] for k in new]))
     if len(instants) == count:
-        return found
-    place = (torch.tensor(instants, device=sun.device),)
-    return [one.new_ones(*rows, one.shape[-1]).index_put(place, one) for one in found]
+        return shares
+    index = (torch.tensor(instants, device=sun.device),)
+    return [share.new_ones(*rows, share.shape[-1]).index_put(index, share) for share in shares]
 
 
 def _meeting(context, view, rows, to_sun):
     """Rows (Q, T) in which parts may meet; None where a transform hides which they are."""
-    known = (to_sun, view.to_observer, *(own.vertices for own in view.facets))
+    known = (to_sun, view.to_observer, *(facets.vertices for facets in view.facets))
     if transformed() or not all(map(readable, known)):
         return None
     return may_meet(context.parts, view.facets, rows, (to_sun, view.to_observer))

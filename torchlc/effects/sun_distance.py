@@ -26,4 +26,4 @@ class SunDistance(Effect):
 
     def light(self, lights, view, p, context):
         factor = (AU_KM / torch.linalg.vector_norm(view.state.sun, dim=-1)) ** 2
-        return tuple(replace(one, irradiance=one.irradiance * factor) for one in lights)
+        return tuple(replace(light, irradiance=light.irradiance * factor) for light in lights)

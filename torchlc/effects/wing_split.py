@@ -38,12 +38,12 @@ class WingSplit(Effect):
         return [None] if len(tracking) > 1 else []
 
     def pointing(self, poses, p, context):
-        angle, first, found = torch.deg2rad(p["deg"]), None, []
+        angle, first, turned = torch.deg2rad(p["deg"]), None, []
         for pose, part in zip(poses, context.parts, strict=True):
             if pose is not None and part.tracks_axis is not None:
                 first = part.tracks_axis if first is None else first
                 axis = like(part.tracks_axis, angle) * (1.0 if part.tracks_axis @ first >= 0 else -1.0)
                 pose = rotation_about(axis.expand(*angle.shape, 3), angle) @ pose
                 angle = -angle
-            found.append(pose)
-        return tuple(found)
+            turned.append(pose)
+        return tuple(turned)

@@ -135,8 +135,8 @@ def check_origin(path: Path, chain: StoredChain, origin: Mapping[str, Any]) -> N
     made = chain.origin
     if "walkers" in origin and any(made[key] != origin[key] for key in ("walkers", "parameters")):
         found, expected = (
-            f"{number_of(one['walkers'], 'walker')} over {', '.join(one['parameters'])}"
-            for one in (made, origin)
+            f"{number_of(settings['walkers'], 'walker')} over {', '.join(settings['parameters'])}"
+            for settings in (made, origin)
         )
         hint = f"{ANEW}, or give the scene and --walkers it was made with"
         raise InputError(path, None, f"a chain of {found}", expected, hint)
@@ -148,7 +148,7 @@ def check_origin(path: Path, chain: StoredChain, origin: Mapping[str, Any]) -> N
         hint = f"{ANEW}, or go on with --seed {made['seed']}"
         raise InputError(path, None, f"a chain of seed {made['seed']}", f"one of seed {origin['seed']}", hint)
     if "effects" in origin and made["effects"] != origin["effects"]:
-        found, expected = (", ".join(one["effects"]) or "none" for one in (made, origin))
+        found, expected = (", ".join(settings["effects"]) or "none" for settings in (made, origin))
         raise InputError(path, None, f"a chain with the effects {found}", expected, ANEW)
 
 
@@ -178,7 +178,9 @@ def _stored(path: Path, file: h5py.File, size: int) -> StoredChain:
         rows = slice(index * BLOCK_STEPS, min((index + 1) * BLOCK_STEPS, count))
         piece = (chain[rows], log_prob[rows])
         if (_block_hashes(*piece) != hashes[index]).any():
-            spoilt = "not a number" if any(np.isnan(one).any() for one in piece) else "not what was written"
+            spoilt = (
+                "not a number" if any(np.isnan(values).any() for values in piece) else "not what was written"
+            )
             raise _refused(path, f"steps {rows.start + 1} to {rows.stop} are {spoilt}")
         pieces.append(piece)
     steps, densities = (np.concatenate(parts) for parts in zip(*pieces, strict=True))

@@ -72,16 +72,16 @@ class Posterior:
         if not self.model.geometry_free:
             return 0.0
         # effects keep what they made of the last geometries: those counted here are no others' but this model's
-        own = 1e-6 * (1 + zlib.crc32(" ".join(self.model.names).encode()) / 2**32)
+        shift = 1e-6 * (1 + zlib.crc32(" ".join(self.model.names).encode()) / 2**32)
         g = self.coordinates(self.model.parameter_set.start())[None]
         with torch.no_grad():
             with Work() as shared:
-                self.residuals(g - own)  # what all geometries share is made here
+                self.residuals(g - shift)  # what all geometries share is made here
             if shared.seconds > MOST_SHARED_S:
                 self.model.forget()
                 return shared.seconds
             with Work() as each:
-                self.residuals(g + own)
+                self.residuals(g + shift)
         self.model.forget()
         return each.seconds
 
@@ -112,13 +112,13 @@ class Posterior:
 
     def residuals(self, g: Tensor) -> Residuals:
         """Residuals at coordinates (..., P)."""
-        found = self.likelihood.residuals(self.theta(g))
-        return replace(found, sigma=found.sigma * self.factor(g)) if self.scaled else found
+        residuals = self.likelihood.residuals(self.theta(g))
+        return replace(residuals, sigma=residuals.sigma * self.factor(g)) if self.scaled else residuals
 
     def turning(self, columns: Sequence[int]) -> list[int]:
         """Places in ``columns`` of those that move the geometry."""
         geometry = self.model.assembly.geometry_columns
-        return [place for place, column in enumerate(columns) if column in geometry]
+        return [index for index, column in enumerate(columns) if column in geometry]
 
     def under(self, found: Residuals, g: Tensor, new: Tensor) -> Residuals:
         """Residuals found at g (P,) as they are at new coordinates (P,) that differ in the noise alone."""
@@ -155,11 +155,12 @@ class Posterior:
         given = self.likelihood.colours(prior_rows=False)
         if given is None:
             return None
-        place = {column: number for number, column in enumerate(self.physical)}
-        groups = [tuple(place[one] for one in group if one in place) for group in given.groups]
-        own = torch.eye(len(place), dtype=torch.bool)
+        index_of = {column: number for number, column in enumerate(self.physical)}
+        groups = [tuple(index_of[column] for column in group if column in index_of) for group in given.groups]
+        prior_rows = torch.eye(len(index_of), dtype=torch.bool)
         return Colours(
-            tuple(group for group in groups if group), torch.cat([given.touched[self.physical], own], 1)
+            tuple(group for group in groups if group),
+            torch.cat([given.touched[self.physical], prior_rows], 1),
         )
 
 
@@ -261,7 +262,7 @@ class Fitted:
     @cached_property
     def laplace_of_all(self) -> float:
         """Log evidence of all the minima by Laplace's method."""
-        return float(torch.logsumexp(torch.tensor([one.laplace for one in (self, *self.others)]), 0))
+        return float(torch.logsumexp(torch.tensor([minimum.laplace for minimum in (self, *self.others)]), 0))
 
     @cached_property
     def laplace(self) -> float:
@@ -326,8 +327,8 @@ def deviance_rows(likelihood: Likelihood, noise: Noise, at: Residuals) -> Callab
     if noise.processes or likelihood.fitted_errors or likelihood.selected is not None:
         return whitener(likelihood, at, noise, fitted=True)
 
-    def rows(found: Residuals) -> Tensor:
-        return deviance(noise.law, found.delta / noise.sigma(found.sigma, at.scale))
+    def rows(residuals: Residuals) -> Tensor:
+        return deviance(noise.law, residuals.delta / noise.sigma(residuals.sigma, at.scale))
 
     return rows
 
@@ -345,9 +346,9 @@ def deviance(law: Law, u: Tensor) -> Tensor:
 
 def mixture_of(minima: Sequence[Fitted], dof: int = TAILS) -> StudentMixture:
     return StudentMixture(
-        torch.stack([one.g for one in minima]),
-        torch.stack([one.covariance for one in minima]),
-        torch.tensor([one.laplace for one in minima], dtype=minima[0].g.dtype),
+        torch.stack([minimum.g for minimum in minima]),
+        torch.stack([minimum.covariance for minimum in minima]),
+        torch.tensor([minimum.laplace for minimum in minima], dtype=minima[0].g.dtype),
         dof,
     )
 

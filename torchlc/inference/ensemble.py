@@ -67,11 +67,12 @@ def initial_walkers(fit: Fit, walkers: int, seed: int) -> Tensor:
             step = 0.03 * torch.where(y0 - low <= high - y0, inward, -inward) * span
             y = torch.where(mode.at_bound, y + step, y)
             inside = y[((y > low) & (y < high)).all(-1)]
-            theta = parameters.from_flat(inside)
-            with torch.no_grad():
-                good = torch.isfinite(likelihood.log_prob(theta))
-            points.append(parameters.to_straight(theta)[good][:needed])
-            needed -= len(points[-1])
+            if len(inside):
+                theta = parameters.from_flat(inside)
+                with torch.no_grad():
+                    good = torch.isfinite(likelihood.log_prob(theta))
+                points.append(parameters.to_straight(theta)[good][:needed])
+                needed -= len(points[-1])
             tries += 1
             if tries > 60:
                 raise RuntimeError("no walker with a finite posterior could be placed around the fit")

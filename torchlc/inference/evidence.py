@@ -75,8 +75,8 @@ class StudentMixture:
         """``count`` draws (count, P): of each component as many as its share asks for, rounded at random."""
         share = torch.exp(self.log_share)
         edges = torch.cumsum(share, 0) / share.sum()
-        place = (torch.arange(count) + torch.rand((), generator=generator)) / count
-        member = torch.searchsorted(edges, place.to(edges)).clamp(max=len(edges) - 1)
+        position = (torch.arange(count) + torch.rand((), generator=generator)) / count
+        member = torch.searchsorted(edges, position.to(edges)).clamp(max=len(edges) - 1)
         normal = torch.randn(count, self.mean.shape[-1], generator=generator, dtype=self.mean.dtype)
         others = torch.randn(count, self.dof, generator=generator, dtype=self.mean.dtype)
         wide = normal * torch.sqrt(self.dof / others.square().sum(-1))[:, None]
@@ -127,18 +127,20 @@ def importance(
     """The integral of exp(log_density), which maps (N, P) to (N,), by ``draws`` draws of a proposal, adapted to them as
     long as their weights are not to be trusted; if they are not then either, by two tempered sequences, unless ``moving`` is
     False because these take some forty times as many calls."""
-    found = _weighed(log_density, proposal, draws, generator)
+    evidence = _weighed(log_density, proposal, draws, generator)
     for _ in range(adaptations):
-        thin = found.effective < THIN * draws
-        if (found.trusted and not thin) or not bool(torch.isfinite(found.log_weight).any()):
+        thin = evidence.effective < THIN * draws
+        if (evidence.trusted and not thin) or not bool(torch.isfinite(evidence.log_weight).any()):
             break
-        adapted = proposal.adapted(found.draws, found.log_weight)
+        adapted = proposal.adapted(evidence.draws, evidence.log_weight)
         again = _weighed(log_density, adapted, draws, generator)
-        better = again.effective > found.effective if found.trusted else again.pareto_k < found.pareto_k
-        if better and (again.trusted or not found.trusted):
-            found, proposal = again, adapted
-    if found.trusted or not moving:
-        return found
+        better = (
+            again.effective > evidence.effective if evidence.trusted else again.pareto_k < evidence.pareto_k
+        )
+        if better and (again.trusted or not evidence.trusted):
+            evidence, proposal = again, adapted
+    if evidence.trusted or not moving:
+        return evidence
     first, second = (tempered(log_density, proposal, draws, generator) for _ in range(2))
     mean = float(torch.logsumexp(torch.tensor([first.log_z, second.log_z]), 0)) - math.log(2)
     # what draws share by descent is in no run's own error
@@ -205,8 +207,8 @@ def _resampled(log_weight: Tensor, generator: torch.Generator) -> Tensor:
     """Places (N,) of draws in proportion to their weights, by one uniform number (systematic resampling)."""
     count = len(log_weight)
     edges = torch.cumsum(torch.softmax(log_weight, 0), 0)
-    place = (torch.arange(count) + torch.rand((), generator=generator)) / count
-    return torch.searchsorted(edges / edges[-1], place.to(edges)).clamp(max=count - 1)
+    position = (torch.arange(count) + torch.rand((), generator=generator)) / count
+    return torch.searchsorted(edges / edges[-1], position.to(edges)).clamp(max=count - 1)
 
 
 def _differences(x: Tensor, count: int, generator: torch.Generator) -> Tensor:

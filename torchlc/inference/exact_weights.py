@@ -60,10 +60,11 @@ def reweighted(
     )
     draws = posterior.flat
     with torch.no_grad():
-        exact, own = (
-            torch.cat([one.log_prob(piece) for piece in draws.split(AT_ONCE)]) for one in (likelihood, moving)
+        exact, approximate = (
+            torch.cat([target.log_prob(piece) for piece in draws.split(AT_ONCE)])
+            for target in (likelihood, moving)
         )
-    log_weight = torch.where(torch.isfinite(exact), exact, -math.inf) - own
+    log_weight = torch.where(torch.isfinite(exact), exact, -math.inf) - approximate
     weight = torch.softmax(log_weight, 0)
     left = float(1 / (len(draws) * weight.square().sum()))
     if not left >= LEAST_LEFT and (budget.left() or not math.isfinite(left)):
@@ -74,6 +75,5 @@ def reweighted(
         posterior,
         theta=draws[chosen].reshape(posterior.theta.shape),
         log_prob=exact[chosen].reshape(posterior.log_prob.shape),
-        note=f"{posterior.note}; the ensemble moved on an expansion of the geometry, and {left:.0%} of its draws count by their exact "
-        "densities",
+        note=f"{posterior.note}; drawn with approximate light, then weighted by the exact light, by which {left:.0%} of the draws count",
     )

@@ -63,16 +63,16 @@ class Redraw:
         self.others = [i for i in range(len(short)) if i not in held and i not in self.linear]
         self.alike = [(i, j) for i in self.others for j in self.others if i < j and short[i] == short[j]]
         self.first = {second: first for first, second in model.parameter_set.pairs}
-        bounds = [one.prior.flat_range() for one in model.parameter_set.free]
+        bounds = [parameter.prior.flat_range() for parameter in model.parameter_set.free]
         self.low, self.high = torch.tensor(bounds, dtype=theta.dtype).unbind(-1)
         with torch.no_grad():
-            found = likelihood.residuals(theta)
-            sigma = found.sigma.expand(found.delta.shape)
+            residuals = likelihood.residuals(theta)
+            sigma = residuals.sigma.expand(residuals.delta.shape)
             if likelihood.fitted_errors:
-                sigma = likelihood.fitted_levels(found.delta)[likelihood.curve]
-            sigma = model.noise(theta).sigma(sigma, found.scale)
+                sigma = likelihood.fitted_levels(residuals.delta)[likelihood.curve]
+            sigma = model.noise(theta).sigma(sigma, residuals.scale)
         self._known: dict[bytes, tuple[Tensor, Tensor]] = {}
-        self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), found.gain
+        self.sigma, self.gain = torch.where(likelihood.limit, math.inf, sigma), residuals.gain
 
     def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         old = torch.as_tensor(coords)
@@ -111,17 +111,17 @@ class Redraw:
         size = torch.as_tensor(10.0 ** random.uniform(-3.0, 0.0, len(old)))
         free = self.likelihood.model.parameter_set.free
         if kind in ("one from its prior", "all from their priors"):
-            for place, column in enumerate(self.others):
+            for index, column in enumerate(self.others):
                 chosen = (picked == column) | (kind == "all from their priors")
                 prior = free[column].prior
-                draw = prior.quantile(uniform[:, place])
+                draw = prior.quantile(uniform[:, index])
                 there = prior.to_scale(draw)
                 before = prior.log_density(prior.from_scale(old[:, column])) + prior.log_slope(old[:, column])
                 gain = before - prior.log_density(draw) - prior.log_slope(there)
                 new[:, column] = torch.where(chosen, there, old[:, column])
                 factor = factor + torch.where(chosen, gain, 0.0)
         elif kind == "one by a step":
-            widths = torch.tensor([one.prior.scale for one in free], dtype=old.dtype)
+            widths = torch.tensor([parameter.prior.scale for parameter in free], dtype=old.dtype)
             new[rows, picked] += widths[picked] * size * normal
         elif self.alike:
             i, j = torch.as_tensor(self.alike)[
@@ -139,9 +139,13 @@ class Redraw:
         keys = [row.tobytes() for row in given.numpy()]
         missing = {key: i for i, key in enumerate(keys) if key not in self._known}
         if missing:
-            found = self.regression(whole[list(missing.values())])
-            self._known |= dict(zip(missing, zip(*(one.unbind() for one in found), strict=True), strict=True))
-        centre, spread = (torch.stack(one) for one in zip(*(self._known[key] for key in keys), strict=True))
+            regressed = self.regression(whole[list(missing.values())])
+            self._known |= dict(
+                zip(missing, zip(*(tensor.unbind() for tensor in regressed), strict=True), strict=True)
+            )
+        centre, spread = (
+            torch.stack(pieces) for pieces in zip(*(self._known[key] for key in keys), strict=True)
+        )
         for key in list(self._known)[: -KEPT * len(keys)]:
             del self._known[key]
         return centre, spread
@@ -198,17 +202,17 @@ class Redraw:
         x = x.clone()
         deviate = torch.zeros_like(mean)
         density = torch.zeros(len(x), dtype=x.dtype)
-        for place, column in enumerate(self.linear):
-            sd = spread[:, place, place]
-            centre = mean[:, place] + (spread[:, place, :place] * deviate[:, :place]).sum(-1)
+        for index, column in enumerate(self.linear):
+            sd = spread[:, index, index]
+            centre = mean[:, index] + (spread[:, index, :index] * deviate[:, :index]).sum(-1)
             low, high = self._bounds(column, x)
             cut = CutNormal((low - centre) / sd, (high - centre) / sd)
             if uniform is not None:
-                value = centre + sd * cut.quantile(uniform[:, place])
+                value = centre + sd * cut.quantile(uniform[:, index])
                 x[:, column] = torch.minimum(torch.maximum(value, low), high)
-            deviate[:, place] = (x[:, column] - centre) / sd
+            deviate[:, index] = (x[:, column] - centre) / sd
             inside = (x[:, column] >= low) & (x[:, column] <= high) & (high > low)
-            density = density + torch.where(inside, cut.log_density(deviate[:, place]) - sd.log(), -math.inf)
+            density = density + torch.where(inside, cut.log_density(deviate[:, index]) - sd.log(), -math.inf)
         return x, density
 
     def _bounds(self, column: int, x: Tensor) -> tuple[Tensor, Tensor]:

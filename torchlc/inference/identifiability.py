@@ -102,12 +102,12 @@ def limits(model: LightCurve, theta: Tensor) -> list[str]:
     with torch.no_grad():
         values = model.values(theta)
         context = replace(model.assembly.context, lobes=model.assembly.lobes_at(values))
-        told = [
+        sentences = [
             text
             for effect in model.effects
             for text in effect.limits(model.assembly.own(effect, values), context)
         ]
-        return told + _exposures(model, theta)
+        return sentences + _exposures(model, theta)
 
 
 def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
@@ -131,7 +131,7 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
     looked = torch.zeros_like(lit)
     looked[torch.cat([most, even])] = True
     a = model.assembly
-    entries = [one.entry for one in model.effects]
+    entries = [model_effect.entry for model_effect in model.effects]
     finer = assemble(a.scene, a.recording, entries, base=a, pinned=a.pinned, finer=looked)
     again = LightCurve(a.scene, a.recording, assembly=finer).brightness(theta[None]).flux[0]
     change = 2.5 * torch.log10(flux[looked] / again[looked].clamp(min=DARKEST)).abs()
@@ -140,46 +140,48 @@ def _exposures(model: LightCurve, theta: Tensor) -> list[str]:
         (~faint, "exposures"),
         (faint, f"exposures with less than {100 * FAINT:g} % of the median light"),
     )
-    told = [
+    sentences = [
         f"{effect.name}: twice as many instants change {int((some > TOLD_MAG).sum())} of {len(some)} {kind} looked at by more "
         f"than {TOLD_MAG} mag, up to {float(some.max()):.2g} mag ({float(some.square().mean().sqrt()):.2g} mag rms)"
         for chosen, kind in kinds
         if bool(((some := change[chosen]) > TOLD_MAG).any())
     ]
-    if told and effect.capped is not None:
+    if sentences and effect.capped is not None:
         have, needed = effect.capped
-        told[-1] += (
+        sentences[-1] += (
             f": memory allows {have:,} of {needed:,} instants; take fewer rows at once, or coarser shapes"
         )
-    return told
+    return sentences
 
 
 def glints(view: View) -> dict[str, Glint | None]:
     """The closest glint of each material; None if no facet of it is ever both lit and seen."""
     to_sun, to_observer = view.to_sun[0], view.to_observer[0]
     half = torch.nn.functional.normalize(to_sun + to_observer, dim=-1)
-    found: dict[str, Glint | None] = {}
+    closest: dict[str, Glint | None] = {}
     for patch in view.patches:
-        found.setdefault(patch.material, None)
+        closest.setdefault(patch.material, None)
         size = max(1, FACETS_AT_ONCE // len(to_sun))
         directions = (to_sun, to_observer, half)
         if patch.pose is not None:
-            directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0], one) for one in directions)
+            directions = tuple(
+                torch.einsum("tij,ti->tj", patch.pose[0], direction) for direction in directions
+            )
         if isinstance(patch.surface, Band | Dome):
             least, row = _closest_on(patch.surface, *directions[:2])
-            best = found[patch.material]
+            best = closest[patch.material]
             if math.isfinite(least) and (best is None or least < best.degrees):
-                found[patch.material] = Glint(least, row)
+                closest[patch.material] = Glint(least, row)
             continue
         for normal in patch.normal.split(size):
-            cos_i, cos_r, _ = (one @ normal.T for one in directions)
+            cos_i, cos_r, _ = (direction @ normal.T for direction in directions)
             angle = torch.rad2deg(angle_between(directions[2][:, None], normal[None]))
             angle = torch.where((cos_i > 0) & (cos_r > 0), angle, math.inf)
             least = float(angle.min())
-            best = found[patch.material]
+            best = closest[patch.material]
             if math.isfinite(least) and (best is None or least < best.degrees):
-                found[patch.material] = Glint(least, int(angle.min(1).values.argmin()))
-    return found
+                closest[patch.material] = Glint(least, int(angle.min(1).values.argmin()))
+    return closest
 
 
 def _closest_on(surface: Band | Dome, to_sun: Tensor, to_observer: Tensor) -> tuple[float, int]:
@@ -206,11 +208,11 @@ def material_shares(model: LightCurve, theta: Tensor) -> dict[str, float]:
         brightness = model.brightness(theta, shares=True)
     assert brightness.shares is not None  # asked for
     share = dict(zip(brightness.components, brightness.shares, strict=True))
-    found = {}
+    shares = {}
     for material in model.scene.materials:
-        own = [share[part.name] for part in model.assembly.shape.parts if material in part.materials]
-        found[material] = float(torch.stack(own).sum(0).max())
-    return found
+        on_parts = [share[part.name] for part in model.assembly.shape.parts if material in part.materials]
+        shares[material] = float(torch.stack(on_parts).sum(0).max())
+    return shares
 
 
 @dataclass(frozen=True)
@@ -283,13 +285,13 @@ def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
     if likelihood.kind != "flux":
         return []
     names, free = likelihood.model.names, likelihood.model.parameter_set.free
-    found = []
+    groups = []
     kinds: tuple[Callable[[Free], bool], ...] = (
-        lambda one: one.role in SCALES and one.origin.target is None,
-        lambda one: one.origin.role == "components",
+        lambda parameter: parameter.role in SCALES and parameter.origin.target is None,
+        lambda parameter: parameter.origin.role == "components",
     )
     for of_kind in kinds:
-        index = [i for i, one in enumerate(free) if of_kind(one)]
+        index = [i for i, parameter in enumerate(free) if of_kind(parameter)]
         if not index:
             continue
         scaled = best.clone()
@@ -297,8 +299,8 @@ def only_scales(likelihood: Likelihood, best: Tensor) -> list[list[str]]:
         with torch.no_grad():
             change = float((likelihood.chi2(scaled) - likelihood.chi2(best)).abs())
         if change < SCALE_CHI2 * likelihood.rows:
-            found.append([names[i] for i in index])
-    return found
+            groups.append([names[i] for i in index])
+    return groups
 
 
 def _scale_sentence(group: Sequence[str]) -> str:

@@ -64,12 +64,12 @@ class Likelihood(Rows):
 
     def remarks(self, theta: Tensor) -> list[str]:
         """What a reader of a fit at theta (P,) should know of how its rows are taken."""
-        told = []
+        remarks = []
         ids = self.model.recording.curve_ids
         if self.power is not None:
             followed = self.power > 0
             faint = followed & self.measured & (self.error > WEAK_MAG)
-            told.append(
+            remarks.append(
                 f"the quoted errors follow the measured flux in {_named(self._curves_of(followed))}: its rows are compared "
                 "in flux to a power, not in magnitudes"
                 + (
@@ -84,33 +84,35 @@ class Likelihood(Rows):
             and not self.fitted_errors
             and bool((limited & self.measured & (self.error > CUT_MAG)).any())
         ):
-            told.append(
+            remarks.append(
                 "faint rows are upper limits, and the measured ones near them the bright part of the noise: chi-square and its p, "
                 "which count these alone, are not those of noise; parameters and their intervals take the limits into account"
             )
         processes = self.model.noise(theta.detach()).processes if self.fitted_errors else ()
         if processes:
-            told.append(
-                f"without an error column, the white noise beside {' and '.join(one.name for one in processes)} is as large as the "
+            remarks.append(
+                f"without an error column, the white noise beside {' and '.join(process.name for process in processes)} is as large as the "
                 "steps between rows say and is not fitted: what is not known of it is in no interval"
             )
         if self.kind == "mag" and not self.fitted_errors:
-            told.extend(self._doubtful_law())
+            remarks.extend(self._doubtful_law())
         mute = [ids[c] for c in torch.nonzero(self.count == 0)[:, 0].tolist()]
         if mute and (self.kind == "flux" or self.fitted_errors):
             what = "error" if self.fitted_errors else "gain"
-            told.append(f"upper limits alone, from which no {what} can be found, say nothing: {_named(mute)}")
+            remarks.append(
+                f"upper limits alone, from which no {what} can be found, say nothing: {_named(mute)}"
+            )
         if self.censored and not self.fitted_errors:
             with torch.no_grad():
-                found = self.residuals(theta)
-                sigma = self.model.noise(theta).sigma(found.sigma, found.scale)
-                log_p = self.log_below(found.delta / sigma)
+                residuals = self.residuals(theta)
+                sigma = self.model.noise(theta).sigma(residuals.sigma, residuals.scale)
+                log_p = self.log_below(residuals.delta / sigma)
             broken = int((log_p < LEAST_LOG_P).sum())
             if broken:
-                told.append(
+                remarks.append(
                     f"the model is brighter than {broken} of {int(self.limit.sum())} upper limits allow"
                 )
-        return told
+        return remarks
 
     def _curves_of(self, rows: Tensor) -> list[str]:
         """Curves that some of the rows (T,) marked are in."""
@@ -178,11 +180,11 @@ class Likelihood(Rows):
         ]
         if prior_rows:
             peaked = [i for i, free in enumerate(self.model.parameter_set.free) if free.prior.peaked]
-            own = torch.tensor(
+            priors = torch.tensor(
                 [[i == column or column not in grouped for i in peaked] for column in range(len(names))],
                 dtype=torch.bool,
             )
-            rows = torch.cat([rows, own.reshape(len(names), len(peaked))], 1)
+            rows = torch.cat([rows, priors.reshape(len(names), len(peaked))], 1)
         return Colours(tuple(every), rows)
 
     # ------------------------------------------------------------------ residuals
@@ -212,8 +214,8 @@ class Likelihood(Rows):
         """The median size of a curve's measured fluxes, at its rows, (T,); of all its rows where none is measured. Every curve has
         a unit of its own."""
         usual = torch.empty_like(self.observed)
-        for one in range(self.curves):
-            rows = self.curve == one
+        for curve in range(self.curves):
+            rows = self.curve == curve
             measured = rows & self.measured
             usual[rows] = self.observed[measured if bool(measured.any()) else rows].abs().median()
         return usual
@@ -232,13 +234,13 @@ class Likelihood(Rows):
         """Sum of squared residuals of the measured rows over the quoted errors, (...); over each curve's fitted
         level where errors are fitted. Residuals that are cut off at a flux of 0 count as the normal ones of the same
         probability."""
-        found = self.residuals(theta)
+        residuals = self.residuals(theta)
         if self.fitted_errors:
-            level = self.fitted_levels(found.delta)
-            return (self.squares(found.delta) / level**2).sum(-1)
-        u = found.delta / found.sigma
+            level = self.fitted_levels(residuals.delta)
+            return (self.squares(residuals.delta) / level**2).sum(-1)
+        u = residuals.delta / residuals.sigma
         if self.selected is not None:
-            u = torch.where(self.selected, uncut(u, self.above_zero(found, found.sigma)), u)
+            u = torch.where(self.selected, uncut(u, self.above_zero(residuals, residuals.sigma)), u)
         return self.squares(u).sum(-1)
 
     def fitted_levels(self, delta: Tensor) -> Tensor:

@@ -68,37 +68,37 @@ def noise_in_turn(likelihood: Likelihood, theta: Tensor, budget: Budget) -> Mini
     """
     parameters = likelihood.model.parameter_set
     index = noise_columns(likelihood)
-    found: list[Minimum] = []
+    minima: list[Minimum] = []
     with torch.no_grad():
         for turn in range(4):
-            noisy = torch.stack([fit_noise(likelihood, one, search=turn == 0) for one in theta])
-            noises = [likelihood.model.noise(one) for one in noisy]
-            found = [
-                polish(likelihood, one[None], noise, level_at=one, go_on=budget.left)
-                for one, noise in zip(noisy, noises, strict=True)
+            noisy = torch.stack([fit_noise(likelihood, point, search=turn == 0) for point in theta])
+            noises = [likelihood.model.noise(point) for point in noisy]
+            minima = [
+                polish(likelihood, point[None], noise, level_at=point, go_on=budget.left)
+                for point, noise in zip(noisy, noises, strict=True)
             ]
-            theta = torch.cat([parameters.from_flat(one.y) for one in found])
+            theta = torch.cat([parameters.from_flat(minimum.y) for minimum in minima])
             if not budget.left():
                 break
         cost = -2 * likelihood.log_likelihood(theta) - likelihood.rows * math.log(2 * math.pi)
         cost = cost + (parameters.prior_residuals(theta) ** 2).sum(-1)
-        jacobian = torch.cat([one.jacobian for one in found])
-        residual = torch.cat([one.residual for one in found])
+        jacobian = torch.cat([minimum.jacobian for minimum in minima])
+        residual = torch.cat([minimum.residual for minimum in minima])
         extra = jacobian.new_zeros(len(theta), len(index), jacobian.shape[-1])
-        for number, one in enumerate(theta if index else ()):
-            y = parameters.to_flat(one)
-            objective = _noise_objective(likelihood, one, parameters.from_flat)
+        for number, start in enumerate(theta if index else ()):
+            y = parameters.to_flat(start)
+            objective = _noise_objective(likelihood, start, parameters.from_flat)
             part, step = _inside(y[index], *(bound[index] for bound in parameters.flat_bounds()))
             _, hessian = second_differences(lambda cut: objective(_with_columns(y, index, cut)), part, step)  # noqa: B023
             curvature, axes = torch.linalg.eigh(hessian)
             extra[number][:, index] = torch.sqrt(curvature.clamp(min=0))[:, None] * axes.T
     return Minimum(
-        torch.cat([one.y for one in found]),
+        torch.cat([minimum.y for minimum in minima]),
         cost,
         torch.cat([jacobian, extra], 1),
         torch.cat([residual, residual.new_zeros(len(theta), len(index))], 1),
-        torch.cat([one.converged for one in found]),
-        max(one.iterations for one in found),
+        torch.cat([minimum.converged for minimum in minima]),
+        max(minimum.iterations for minimum in minima),
     )
 
 
@@ -117,9 +117,9 @@ def _noise_objective(
         whole = natural(coordinates)
         shape = (len(whole), likelihood.rows)
         rows = {name: getattr(held, name).expand(shape) for name in ("delta", "sigma", "scale", "prediction")}
-        found = replace(held, **rows)
+        residuals = replace(held, **rows)
         prior = 0.5 * (parameters.prior_residuals(whole) ** 2).sum(-1)
-        value = prior - likelihood.density(found, likelihood.model.noise(whole))
+        value = prior - likelihood.density(residuals, likelihood.model.noise(whole))
         return torch.where(torch.isfinite(value), value, torch.inf)
 
     @torch.no_grad()

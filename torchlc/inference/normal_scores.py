@@ -40,26 +40,26 @@ class NormalScores:
         self._triangles = {
             pair: all(_unit(parameters.free[index].prior) for index in pair) for pair in parameters.pairs
         }
-        whole = [pair for pair, one in self._triangles.items() if one]
+        whole = [pair for pair, uniform in self._triangles.items() if uniform]
         self._alike = {
             coupled: [pair for pair in whole if (pair in parameters.coupled) == coupled]
             for coupled in (False, True)
         }
         self._straight = straight(
-            {i: one.prior for i, one in enumerate(parameters.free) if i not in self._pairs}
+            {i: parameter.prior for i, parameter in enumerate(parameters.free) if i not in self._pairs}
         )
 
     def _apart(
         self, values: Sequence[Tensor], change: Callable[..., tuple[Tensor, Tensor]]
     ) -> dict[int, Tensor]:
         """Columns of all pairs that are uniform on their triangles, by place: those of one kind are worked out together."""
-        found: dict[int, Tensor] = {}
+        changed: dict[int, Tensor] = {}
         for coupled, pairs in self._alike.items():
             if pairs:
                 both = [torch.stack([values[pair[k]] for pair in pairs], -1) for k in (0, 1)]
                 for k, columns in enumerate(change(*both, coupled)):
-                    found.update(zip((pair[k] for pair in pairs), columns.unbind(-1), strict=True))
-        return found
+                    changed.update(zip((pair[k] for pair in pairs), columns.unbind(-1), strict=True))
+        return changed
 
     def theta(self, g: Tensor) -> Tensor:
         """Natural values at coordinates g."""
@@ -85,10 +85,10 @@ class NormalScores:
 
     def put(self, theta: Tensor, g: Tensor, columns: Sequence[int]) -> Tensor:
         """theta (..., P) with the values of some ``columns`` without partners at coordinates g (..., P)."""
-        found = list(theta.unbind(-1))
+        values = list(theta.unbind(-1))
         for column in columns:
-            found[column] = natural(self.parameters.free[column].prior, g[..., column])
-        return torch.stack(found, -1)
+            values[column] = natural(self.parameters.free[column].prior, g[..., column])
+        return torch.stack(values, -1)
 
     def scores(self, theta: Tensor) -> Tensor:
         """Coordinates of natural values, those of a bound at +-FARTHEST."""
@@ -129,8 +129,10 @@ class Straight:
 
     def natural(self, g: Sequence[Tensor]) -> dict[int, Tensor]:
         """Natural values (...) at coordinates, by place."""
-        several = torch.stack([g[place] for place in self.places], -1)
-        centre, width, low, high = (one.to(several) for one in (self.centre, self.width, self.low, self.high))
+        several = torch.stack([g[index] for index in self.places], -1)
+        centre, width, low, high = (
+            tensor.to(several) for tensor in (self.centre, self.width, self.low, self.high)
+        )
         y = centre + width * (torch.special.ndtr(several) if self.flat else several)
         x = torch.exp(y) if self.logarithmic else y
         x = x.clamp(low, high) if self.flat else x
@@ -140,7 +142,7 @@ class Straight:
 def straight(priors: Mapping[int, Prior]) -> list[Straight]:
     """Of priors by place those that are a straight line on their own scale, in groups."""
     groups: dict[tuple[bool, bool], dict[int, tuple[float, float, float, float]]] = {}
-    for place, prior in priors.items():
+    for index, prior in priors.items():
         low, high = prior.flat_range()
         if unbounded(prior):
             numbers = (prior.flat_centre, prior.sigma, prior.low, prior.high)
@@ -148,12 +150,12 @@ def straight(priors: Mapping[int, Prior]) -> list[Straight]:
             numbers = (low, high - low, prior.low, prior.high)
         else:
             continue
-        groups.setdefault((not prior.peaked, prior.logarithmic), {})[place] = numbers
-    found = []
+        groups.setdefault((not prior.peaked, prior.logarithmic), {})[index] = numbers
+    lines = []
     for (flat, logarithmic), rows in groups.items():
         columns = torch.tensor(list(rows.values()), dtype=torch.float64, device="cpu").unbind(-1)
-        found.append(Straight(tuple(rows), flat, logarithmic, *columns))
-    return found
+        lines.append(Straight(tuple(rows), flat, logarithmic, *columns))
+    return lines
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Marginal:
 
     def plain(self, g: Tensor) -> Tensor:
         """z at coordinates g, same shape: the cubic that has values and slopes of both ends."""
-        nodes, z, slope = (one.to(g) for one in (self.g, self.z, self.slope))
+        nodes, z, slope = (tensor.to(g) for tensor in (self.g, self.z, self.slope))
         at = torch.minimum(torch.maximum(g, nodes[0]), nodes[-1])
         k = (torch.searchsorted(nodes, at.detach().contiguous(), right=True) - 1).clamp(0, len(nodes) - 2)
         step = nodes[k + 1] - nodes[k]
@@ -239,9 +241,9 @@ def log_diffuse(g: Tensor) -> Tensor:
     """ln d (...) with d (1 - ln d) = Phi(g): from a table, then a step of Newton's method, which carries the slope."""
     log_share = torch.log(torch.special.ndtr(g))
     with torch.no_grad():
-        place = ((g + FARTHEST) * ((NODES - 1) / (2 * FARTHEST))).clamp(0, NODES - 1.001)
-        k = place.to(torch.long)
-        t = place - k
+        position = ((g + FARTHEST) * ((NODES - 1) / (2 * FARTHEST))).clamp(0, NODES - 1.001)
+        k = position.to(torch.long)
+        t = position - k
         a, b, c, d = _table().to(g)[k].unbind(-1)
         known = a + t * (b + t * (c + t * d))
     return _newton(known, log_share)

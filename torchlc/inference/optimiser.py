@@ -178,18 +178,18 @@ def _crowded(roles: Sequence[str], draws: Tensor, generator: torch.Generator) ->
     return draws
 
 
-def _distinct(likelihood: Likelihood, found: Minimum) -> list[Mode]:
+def _distinct(likelihood: Likelihood, minima: Minimum) -> list[Mode]:
     """Minima within DISTINCT_CHI2 of the best that differ by more than 2 standard deviations in some
     parameter."""
     low, high = likelihood.model.parameter_set.flat_bounds()
     modes: list[Mode] = []
     kept: list[Tensor] = []
-    for index in torch.argsort(found.cost).tolist():
-        cost = float(found.cost[index])
+    for index in torch.argsort(minima.cost).tolist():
+        cost = float(minima.cost[index])
         if modes and cost > modes[0].objective + DISTINCT_CHI2:
             break
-        y = found.y[index]
-        covariance, held = laplace(found.jacobian[index], y, low, high)
+        y = minima.y[index]
+        covariance, held = laplace(minima.jacobian[index], y, low, high)
         sd = torch.sqrt(torch.diagonal(covariance)).clamp(min=1e-9)
         if any(bool((((y - other).abs() / sd)[~held] < 2.0).all()) for other in kept):
             continue
@@ -219,7 +219,7 @@ def fit_map(
     """The maximum a posteriori of a likelihood, its modes, and whether the search converged; the best so far where the
     ``budget`` is spent."""
     budget = Budget() if budget is None else budget
-    modes, history, found = find_modes(
+    modes, history, minima = find_modes(
         likelihood,
         starts=starts,
         adam_steps=adam_steps,
@@ -230,16 +230,16 @@ def fit_map(
     )
     with torch.no_grad():
         chi2 = float(likelihood.chi2(modes[0].theta))
-    if found is None:
+    if minima is None:
         return Fit(likelihood, modes, chi2, True, "nothing is free: the model was evaluated as it stands")
-    cost = found.cost
+    cost = minima.cost
     best = int(torch.argmin(cost))
     reached = int((cost < cost[best] + 0.01 * (1 + cost[best].abs())).sum())
-    converged = bool(found.converged[best]) and math.isfinite(chi2)
+    converged = bool(minima.converged[best]) and math.isfinite(chi2)
     reason = (
         f"the best of {number_of(len(cost), 'start')} stopped improving; {reached} reached it"
         if converged
-        else f"chi-square was still falling after {number_of(found.iterations, 'step')} of the polish"
+        else f"chi-square was still falling after {number_of(minima.iterations, 'step')} of the polish"
     )
     if not budget.left():
         reason += "; the time allowed for the search was spent, and this is the best so far"

@@ -99,13 +99,18 @@ def find_period(
     power = _powers(search, frequency)
     sampling = float(np.median(np.diff(np.unique(seconds))))
     turned = _bisector_turns(recording, rows)
-    found = [
+    candidates = [
         candidate
         if turned is None
         else replace(candidate, sidereal_within_s=turned / span * candidate.period_s**2)
         for candidate in _candidates(search, frequency, power, sampling, span, len(recording.night_ids) > 1)
     ]
-    fast = [alias for one in found[:1] for alias in one.aliases if alias.relation.startswith("beyond")]
+    fast = [
+        alias
+        for candidate in candidates[:1]
+        for alias in candidate.aliases
+        if alias.relation.startswith("beyond")
+    ]
     if fast:
         periods = ", ".join(spoken(alias.period_s) for alias in fast)
         warnings.append(
@@ -113,7 +118,7 @@ def find_period(
             f"and {periods} would explain the best candidate as well"
         )
     searched = (1 / high, 1 / low)
-    return Periodogram(found, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
+    return Periodogram(candidates, len(rows), span, searched, unit, warnings, sampling, about.trend_per_hour)
 
 
 def _candidates(
@@ -126,7 +131,7 @@ def _candidates(
 ) -> list[Candidate]:
     """Peaks of the ``power`` at an even grid of frequencies (N,), highest first, but for those that are aliases of a higher one."""
     low, high = float(frequency[0]), float(frequency[-1])
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     taken: list[float] = []
     for group in _groups(search, frequency, power, span):
         peak, counts = group[0], group[1 : 1 + MOST_COUNTS]
@@ -137,10 +142,10 @@ def _candidates(
             continue  # rows at two phases of it only: at twice the step no sinusoid is told from its shift
         taken += [peak, *related]
         beyond = _beyond_nyquist(search, peak, candidate.power, sampling, span, high)
-        found.append(replace(candidate, aliases=(*candidate.aliases, *beyond)))
-        if len(found) == MOST_CANDIDATES:
+        candidates.append(replace(candidate, aliases=(*candidate.aliases, *beyond)))
+        if len(candidates) == MOST_CANDIDATES:
             break
-    return sorted(found, key=lambda one: -one.power)
+    return sorted(candidates, key=lambda item: -item.power)
 
 
 def _powers(search: LombScargle, frequency: np.ndarray) -> np.ndarray:
@@ -158,7 +163,7 @@ def _beyond_nyquist(
 ) -> list[Alias]:
     """Frequencies that rows ``sampling`` seconds apart cannot tell from this one, and do not: k/sampling +- f for the
     first two k, where the power is at least EQUAL of the peak's."""
-    found = []
+    aliases = []
     for k in (1, 2):
         for other in (k / sampling - frequency, k / sampling + frequency):
             if other <= high:
@@ -167,8 +172,8 @@ def _beyond_nyquist(
             reached = float(search.power(refined, method="cython"))
             if reached > EQUAL * power:
                 relation = f"beyond Nyquist: {number_of(k, 'turn')} more or fewer between rows {sampling:.4g} s apart"
-                found.append(Alias(1 / refined, reached, relation))
-    return found
+                aliases.append(Alias(1 / refined, reached, relation))
+    return aliases
 
 
 def _bisector_turns(recording: Recording, rows: np.ndarray) -> float | None:
@@ -223,7 +228,9 @@ def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span:
     maxima = np.concatenate([inside, np.array(ends, dtype=int)]).astype(int)
     groups: list[list[float]] = []
     for peak in frequency[maxima[np.argsort(-power[maxima])]].tolist():
-        near = (one for one in groups if abs(peak / one[0] - 1) < SAME or abs(peak - one[0]) < 1 / span)
+        near = (
+            group for group in groups if abs(peak / group[0] - 1) < SAME or abs(peak - group[0]) < 1 / span
+        )
         home = next(near, None)
         if home is None and len(groups) < MOST_GROUPS:
             groups.append([peak])
@@ -236,12 +243,14 @@ def _groups(search: LombScargle, frequency: np.ndarray, power: np.ndarray, span:
     def by_power(peaks: list[float]) -> list[float]:
         refined = [_refined(search, peak, step) for peak in peaks]
         distinct = [
-            one for i, one in enumerate(refined) if all(abs(one - two) > 0.5 / span for two in refined[:i])
+            value
+            for i, value in enumerate(refined)
+            if all(abs(value - other) > 0.5 / span for other in refined[:i])
         ]
-        return sorted(distinct, key=lambda one: -float(search.power(one, method="cython")))
+        return sorted(distinct, key=lambda value: -float(search.power(value, method="cython")))
 
-    groups = [by_power(one) for one in groups]
-    return sorted(groups, key=lambda one: -float(search.power(one[0], method="cython")))
+    groups = [by_power(group) for group in groups]
+    return sorted(groups, key=lambda group: -float(search.power(group[0], method="cython")))
 
 
 def _refined(search: LombScargle, frequency: float, step: float) -> float:
@@ -289,6 +298,9 @@ def _candidate(
         power=power,
         false_alarm_probability=min(max(chance, 0.0), 1.0),
         amplitude=amplitude,
-        aliases=[Alias(1 / other, one, text) for (text, other), one in zip(kept, powers, strict=True)],
+        aliases=[
+            Alias(1 / other, alias_power, text)
+            for (text, other), alias_power in zip(kept, powers, strict=True)
+        ],
     )
     return made, [other for _, other in kept]

@@ -70,7 +70,7 @@ class Periodogram:
         from astropy.table import Table
 
         names = ("period_s", "period_sd_s", "power", "false_alarm_probability", "amplitude")
-        return Table({name: [getattr(one, name) for one in self.candidates] for name in names})
+        return Table({name: [getattr(candidate, name) for candidate in self.candidates] for name in names})
 
     def plot(self, recording: Recording, axes: Axes | None = None) -> Axes:
         """``recording`` folded with the best period, brighter up."""
@@ -91,7 +91,10 @@ class Periodogram:
     def to_json(self) -> dict[str, Any]:
         from torchlc.files.writing import without_nan
 
-        told = [vars(one) | {"aliases": [vars(alias) for alias in one.aliases]} for one in self.candidates]
+        candidates = [
+            vars(candidate) | {"aliases": [vars(alias) for alias in candidate.aliases]}
+            for candidate in self.candidates
+        ]
         return without_nan(
             {
                 "schema": SCHEMA,
@@ -102,7 +105,7 @@ class Periodogram:
                 "measured": self.measured,
                 "sampling_s": self.sampling_s,
                 "trend_per_hour": dict(self.trend_per_hour),
-                "candidates": told,
+                "candidates": candidates,
                 "notes": self.notes(),
                 "warnings": list(self.warnings),
             }
@@ -113,14 +116,15 @@ class Periodogram:
         lines = [
             f"Periodogram: {number_of(self.rows, 'row')} over {spoken(self.span_s)}, periods from {low} to {high}"
         ]
-        for one in self.candidates:
-            size = f"amplitude {one.amplitude:.3g} {self.unit}".rstrip()
+        for candidate in self.candidates:
+            size = f"amplitude {candidate.amplitude:.3g} {self.unit}".rstrip()
             lines.append(
-                f"  {spoken(one.period_s)} ({one.period_s:.6g} ± {one.period_sd_s:.2g} s): {size}, "
-                f"power {one.power:.3f}, false alarm {one.false_alarm_probability:.1g}"
+                f"  {spoken(candidate.period_s)} ({candidate.period_s:.6g} ± {candidate.period_sd_s:.2g} s): {size}, "
+                f"power {candidate.power:.3f}, false alarm {candidate.false_alarm_probability:.1g}"
             )
             lines += [
-                f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})" for a in one.aliases
+                f"      or {spoken(a.period_s)}, {a.relation} (power {a.power:.3f})"
+                for a in candidate.aliases
             ]
         return "\n".join(
             [*lines, *(f"  {text}" for text in self.notes()), *(f"  ! {text}" for text in self.warnings)]
@@ -128,8 +132,12 @@ class Periodogram:
 
     def notes(self) -> list[str]:
         """What was measured, and what was taken off before."""
-        known = [one.sidereal_within_s for one in self.candidates[:1] if one.sidereal_within_s is not None]
-        told = [
+        known = [
+            candidate.sidereal_within_s
+            for candidate in self.candidates[:1]
+            if candidate.sidereal_within_s is not None
+        ]
+        sentences = [
             "periods are synodic, as the light shows them; the sidereal period of the first differs by at most "
             f"{known[0]:.2g} s if it is a whole turn (the bisector of Sun and observer turned; m times that for m like sides)"
             if known
@@ -138,11 +146,11 @@ class Periodogram:
         ]
         if self.candidates:
             period = self.candidates[0].period_s
-            told.append(
+            sentences.append(
                 f"light alone does not tell a period from a part of a turn: a body with two like sides turns once in {spoken(2 * period)}, "
                 "not in half of that"
             )
-        return [*told, f"taken off before: {self._trends()}"]
+        return [*sentences, f"taken off before: {self._trends()}"]
 
     def _trends(self) -> str:
         """The slopes, each with its curve where there are several; a station that nobody named is none of a curve's name."""

@@ -54,11 +54,11 @@ def polish(
         colours = likelihood.colours(prior_rows=True)
         dear = model.assembly.geometry_columns if model.assembly.parts_meet else ()
         box: dict[str, Any] = {"low": low, "high": high, "colours": colours, "go_on": go_on}
-        found = minimise(residual, parameters.to_flat(theta), iterations=iterations, dear=dear, **box)
+        minimum = minimise(residual, parameters.to_flat(theta), iterations=iterations, dear=dear, **box)
         if not dear:
-            return found
-        near = best_minima(found, (), most=len(found.y), depth=DISTINCT_CHI2)
-        return found.replaced(near, minimise(residual, found.y[near], iterations=iterations, **box))
+            return minimum
+        near = best_minima(minimum, (), most=len(minimum.y), depth=DISTINCT_CHI2)
+        return minimum.replaced(near, minimise(residual, minimum.y[near], iterations=iterations, **box))
 
 
 def best_minima(found: Minimum, noise: Sequence[int], most: int = 4, depth: float = math.inf) -> list[int]:

@@ -117,21 +117,21 @@ def descend(
     return points, reached.cost[order]
 
 
-def _row_slopes(rows: Callable[[Residuals], Tensor], found: Residuals, slopes: Tensor) -> Tensor:
+def _row_slopes(rows: Callable[[Residuals], Tensor], residuals: Residuals, slopes: Tensor) -> Tensor:
     """Slopes (S, T + K, K) of rows and of the prior's rows at residuals (S, T) whose own are (S, T, K), some NaN."""
     starts, _, count = slopes.shape
     shape = (starts, count, slopes.shape[1])
 
-    def each(one: Tensor) -> Tensor:
-        return one.expand(found.delta.shape)[:, None].expand(shape).flatten(0, 1)
+    def each(tensor: Tensor) -> Tensor:
+        return tensor.expand(residuals.delta.shape)[:, None].expand(shape).flatten(0, 1)
 
     step = torch.nan_to_num(slopes).transpose(1, 2).reshape(-1, shape[-1])
-    held = found.each(each)
+    held = residuals.each(each)
     size = 1e-6 / step.abs().amax(-1, keepdim=True).clamp(min=1.0)
     change = (rows(replace(held, delta=held.delta + size * step)) - rows(held)) / size
     change = change.reshape(*shape[:2], -1).transpose(1, 2)
-    own = torch.eye(count, dtype=slopes.dtype).expand(starts, -1, -1)
-    whole = torch.cat([change, own], 1)
+    priors = torch.eye(count, dtype=slopes.dtype).expand(starts, -1, -1)
+    whole = torch.cat([change, priors], 1)
     return torch.where(torch.isfinite(slopes).all(1)[:, None], whole, torch.nan)
 
 
@@ -188,16 +188,16 @@ def likeliest(posterior: Posterior, theta: Tensor, count: int) -> Tensor:
     return g[torch.argsort(torch.nan_to_num(density, nan=-math.inf), descending=True)[:count]]
 
 
-def _noise_objective(posterior: Posterior, g: Tensor, found: Residuals) -> Callable[[Tensor], Tensor]:
-    """Minus the log density (B,) at noise coordinates (B, k), the residuals held at those ``found`` at g (P,)."""
+def _noise_objective(posterior: Posterior, g: Tensor, residuals: Residuals) -> Callable[[Tensor], Tensor]:
+    """Minus the log density (B,) at noise coordinates (B, k), the ``residuals`` held at those found at g (P,)."""
     index = torch.tensor(posterior.noise_columns)
-    plain = found.sigma / posterior.factor(g)
+    plain = residuals.sigma / posterior.factor(g)
 
     def objective(part: Tensor) -> Tensor:
         whole = g.repeat(len(part), 1).index_copy(1, index, part)
-        shape = (len(part), len(found.delta))
-        rows = {name: getattr(found, name).expand(shape) for name in ("delta", "scale", "prediction")}
-        held = replace(found, sigma=(plain * posterior.factor(whole)).expand(shape), **rows)
+        shape = (len(part), len(residuals.delta))
+        rows = {name: getattr(residuals, name).expand(shape) for name in ("delta", "scale", "prediction")}
+        held = replace(residuals, sigma=(plain * posterior.factor(whole)).expand(shape), **rows)
         value = -posterior.held_density(held, whole)
         return torch.where(torch.isfinite(value), value, 1e12)
 
@@ -233,19 +233,19 @@ def fit(
         g = reached[1:2] if posterior.dear else _unlike(reached, 2 * most)
     if nominal:
         first = _fits_as_they_stand(hypothesis, posterior, g, nominal, turns)[:most]
-        within = [one for one in first if one.laplace + LONGEST * one.left > floor]
+        within = [minimum for minimum in first if minimum.laplace + LONGEST * minimum.left > floor]
         if not within:
-            return merged([replace(one, covariance=_covariance(one)) for one in first])
-        g = torch.stack([one.g for one in within])
-        known = torch.stack([one.slopes for one in within])
+            return merged([replace(minimum, covariance=_covariance(minimum)) for minimum in first])
+        g = torch.stack([minimum.g for minimum in within])
+        known = torch.stack([minimum.slopes for minimum in within])
     g, cost = descend(posterior, g, LAST_STEPS if posterior.dear else steps, slopes=known)
     leading = g[cost < cost[0] + 2 * DEPTH]
     chosen: list[Tensor] = []
-    for one in leading:
-        if all(float((one - other).abs().max()) > 0.1 for other in chosen):
-            chosen.append(one)
+    for point in leading:
+        if all(float((point - other).abs().max()) > 0.1 for other in chosen):
+            chosen.append(point)
     return merged(
-        [polished(_sloped(hypothesis, posterior, one), turns, floor) for one in chosen[:most]], most
+        [polished(_sloped(hypothesis, posterior, start), turns, floor) for start in chosen[:most]], most
     )
 
 
@@ -265,8 +265,8 @@ def _fits_as_they_stand(
     """Fits from starts (S, P) that leave the ``nominal`` columns of each as they are, noise and the rest in turn; best first,
     those alike once."""
     points, costs = [], []
-    for one in torch.unique(starts[:, nominal], dim=0):
-        alike = starts[(starts[:, nominal] == one).all(-1)]
+    for values in torch.unique(starts[:, nominal], dim=0):
+        alike = starts[(starts[:, nominal] == values).all(-1)]
         reached, cost = descend(posterior, alike, LAST_STEPS, held=nominal)
         points.append(reached)
         costs.append(cost)
@@ -278,7 +278,7 @@ def _fits_as_they_stand(
             g = fit_noise(posterior, g, posterior.residuals(g))
             g = descend(posterior, g[None], LAST_STEPS, held=nominal)[0][0]
         fits.append(_sloped(hypothesis, posterior, g))
-    return sorted(fits, key=lambda one: -one.peak)
+    return sorted(fits, key=lambda minimum: -minimum.peak)
 
 
 def polished(at: Fitted, turns: int, floor: float = -math.inf) -> Fitted:
@@ -296,7 +296,7 @@ def polished(at: Fitted, turns: int, floor: float = -math.inf) -> Fitted:
             break
         if at.left > LEFT or (levels and turn < turns):
             new = _moved(at)
-            gain, at = new.peak - at.peak, max(at, new, key=lambda one: one.peak)
+            gain, at = new.peak - at.peak, max(at, new, key=lambda minimum: minimum.peak)
             if gain < LEFT and turn >= turns:
                 break
         elif turn >= turns:
@@ -321,20 +321,20 @@ def _unlike(points: Tensor, count: int) -> Tensor:
     their way to one minimum."""
     chosen: list[int] = []
     for number, point in enumerate(points):
-        if all(float((point - points[one]).abs().max()) > UNLIKE for one in chosen):
+        if all(float((point - points[other]).abs().max()) > UNLIKE for other in chosen):
             chosen.append(number)
     return points[chosen[:count]]
 
 
 def merged(minima: Sequence[Fitted], most: int = MOST_MINIMA) -> Fitted:
     """Minima of one hypothesis as one, led by that of most mass, at ``most`` so many; those within APART of a better one are left out."""
-    order = sorted(minima, key=lambda one: -one.laplace)
+    order = sorted(minima, key=lambda minimum: -minimum.laplace)
     kept: list[Fitted] = []
-    for one in order:
-        if one.peak < max(other.peak for other in order) - DEPTH:
+    for candidate in order:
+        if candidate.peak < max(other.peak for other in order) - DEPTH:
             continue
-        if all(_distance(one, other) > APART for other in kept):
-            kept.append(replace(one, others=(), evidence=None, missed=0.0))
+        if all(_distance(candidate, other) > APART for other in kept):
+            kept.append(replace(candidate, others=(), evidence=None, missed=0.0))
     return replace(kept[0], others=tuple(kept[1:most]))
 
 
@@ -356,31 +356,31 @@ def fitted_at(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
 
 def _sloped(hypothesis: Any, posterior: Posterior, g: Tensor) -> Fitted:
     """Residuals and slopes at coordinates g (P,), as yet without their curvature."""
-    found = posterior.residuals(g)
-    shape = found.delta.shape
-    found = replace(found, sigma=found.sigma.expand(shape), scale=found.scale.expand(shape))
+    residuals = posterior.residuals(g)
+    shape = residuals.delta.shape
+    residuals = replace(residuals, sigma=residuals.sigma.expand(shape), scale=residuals.scale.expand(shape))
     columns = torch.tensor(posterior.physical, dtype=torch.long)
     far = torch.full_like(g[columns], FARTHEST + 1.0)
     colours = posterior.colours()
     if colours is not None:
-        colours = Colours(colours.groups, colours.touched[:, : len(found.delta)])
+        colours = Colours(colours.groups, colours.touched[:, : len(residuals.delta)])
 
     def delta(part: Tensor) -> Tensor:
         return posterior.residuals(g.repeat(len(part), 1).index_copy(1, columns, part)).delta
 
-    slopes = found.delta.new_zeros(len(found.delta), posterior.size)
+    slopes = residuals.delta.new_zeros(len(residuals.delta), posterior.size)
     if posterior.physical:
         dear = posterior.turning(posterior.physical)
         slopes[:, columns] = differences(
-            delta, g[None, columns], -far, far, found.delta[None], colours, dear
+            delta, g[None, columns], -far, far, residuals.delta[None], colours, dear
         )[0]
-    return _at(hypothesis, posterior, g, found, slopes)
+    return _at(hypothesis, posterior, g, residuals, slopes)
 
 
-def _at(hypothesis: Any, posterior: Posterior, g: Tensor, found: Residuals, slopes: Tensor) -> Fitted:
-    peak = float(posterior.held_density(found, g))
+def _at(hypothesis: Any, posterior: Posterior, g: Tensor, residuals: Residuals, slopes: Tensor) -> Fitted:
+    peak = float(posterior.held_density(residuals, g))
     unknown = torch.eye(len(g), dtype=g.dtype)
-    return Fitted(hypothesis, posterior, g, found, posterior.noise(g), slopes, peak, unknown)
+    return Fitted(hypothesis, posterior, g, residuals, posterior.noise(g), slopes, peak, unknown)
 
 
 def _covariance(at: Fitted) -> Tensor:
@@ -454,6 +454,6 @@ def integrated(at: Fitted, draws: int, seed: int, linear: bool = False, moving: 
     evidence = replace(evidence, linear=linear)
     if linear and not posterior.dear:
         # the other minima have the mass beside the first that they have by Laplace's method
-        others = torch.tensor([one.laplace for one in at.minima]).logsumexp(0) - at.laplace
+        others = torch.tensor([minimum.laplace for minimum in at.minima]).logsumexp(0) - at.laplace
         evidence = replace(evidence, log_z=evidence.log_z + float(others))
     return replace(at, evidence=evidence) if evidence.effective > LEAST_EFFECTIVE else at

@@ -86,11 +86,11 @@ class Posterior:
         if math.isfinite(worst):
             said += f"; R-hat up to {worst:.3f}, at least {number_of(least, 'effective draw')}"
         else:
-            said += "; too few draws, or walkers that have not moved, for an R-hat"
+            said += "; too few draws to say whether the walkers agree (R-hat)"
         said += self.note
         if self.converged:
             return said
-        return f"{said}; {LONG_ENOUGH} and {GOOD_RHAT} are wanted"
+        return f"{said}; wanted are {LONG_ENOUGH} autocorrelation times and an R-hat of at most {GOOD_RHAT}"
 
 
 def _by_parameter(name: str, theta: Tensor) -> np.ndarray:

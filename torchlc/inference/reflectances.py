@@ -53,8 +53,8 @@ def _units(x: Tensor, linear: list[int]) -> Tensor:
     """Straight coordinates (K + 1, P) with no reflectance, then with one whole and no other."""
     units = x[:1].repeat(len(linear) + 1, 1)
     units[:, linear] = 0.0
-    for place, column in enumerate(linear):
-        units[place + 1, column] = 1.0
+    for index, column in enumerate(linear):
+        units[index + 1, column] = 1.0
     return units
 
 

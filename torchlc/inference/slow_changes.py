@@ -32,8 +32,8 @@ class Detrended:
         self.curve, self.ids = recording.curve[rows], recording.curve_ids
         self.trend_per_hour: dict[str, float] = {}
         distance = _distances(recording, rows)
-        for one in np.unique(self.curve):
-            here = self.curve == one
+        for curve in np.unique(self.curve):
+            here = self.curve == curve
             if recording.kind == "flux":
                 self.values[here] *= distance[here] ** 2 / np.mean(distance[here] ** 2)
                 scale = abs(float(self.values[here].mean())) or 1.0
@@ -57,8 +57,10 @@ class Detrended:
         weight = np.ones(len(self.values)) if self.error is None else 1 / self.error
         size = np.linalg.norm(design * weight[:, None], axis=0)
         size[size == 0] = 1.0
-        found = np.linalg.lstsq(design * weight[:, None] / size, self.values * weight, rcond=1e-9)[0] / size
-        trend = slow @ found[: slow.shape[1]]
+        coefficients = (
+            np.linalg.lstsq(design * weight[:, None] / size, self.values * weight, rcond=1e-9)[0] / size
+        )
+        trend = slow @ coefficients[: slow.shape[1]]
         for number in np.unique(self.curve):
             here = self.curve == number
             hours = self.seconds[here] / 3600
@@ -69,8 +71,12 @@ class Detrended:
 
 def _distances(recording: Recording, rows: np.ndarray) -> np.ndarray:
     """What brightness falls with the square of, (N,): range times the Sun's distance where they are known, else 1."""
-    known = [one[rows] for one in (recording.sun, recording.obs) if one is not None]
-    return np.prod([np.linalg.norm(one, axis=1) for one in known], axis=0) if known else np.ones(len(rows))
+    known = [vectors[rows] for vectors in (recording.sun, recording.obs) if vectors is not None]
+    return (
+        np.prod([np.linalg.norm(vectors, axis=1) for vectors in known], axis=0)
+        if known
+        else np.ones(len(rows))
+    )
 
 
 def _slow_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
@@ -78,14 +84,15 @@ def _slow_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
     angle and airmass for all."""
     curve, hours = recording.curve[rows], recording.seconds[rows] / 3600
     columns = []
-    for one in np.unique(curve):
-        here = (curve == one).astype(float)
+    for number in np.unique(curve):
+        here = (curve == number).astype(float)
         columns.append(here)
         if here.sum() >= MIN_ROWS:
             columns.append(here * (hours - hours[here > 0].mean()))
     if recording.sun is not None and recording.obs is not None:
         units = [
-            one[rows] / np.linalg.norm(one[rows], axis=1)[:, None] for one in (recording.sun, recording.obs)
+            vectors[rows] / np.linalg.norm(vectors[rows], axis=1)[:, None]
+            for vectors in (recording.sun, recording.obs)
         ]
         columns.append(np.arccos(np.clip((units[0] * units[1]).sum(1), -1, 1)))
     if recording.alt is not None:

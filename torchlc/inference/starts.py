@@ -27,20 +27,20 @@ def regressed(likelihood: Likelihood, theta: Tensor) -> Tensor:
     model = likelihood.model
     parameters = model.parameter_set
     linear = linear_columns(model)
-    first = {second: one for one, second in parameters.pairs}
+    first = {second: partner for partner, second in parameters.pairs}
     limits = [(parameters.free[i].prior.low, parameters.free[i].prior.high) for i in linear]
     rest = {linear.index(i): linear.index(first[i]) for i in linear if first.get(i) in linear}
     x = parameters.to_straight(theta)
     dark, design = linear_light(model, x, linear)
-    found = likelihood.residuals(theta)
-    sigma = torch.where(likelihood.limit, torch.inf, found.sigma.expand(found.delta.shape))
+    residuals = likelihood.residuals(theta)
+    sigma = torch.where(likelihood.limit, torch.inf, residuals.sigma.expand(residuals.delta.shape))
 
     def solved(target: Tensor, error: Tensor) -> Tensor:
         return bounded(design / error[..., None], (target - dark) / error, limits, rest)
 
     if likelihood.kind == "flux":
-        assert found.gain is not None  # flux has one
-        gain = found.gain[:, likelihood.curve].abs().clamp(min=1e-300)
+        assert residuals.gain is not None  # flux has one
+        gain = residuals.gain[:, likelihood.curve].abs().clamp(min=1e-300)
         values = solved(likelihood.observed / gain, sigma / gain)
     else:
         observed = (likelihood.observed_flux * 10 ** (0.4 * model.zero_point(theta))).expand(dark.shape)
@@ -65,11 +65,11 @@ def bounded(
     diagonal = torch.diagonal(normal, dim1=1, dim2=2).clamp(min=1e-300)
     x = torch.zeros_like(right)
     for _ in range(SWEEPS):
-        for place, (low, high) in enumerate(limits):
-            pull = right[:, place] - (normal[:, place] * x).sum(-1) + normal[:, place, place] * x[:, place]
-            value = (pull / diagonal[:, place]).clamp(low, high)
-            if place in rest:
-                room = 1.0 - x[:, rest[place]]
+        for index, (low, high) in enumerate(limits):
+            pull = right[:, index] - (normal[:, index] * x).sum(-1) + normal[:, index, index] * x[:, index]
+            value = (pull / diagonal[:, index]).clamp(low, high)
+            if index in rest:
+                room = 1.0 - x[:, rest[index]]
                 value = torch.minimum(torch.maximum(value, low * room), room.clamp(max=high) * room)
-            x[:, place] = value
+            x[:, index] = value
     return x

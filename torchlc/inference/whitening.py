@@ -35,10 +35,10 @@ def whitener(
         order = torch.argsort(torch.cat([part.rows.flatten() for part in parts]))
         spread = [torch.sqrt(part.limits.square().sum(-1)) for part in parts]
 
-        def correlated(found: Residuals) -> Tensor:
+        def correlated(residuals: Residuals) -> Tensor:
             pieces = []
             for part, sd in zip(parts, spread, strict=True):
-                white, left = part.whitened(found.delta)
+                white, left = part.whitened(residuals.delta)
                 pieces.append(torch.cat([white, left / sd], -1).flatten(-2))
             return likelihood.deviance_rows(torch.cat(pieces, -1)[..., order])
 
@@ -50,8 +50,8 @@ def whitener(
     if fitted and likelihood.selected is not None:
         shift = hazard(likelihood.above_zero(at, sigma))
 
-    def independent(found: Residuals) -> Tensor:
-        return likelihood.deviance_rows(found.delta / sigma + shift)
+    def independent(residuals: Residuals) -> Tensor:
+        return likelihood.deviance_rows(residuals.delta / sigma + shift)
 
     return independent
 
@@ -60,4 +60,8 @@ def noise_columns(likelihood: Likelihood) -> list[int]:
     """Which elements of theta belong to noise effects."""
     owners = {effect.name for effect in likelihood.model.assembly.stage("noise")}
     free = likelihood.model.parameter_set.free
-    return [i for i, one in enumerate(free) if one.origin.role == "effects" and one.origin.owner in owners]
+    return [
+        i
+        for i, parameter in enumerate(free)
+        if parameter.origin.role == "effects" and parameter.origin.owner in owners
+    ]

@@ -131,19 +131,19 @@ class Assembly:
     def patches(self) -> list[list[tuple[str, str | None, list[str], Tensor]]]:
         """For each part, the materials on it, each of its surfaces that is one whole by its label (else None), and the
         labels and the indices of the facets of each."""
-        found = []
+        patches = []
         for part in self.shape.parts:
             labels = [face if face in part.whole else None for face in part.faces]
             groups: dict[tuple[str, str | None], list[int]] = {}
             for index, key in enumerate(zip(part.materials, labels, strict=True)):
                 groups.setdefault(key, []).append(index)
-            found.append(
+            patches.append(
                 [
                     (*key, [part.faces[i] for i in index], torch.as_tensor(index, device=self.device))
                     for key, index in groups.items()
                 ]
             )
-        return found
+        return patches
 
     @cached_property
     def moving(self) -> dict[str, str]:
@@ -237,8 +237,8 @@ class Assembly:
     def attitude_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """``values`` with the attitude's numbers by the attitude's own names, as `rows` gives them for every
         instant."""
-        own = self._own_names["attitude"]
-        numbers = {plain: self.rows(values, name, self.instant_row) for plain, name in own.items()}
+        names = self._own_names["attitude"]
+        numbers = {plain: self.rows(values, name, self.instant_row) for plain, name in names.items()}
         return {**values, **numbers}
 
     def size_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -268,8 +268,10 @@ class Assembly:
         lobes = {}
         for name, material in self.scene.materials.items():
             law, names = MODELS[material.model], self._material_names(name)
-            own = [(law.quantity(key).role, float(values[names[key]])) for key in material.parameters]
-            lobes[name] = max([1.0, *(one for role, number in own if (one := exponent_of(role, number)))])
+            numbers = [(law.quantity(key).role, float(values[names[key]])) for key in material.parameters]
+            lobes[name] = max(
+                [1.0, *(exponent for role, number in numbers if (exponent := exponent_of(role, number)))]
+            )
         return lobes
 
     def has_number(self, material: str, short: str) -> bool:
@@ -279,9 +281,13 @@ class Assembly:
     def _material_names(self, material: str) -> dict[str, str]:
         """Full names of a material's numbers by the short ones."""
         if material in self.scene.materials:
-            own = self._own_names["materials"]
-            return {key: own[f"{material}.{key}"] for key in self.scene.materials[material].parameters}
-        effect = next(one for one in self.effects if one.brdf is not None and one.material_key == material)
+            names = self._own_names["materials"]
+            return {key: names[f"{material}.{key}"] for key in self.scene.materials[material].parameters}
+        effect = next(
+            candidate
+            for candidate in self.effects
+            if candidate.brdf is not None and candidate.material_key == material
+        )
         return {quantity.name: effect.full_name(quantity.name) for quantity in effect.quantities}
 
 

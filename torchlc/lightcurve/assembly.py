@@ -74,7 +74,7 @@ def assemble(
             f"{with_title(entry)} is left out: {why}" for entry, why in held.items()
         ]
     warnings += edges_within_lobes(shape.parts, models, context.lobes)
-    instants = next((one for effect in chosen if (one := effect.instants(context)) is not None), None)
+    instants = next((given for effect in chosen if (given := effect.instants(context)) is not None), None)
     notes = (*scene.warnings, *recording.warnings, *track.warnings, *shape.warnings, *warnings)
     return Assembly(
         scene,
@@ -131,8 +131,8 @@ def _share_learnt(chosen: Sequence[Effect], base: Assembly) -> None:
 
 def _law(law: type[Brdf], material: str, base: Assembly | None) -> type[Brdf]:
     """The law of a material; that of ``base`` if it is the same, with what it has learnt."""
-    own = None if base is None else base.context.models.get(material)
-    return law.of_material() if own is None or own.__class__ is not law else own
+    known = None if base is None else base.context.models.get(material)
+    return law.of_material() if known is None or known.__class__ is not law else known
 
 
 def _at_rest(scene: Scene, shape: Shape) -> list[Facets]:

@@ -36,10 +36,10 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
         effect.taken, effect.by, effect.width = numbers | parts, by, width
         return effect
 
-    found: list[Effect] = []
+    effects: list[Effect] = []
     if wanted is None:
         standard = [effect for cls in registry().values() if (effect := cls()).standard(context)]
-        found = [made(effect) for effect in standard if effect.missing(context) is None]
+        effects = [made(effect) for effect in standard if effect.missing(context) is None]
     asked = list(wanted or ())
     if from_population(scene) and (differ := object_kind().name) not in asked:
         asked.append(
@@ -58,23 +58,25 @@ def effects_of(wanted: Sequence[str] | None, scene: Scene, context: Context) -> 
             )
         cls = known[name]
         targets = [target] if target else _set_targets(cls, scene) or cls.targets(context) or [None]
-        for one in targets:
-            effect = cls(one)
+        for chosen_target in targets:
+            effect = cls(chosen_target)
             reason = effect.missing(context)
-            if reason is None and one not in cls.targets(context):
+            if reason is None and chosen_target not in cls.targets(context):
                 reason = "it has no target: it is of the whole object"
             if reason is not None:
                 raise InputError(
-                    scene.source, "model.effects", f"{Entry(name, one).plain} cannot be applied: {reason}"
+                    scene.source,
+                    "model.effects",
+                    f"{Entry(name, chosen_target).plain} cannot be applied: {reason}",
                 )
             _check_axes(effect, scene, context)
-            found.append(made(effect, parsed.per, parsed.width))
-    for effect in found:
-        reason = effect.beside([other for other in found if other is not effect])
+            effects.append(made(effect, parsed.per, parsed.width))
+    for effect in effects:
+        reason = effect.beside([other for other in effects if other is not effect])
         if reason is not None:
             raise InputError(scene.source, "model.effects", f"{effect.name} cannot be applied: {reason}")
     order = list(known)
-    return tuple(sorted(found, key=lambda effect: order.index(effect.name)))
+    return tuple(sorted(effects, key=lambda effect: order.index(effect.name)))
 
 
 def _set_targets(cls: type[Effect], scene: Scene) -> list[str]:
@@ -111,7 +113,7 @@ def prepared(
             bounds[name] = (pinned[name], pinned[name])
         elif isinstance(number, SceneFree):
             several = [number.of(member) for member in number.values or ()]
-            ends = [_ends(one, quantity) for one in (number, *several)]
+            ends = [_ends(entry, quantity) for entry in (number, *several)]
             bounds[name] = (min(low for low, _ in ends), max(high for _, high in ends))
         elif number is not None:
             bounds[name] = (float(number), float(number))

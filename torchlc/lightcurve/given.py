@@ -30,14 +30,14 @@ def check_given(scene: Scene, context: Context) -> None:
                 f"one of the {len(known)} that torchlc effects lists",
             )
             raise InputError(scene.source, place, found, expected, did_you_mean(name, known))
-        numbers = [one.name for one in known[name].quantities]
+        numbers = [number.name for number in known[name].quantities]
         if quantity not in numbers:
             expected = f"one of {', '.join(numbers)}" if numbers else "no such key: the effect has no numbers"
             hint = did_you_mean(quantity, numbers)
             raise InputError(scene.source, place, f"{name} has no number {shown(quantity)}", expected, hint)
         if target is None:
             continue
-        targets = [one for one in known[name].targets(context) if one is not None]
+        targets = [candidate for candidate in known[name].targets(context) if candidate is not None]
         if target not in targets:
             expected = f"one of {', '.join(targets)}" if targets else f'"{name}.{quantity}", without brackets'
             found, hint = f"{name} cannot be applied to {shown(target)}", did_you_mean(target, targets)
@@ -81,7 +81,7 @@ def range_of(quantity: Quantity) -> str:
 def unused(scene: Scene, effects: Sequence[Effect]) -> list[str]:
     """A sentence for each number of [model.parameters] that none of the model's effects has."""
     names = {effect.name for effect in effects}
-    used = {key for effect in effects for one in effect.quantities for key in keys_of(effect, one)}
+    used = {key for effect in effects for quantity in effect.quantities for key in keys_of(effect, quantity)}
     warnings = []
     for key in scene.model.parameters:
         match = PARAMETER_KEY.fullmatch(key)

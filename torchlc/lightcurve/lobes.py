@@ -23,7 +23,7 @@ def uneven(scene: Scene, material: str) -> bool:
     """Whether a material's lobe may be wider along u than along v."""
     given, shared = scene.materials[material].parameters, MODELS[scene.materials[material].model].shared
     widths = [[given[name] for name in long] for short, long in shared.items() if short not in given]
-    return any(isinstance(one, SceneFree) or one != several[0] for several in widths for one in several)
+    return any(isinstance(width, SceneFree) or width != several[0] for several in widths for width in several)
 
 
 def finest_lobes(scene: Scene, sharpest: float = math.inf) -> dict[str, float]:

@@ -9,13 +9,15 @@ lights, Q instants, T rows, F facets, C components.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Self
+from weakref import WeakSet
 
 import torch
 from torch import Tensor, nn
+from torch.utils.weak import WeakIdKeyDictionary
 
 from torchlc.digits import number_of
 from torchlc.lightcurve.assembled import Assembly
@@ -34,6 +36,8 @@ from torchlc.stages.light import Brightness, View
 from torchlc.stages.order import GEOMETRY_STAGES
 from torchlc.tensors.moving import CPU, moved, on
 
+USERS: MutableMapping[nn.Parameter, WeakSet[LightCurve]] = WeakIdKeyDictionary()
+"""Which models have a parameter that an effect or a law has learnt, for those of one assembly share it."""
 MODULE_ATTRIBUTES = frozenset((*dir(nn.ModuleDict()), *dir(nn.ParameterDict())))
 
 
@@ -92,6 +96,7 @@ class LightCurve(nn.Module):
                 self._keys.append((owner, short))
             learners = {module_key(name): module for name, module in self.assembly.learners.items()}
             self.learners = nn.ModuleDict(learners).to(self.assembly.dtype)
+            self._use_learnt()
             self.pipeline = Pipeline(self.assembly)
             shared = sibling is not None and sibling.tables_key == self.tables_key
             lending = sibling.evaluator if shared and sibling is not None else None
@@ -145,7 +150,7 @@ class LightCurve(nn.Module):
         them."""
         shaping = [e for e in self.effects if e.stage in {*GEOMETRY_STAGES, "scatter"} or e.reshapes_lobe]
         return (
-            *(str(told) for told in (self.geometry_free, bool(self.names), self.assembly.settled)),
+            *(str(item) for item in (self.geometry_free, bool(self.names), self.assembly.settled)),
             *(f"{e.entry} {e.nodes}" for e in shaping),
         )
 
@@ -163,14 +168,30 @@ class LightCurve(nn.Module):
             if (like.dtype, like.device) == (a.dtype, a.device):
                 return super()._apply(fn, recurse)
             self.evaluator.settle()
+            shared = {id(learnt) for learnt in self.learners.parameters() if len(USERS.get(learnt, ())) > 1}
+
+            def copied(parameter: nn.Parameter) -> nn.Parameter:
+                if id(parameter) not in shared:
+                    return parameter
+                return nn.Parameter(fn(parameter.detach()), parameter.requires_grad)
+
+            if shared:  # moved as copies with all the rest: the other model's stay where they are
+                for learnt in self.learners.parameters():
+                    USERS.get(learnt, WeakSet()).discard(self)
+                self.learners = nn.ModuleDict()
             super()._apply(fn, recurse)
-            self.evaluator = moved(self.evaluator, fn, a.dtype, a.device, (Scene, Recording))
+            self.evaluator = moved(self.evaluator, fn, a.dtype, a.device, (Scene, Recording), copied)
         self.pipeline = self.evaluator.pipeline
         self.assembly = self.pipeline.assembly
         self.learners = nn.ModuleDict(
             {module_key(name): module for name, module in self.assembly.learners.items()}
         )
+        self._use_learnt()
         return self
+
+    def _use_learnt(self) -> None:
+        for learnt in self.learners.parameters():
+            USERS.setdefault(learnt, WeakSet()).add(self)
 
     def _home(self) -> AbstractContextManager[None]:
         """Tensors that are made without a device are made where the model is."""

@@ -59,12 +59,14 @@ class Numbers:
 
     def parameters(self, effects: Sequence[Effect]) -> ParameterSet:
         """The vector of the free ones, with the pairs of reflectances whose sum is at most 1."""
-        own = {origin: name for name, origin in self.scene.origins().items()}
+        names = {origin: name for name, origin in self.scene.origins().items()}
         pairs, coupled = [], set()
         for material in self.scene.materials:
             model = self.models[material]
             for a, b in pairwise(model.simplex):
-                pairs.append((own[Origin("materials", material, a)], own[Origin("materials", material, b)]))
+                pairs.append(
+                    (names[Origin("materials", material, a)], names[Origin("materials", material, b)])
+                )
                 coupled |= {pairs[-1]} if model.coupled else set()
         for effect in effects:
             for a, b in pairwise(effect.simplex):
@@ -140,16 +142,18 @@ class Numbers:
                 raise InputError(self.scene.source, name, found, expected)
             self.divided[name] = division
             ids = self.row_index[division][1]
-            members = [(f"{name}[{one}]", origin.of(division, one), number.of(one)) for one in ids]
+            members = [
+                (f"{name}[{member}]", origin.of(division, member), number.of(member)) for member in ids
+            ]
             self.warnings += _unmet(name, number, ids)
-        for full, whose, own in members:
+        for full, whose, member_number in members:
             self.origins[full] = whose
             if full in self.pinned:
                 self.fixed[full] = self.pinned[full]
             elif number.fixed:
-                self.fixed[full] = own.value
+                self.fixed[full] = member_number.value
             else:
-                self._free(full, whose, prior_within(own, quantity), own.value, quantity)
+                self._free(full, whose, prior_within(member_number, quantity), member_number.value, quantity)
 
     def _free(self, name: str, origin: Origin, prior: Prior, start: float, quantity: Quantity) -> None:
         self.free.append(Free(name, prior, start, quantity.unit, quantity.meaning, origin, quantity.role))
@@ -187,16 +191,16 @@ def _unmet(name: str, number: SceneFree, members: Sequence[str]) -> list[str]:
     """What has to be said where the values of a number and the nights, say, of the recording are not the same."""
     if number.values is None:
         return []
-    lacking = [one for one in members if one not in number.values]
-    spare = [one for one in number.values if one not in members]
-    told = []
+    lacking = [member for member in members if member not in number.values]
+    spare = [member for member in number.values if member not in members]
+    sentences = []
     if lacking:
-        told.append(
+        sentences.append(
             f"{name} has no value for the {number.per} {', '.join(lacking)}: {number.value:g} is taken"
         )
     if spare:
-        told.append(f"{name} has values for no {number.per} of the recording: {', '.join(spare)}")
-    return told
+        sentences.append(f"{name} has values for no {number.per} of the recording: {', '.join(spare)}")
+    return sentences
 
 
 def prior_within(number: SceneFree, quantity: Quantity) -> Prior:

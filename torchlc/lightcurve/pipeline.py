@@ -74,15 +74,15 @@ class Pipeline:
                 material=material,
                 model=a.models[material],
                 faces=faces,
-                normal=one.normal[index],
-                u=one.u[index],
-                area=one.area[..., index],
+                normal=facets.normal[index],
+                u=facets.u[index],
+                area=facets.area[..., index],
                 pose=poses[number],
                 part=number,
                 select=index,
                 surface=None if face is None else part.surface(face, values),
             )
-            for number, (part, one) in enumerate(zip(a.shape.parts, view.facets, strict=True))
+            for number, (part, facets) in enumerate(zip(a.shape.parts, view.facets, strict=True))
             for material, face, faces, index in a.patches[number]
         )
         lights = view.lights
@@ -198,16 +198,16 @@ class Pipeline:
             for effect in a.stage("scatter")
         )
         still = {} if still is None else still
-        found: list[Surface | None] = []
-        for key, one, patches in sorted_patches(view, detail):
+        made: list[Surface | None] = []
+        for key, part_view, patches in sorted_patches(view, detail):
             if key in still:
                 known = still[key]
-                found.append(known.at(one, patches) if isinstance(known, StillPairs) else known)
+                made.append(known.at(part_view, patches) if isinstance(known, StillPairs) else known)
             elif compact:
-                found.append(surface_of(key, one, patches, True, columns))
+                made.append(surface_of(key, part_view, patches, True, columns))
             else:
-                found += surfaces_on_grid(key, one, patches, columns)
-        surfaces = tuple(surface for surface in found if surface is not None)
+                made += surfaces_on_grid(key, part_view, patches, columns)
+        surfaces = tuple(surface for surface in made if surface is not None)
         return Tables(surfaces, scatter, sky_of(view, columns, a.instants, fixed=compact), columns)
 
     def shine(self, tables: Tables, values: Mapping[str, Tensor], shares: bool = False) -> Brightness:
@@ -258,12 +258,14 @@ class Pipeline:
         total = reduce(torch.add, by_component.values())
         lit = total > DARKEST
         total = torch.where(lit, total, 0.0)
-        found = None
+        fractions = None
         if shares or a.needs_shares:
             zeros = torch.zeros_like(total)
             stacked = torch.stack([by_component.get(name, zeros) + zeros for name in a.components], -2)
-            found = torch.where(lit[..., None, :], stacked / torch.where(lit, total, 1.0)[..., None, :], 0.0)
-        brightness = Brightness(total, found, a.components)
+            fractions = torch.where(
+                lit[..., None, :], stacked / torch.where(lit, total, 1.0)[..., None, :], 0.0
+            )
+        brightness = Brightness(total, fractions, a.components)
         for effect in a.stage("detector"):
             brightness = effect.detector(brightness, a.own(effect, values), a.context)
         return brightness
@@ -282,31 +284,33 @@ class Pipeline:
         self, surfaces: Sequence[Surface], values: Mapping[str, Tensor], row: Tensor | None
     ) -> list[Tensor]:
         """Light (..., C) of surfaces in their own light, those that discs shine on as finely as each pair asks for."""
-        found: list[Tensor] = []
+        lights: list[Tensor] = []
         middles: list[tuple[int, DiscSurface, Tensor, Tensor]] = []
         batched = any(value.ndim for value in values.values())
         for surface in surfaces:
             if isinstance(surface, CoveredSurface):
                 slots = len(surface.phase_angle) // surface.cover.shape[-1]
                 specular, diffuse = self.reflect(surface, values, None if row is None else row.repeat(slots))
-                found.append(surface.summed(specular + diffuse, batched))
+                lights.append(surface.summed(specular + diffuse, batched))
                 continue
             specular, diffuse = self.reflect(surface, values, row)
             if not isinstance(surface, DiscSurface):
-                found.append(specular + diffuse)
+                lights.append(specular + diffuse)
                 continue
             # one value of theta is a batch of one, as its geometry is
-            specular, each = (one.reshape(-1, *surface.discs.shape) for one in (specular, specular + diffuse))
-            middles.append((len(found), surface, specular, each))
-            found.append(self._of_row(surface.discs, each, values))
+            specular, each = (
+                light.reshape(-1, *surface.discs.shape) for light in (specular, specular + diffuse)
+            )
+            middles.append((len(lights), surface, specular, each))
+            lights.append(self._of_row(surface.discs, each, values))
         if not middles:
-            return found
-        sunlit = [light for light, surface in zip(found, surfaces, strict=True) if surface.sunlit]
+            return lights
+        sunlit = [light for light, surface in zip(lights, surfaces, strict=True) if surface.sunlit]
         brightest = torch.atleast_2d(reduce(torch.add, sunlit))
-        for place, surface, specular, each in middles:
+        for index, surface, specular, each in middles:
             weights = surface.discs.weights(specular, brightest, self._narrowest(surface, values))
-            found[place] = self._of_row(surface.discs, self._spread(surface, weights, each, values), values)
-        return found
+            lights[index] = self._of_row(surface.discs, self._spread(surface, weights, each, values), values)
+        return lights
 
     @staticmethod
     def _of_row(pairs: DiscPairs, light: Tensor, values: Mapping[str, Tensor]) -> Tensor:
@@ -336,8 +340,8 @@ class Pipeline:
             if not len(which[0]):
                 continue
             member = which[0] if len(each) > 1 else torch.zeros_like(which[0])
-            own = _OfMembers(values, member)
-            light = reduce(torch.add, self.reflect(surface.over(rule, which), own, None))[..., 0]
+            members = _OfMembers(values, member)
+            light = reduce(torch.add, self.reflect(surface.over(rule, which), members, None))[..., 0]
             share = weight.expand(each.shape)[which]
             each = each.index_put(which, torch.lerp(each[which], light, share))
         return each
@@ -346,7 +350,7 @@ class Pipeline:
         """Variance (B or 1, 1, 1), rad^2, of the narrowest lobe that a surface is asked for with the effects of its material,
         before they widen it; None where that is not known."""
         a = self.assembly
-        own = a.material_values(surface.material, surface.model, values)
+        numbers = a.material_values(surface.material, surface.model, values)
         asked: list[Tensor] = []
 
         def reflect(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -357,8 +361,8 @@ class Pipeline:
         last: Reflect = reflect
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
-                last = effect.material(last, surface, own, a.own(effect, values))
-        last(own)
+                last = effect.material(last, surface, numbers, a.own(effect, values))
+        last(numbers)
         declared = surface.model.additive or surface.model.lobe_variance is not Brdf.lobe_variance
         if not asked or not declared:
             return None
@@ -370,12 +374,12 @@ class Pipeline:
         """Lobe and diffuse flux (..., T) of one surface, through the effects of its material; (..., C) of columns
         that belong to the rows ``row`` (C,)."""
         a = self.assembly
-        own = a.material_values(surface.material, surface.model, values)
+        numbers = a.material_values(surface.material, surface.model, values)
         reflect: Reflect = partial(surface.model.parts, surface.table)
         for effect in a.stage("material"):
             if effect.target in (None, surface.material):
-                reflect = effect.material(reflect, surface, own, a.own(effect, values, row))
-        return reflect(own)
+                reflect = effect.material(reflect, surface, numbers, a.own(effect, values, row))
+        return reflect(numbers)
 
 
 class _OfMembers(Mapping[str, Tensor]):

@@ -52,16 +52,23 @@ def sorted_patches(view: View, detail: bool) -> list[tuple[Key, View, list[Patch
 def moves(view: View, patches: Sequence[Patch]) -> bool:
     """Whether patches, or the light on them, differ between the two values of a batch."""
     seen = [view.to_observer, view.range_m, *(light.direction[0] for light in view.lights)]
-    own = [one for patch in patches for one in (patch.pose, patch.visible, patch.seen) if one is not None]
-    own += [
-        one
+    of_patches = [
+        tensor
+        for patch in patches
+        for tensor in (patch.pose, patch.visible, patch.seen)
+        if tensor is not None
+    ]
+    of_patches += [
+        tensor
         for patch in patches
         for record in (patch.near, patch.response)
         if record
-        for one in vars(record).values()
-        if one.shape[-1] != 3
+        for tensor in vars(record).values()
+        if tensor.shape[-1] != 3
     ]
-    return any(len(one) > 1 for one in (*seen, *own)) or any(patch.area.ndim > 1 for patch in patches)
+    return any(len(tensor) > 1 for tensor in (*seen, *of_patches)) or any(
+        patch.area.ndim > 1 for patch in patches
+    )
 
 
 def summed(light: Tensor, row: Tensor | None, rows: int) -> Tensor:
@@ -88,10 +95,10 @@ def surfaces_on_grid(
 ) -> list[Surface]:
     """All pairs of patches of one material, those in the light of discs apart from the others."""
     others, pairs = surface_of(key, view, patches, False, columns), disc_pairs(view, patches)
-    found: list[Surface] = [] if others is None else [others]
+    surfaces: list[Surface] = [] if others is None else [others]
     if pairs is not None:
-        found.append(DiscSurface.of(pairs, phase_angle_of(view, columns), key))
-    return found
+        surfaces.append(DiscSurface.of(pairs, phase_angle_of(view, columns), key))
+    return surfaces
 
 
 def phase_angle_of(view: View, columns: Columns | None) -> Tensor:

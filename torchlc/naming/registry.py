@@ -8,6 +8,7 @@ folder of the package.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -44,16 +45,16 @@ class Registry(Mapping[str, Class], Generic[Class]):
         that only inherits its name, as a common base does, stays out. ``key`` is the name to enter, if not the
         attribute's value."""
         if isinstance(cls.__dict__.get(attribute), str):
-            self.enter(key or cls.__dict__[attribute], cls, stacklevel=4)
+            self.enter(key or cls.__dict__[attribute], cls)
 
-    def enter(self, name: str, cls: Class, *, stacklevel: int = 2) -> None:
+    def enter(self, name: str, cls: Class) -> None:
         """Let ``name`` stand for ``cls``; a Replaced warning tells if it stood for another class."""
         before = self._classes.get(name)
         if before is not None and before is not cls:
             warnings.warn(
                 f"{self.kind} {name!r} is now {_full_name(cls)}, in place of {_full_name(before)}",
                 Replaced,
-                stacklevel=stacklevel,
+                stacklevel=_level_of_user(),
             )
         self._classes.pop(name, None)
         self._classes[name] = cls
@@ -74,6 +75,18 @@ class Registry(Mapping[str, Class], Generic[Class]):
     def outside(self) -> dict[str, Class]:
         """The classes that were defined outside this package."""
         return {name: cls for name, cls in self._classes.items() if not _is_ours(cls)}
+
+
+def _level_of_user() -> int:
+    """How many frames above the one that asks is the first of code that is neither this package's nor what makes abstract classes, so that a
+    warning stands at the user's line, and comes again where a notebook runs its cell again."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
+        PACKAGE,
+        "abc",
+    ):
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _is_ours(cls: type) -> bool:

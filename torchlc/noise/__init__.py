@@ -13,13 +13,13 @@ from torchlc.noise.rows import Residuals, Rows
 from torchlc.stages.noise import Noise
 
 
-def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
+def log_density(rows: Rows, residuals: Residuals, noise: Noise) -> Tensor:
     """Log density (...) of residuals under a noise model."""
     if noise.processes:
-        return correlated.log_density(rows, found, noise)
+        return correlated.log_density(rows, residuals, noise)
     if rows.fitted_errors:
-        return fitted_level.log_density(rows, found, noise)
-    return white.log_density(rows, found, noise)
+        return fitted_level.log_density(rows, residuals, noise)
+    return white.log_density(rows, residuals, noise)
 
 
 __all__ = ["Noise", "Residuals", "Rows", "log_density"]

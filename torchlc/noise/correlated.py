@@ -72,7 +72,7 @@ class CorrelatedRows:
         return white[..., 0], delta[..., self.count :] - expected[..., 0]
 
 
-def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
+def log_density(rows: Rows, residuals: Residuals, noise: Noise) -> Tensor:
     """Log density (...) of residuals."""
     together = sets(rows, noise)
     limits = torch.bincount(together, weights=rows.limit.to(torch.float64))
@@ -82,9 +82,9 @@ def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
     if problem is not None:
         names = " and ".join(process.name for process in noise.processes)
         raise InputError(rows.source, None, f"{names} cannot be applied: {problem}")
-    total = torch.zeros_like(found.delta[..., 0])
-    for part in correlated_parts(rows, found, white_sigma(rows, found, noise), noise):
-        white, left = part.whitened(found.delta)
+    total = torch.zeros_like(residuals.delta[..., 0])
+    for part in correlated_parts(rows, residuals, white_sigma(rows, residuals, noise), noise):
+        white, left = part.whitened(residuals.delta)
         log_det = torch.log(torch.diagonal(part.measured, dim1=-2, dim2=-1)).sum((-1, -2))
         total = total - 0.5 * white.square().sum((-1, -2)) - log_det
         total = total - HALF_LOG_2PI * white.shape[-1] * white.shape[-2]
@@ -93,12 +93,12 @@ def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
     return total
 
 
-def white_sigma(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
+def white_sigma(rows: Rows, residuals: Residuals, noise: Noise) -> Tensor:
     """Standard deviation (..., T) of the errors that a row has for itself; the level of errors that are fitted is that
     of the steps between rows, in which any added variance is contained."""
     if rows.fitted_errors:
-        return white_levels(rows, found.delta, noise)[..., rows.curve]
-    return noise.sigma(found.sigma, found.scale)
+        return white_levels(rows, residuals.delta, noise)[..., rows.curve]
+    return noise.sigma(residuals.sigma, residuals.scale)
 
 
 def white_levels(rows: Rows, delta: Tensor, noise: Noise) -> Tensor:
@@ -109,7 +109,7 @@ def white_levels(rows: Rows, delta: Tensor, noise: Noise) -> Tensor:
 
 def _groups(rows: Rows, noise: Noise) -> list[Tensor]:
     """What the processes number, (T,) each, none twice."""
-    distinct = {id(one): one for one in (process.members(rows.curve) for process in noise.processes)}
+    distinct = {id(group): group for group in (process.members(rows.curve) for process in noise.processes)}
     return list(distinct.values())
 
 
@@ -129,17 +129,17 @@ def sets(rows: Rows, noise: Noise) -> Tensor:
     from scipy.sparse.csgraph import connected_components
 
     count = rows.rows
-    links = np.concatenate([(one + count * (k + 1)).cpu().numpy() for k, one in enumerate(groups)])
+    links = np.concatenate([(group + count * (k + 1)).cpu().numpy() for k, group in enumerate(groups)])
     row = np.tile(np.arange(count), len(groups))
     size = int(links.max()) + 1
     graph = coo_matrix((np.ones(len(row)), (row, links)), shape=(size, size))
     return torch.as_tensor(connected_components(graph, directed=False)[1][:count]).to(groups[0])
 
 
-def correlated_parts(rows: Rows, found: Residuals, sigma: Tensor, noise: Noise) -> list[CorrelatedRows]:
+def correlated_parts(rows: Rows, residuals: Residuals, sigma: Tensor, noise: Noise) -> list[CorrelatedRows]:
     """Each set of rows with the processes of the noise, beside white noise sigma (..., T). Sets of as many rows are one
     part where every process numbers its members, which tell them apart."""
-    sigma = sigma.expand(found.delta.shape)
+    sigma = sigma.expand(residuals.delta.shape)
     alike = all(process.group is not None for process in noise.processes)
     stacks: dict[tuple[int, int, int], list[Tensor]] = {}
     for number, index in enumerate(_split(sets(rows, noise))):
@@ -151,7 +151,7 @@ def correlated_parts(rows: Rows, found: Residuals, sigma: Tensor, noise: Noise) 
         index = torch.stack(several)
         covariance = torch.diag_embed(sigma[..., index] ** 2)
         for process in noise.processes:
-            sd = (process.sd * found.scale)[..., index]
+            sd = (process.sd * residuals.scale)[..., index]
             correlation = process.correlation(index if alike else index[0])
             if not alike:
                 correlation = _within(process, rows, index[0], correlation)[..., None, :, :]

@@ -27,8 +27,8 @@ def draw(
     delta = noise.law.deviates(normal, random) * sigma
     for process in noise.processes:
         member = process.members(curve)
-        for one in torch.unique(member):
-            rows = torch.nonzero(member == one)[:, 0]
+        for number in torch.unique(member):
+            rows = torch.nonzero(member == number)[:, 0]
             correlation = process.correlation(rows)
             factor = torch.linalg.cholesky(
                 correlation + RIDGE * torch.eye(len(rows), dtype=correlation.dtype, device=correlation.device)

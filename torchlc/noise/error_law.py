@@ -57,7 +57,7 @@ def error_powers(
     that come from something else than the measured flux give 0.
     """
     powers = np.zeros(len(flux))
-    rows = [np.flatnonzero((curve == one) & measured) for one in np.unique(curve)]
+    rows = [np.flatnonzero((curve == number) & measured) for number in np.unique(curve)]
     few = [index for index in rows if len(index) <= LEAST_STEPS + 1]
     for curves in [*([index] for index in rows if len(index) > LEAST_STEPS + 1), few]:
         steps = _Steps(curves, flux, error_mag)
@@ -121,7 +121,7 @@ def _photons_over_sky(steps: _Steps, power: float) -> float | None:
     usual = float(np.median(steps.flux[steps.first]))
     trials, gap = LOG_RATIOS, float(LOG_RATIOS[1] - LOG_RATIOS[0])
     while True:
-        fits = [steps.misfit(math.exp(one) / usual) for one in trials]
+        fits = [steps.misfit(math.exp(ratio) / usual) for ratio in trials]
         best = float(trials[int(np.argmin(fits))])
         if gap < LOG_RATIO_TOLERANCE:
             break
@@ -132,7 +132,7 @@ def _photons_over_sky(steps: _Steps, power: float) -> float | None:
         math.inf: steps.misfit_of_power(0.5),
         math.exp(best) / usual: min(fits),
     }
-    photons = min(misfits, key=lambda one: misfits[one])
+    photons = min(misfits, key=lambda trial: misfits[trial])
     return photons if misfits[photons] <= CLEARLY_BETTER * steps.misfit_of_power(power) else None
 
 

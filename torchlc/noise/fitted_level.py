@@ -27,31 +27,31 @@ LEAST_SHARE = 1e-3
 """Of the starting level, that every level has at least, so that a perfect model has a finite density."""
 
 
-def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
+def log_density(rows: Rows, residuals: Residuals, noise: Noise) -> Tensor:
     """A level s of each curve under d ln s, of N measured rows less the gain: Gamma(N/2) / 2 (pi S)^(-N/2) with S
     the sum of squares. A curve of limits alone says nothing."""
     soft = rows.count * (LEAST_SHARE * rows.noise_level) ** 2
-    squares = rows.squares(found.delta) + soft
+    squares = rows.squares(residuals.delta) + soft
     freedom = (rows.count - (1 if rows.gains else 0)).clamp(min=1.0)
     if not noise.normal or rows.censored or noise.variance is not None:
-        return _by_quadrature(rows, found, noise, squares, soft, freedom)
+        return _by_quadrature(rows, residuals, noise, squares, soft, freedom)
     half = 0.5 * freedom
     constant = torch.lgamma(half) - math.log(2.0) - half * math.log(math.pi)
     return (constant - half * torch.log(squares)).sum(-1)
 
 
 def _by_quadrature(
-    rows: Rows, found: Residuals, noise: Noise, squares: Tensor, soft: Tensor, freedom: Tensor
+    rows: Rows, residuals: Residuals, noise: Noise, squares: Tensor, soft: Tensor, freedom: Tensor
 ) -> Tensor:
     """ln of the integral over ln s of each curve, (...), by the rows' densities at every level."""
-    delta = found.delta
+    delta = residuals.delta
     each = not noise.normal or noise.variance is not None
     counted = rows.limit | each  # rows that are not in the sum of squares
     lost = torch.where(rows.count > 0, rows.count - freedom, 0.0)
 
     def at(level: Tensor) -> Tensor:
         """ln of the density, (K, ..., C), at ln s (K, ..., C)."""
-        sigma = noise.sigma(torch.exp(level[..., rows.curve]), found.scale)
+        sigma = noise.sigma(torch.exp(level[..., rows.curve]), residuals.scale)
         heights = row_densities(rows, delta / sigma, sigma, noise)
         total = rows.by_curve(torch.where(counted, heights, 0.0))
         smooth = -0.5 * (soft if each else squares) * torch.exp(-2 * level)

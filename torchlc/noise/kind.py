@@ -69,7 +69,9 @@ class NoiseKind(Effect):
             return [{}]
         u = torch.quasirandom.SobolEngine(len(self.quantities), scramble=True, seed=0)
         share = u.draw(FIRST, dtype=torch.float64).clamp(0.01, 0.99)
-        columns = [prior_of(one).quantile(part) for one, part in zip(self.quantities, share.T, strict=True)]
+        columns = [
+            prior_of(quantity).quantile(part) for quantity, part in zip(self.quantities, share.T, strict=True)
+        ]
         return [self._named(row) for row in torch.stack(columns, -1).tolist()]
 
     def closer(self, best: Values, facts: Facts) -> Sequence[Values]:
@@ -79,7 +81,8 @@ class NoiseKind(Effect):
         u = torch.quasirandom.SobolEngine(len(self.quantities), scramble=True, seed=1)
         steps = NEAR * (2 * u.draw(CLOSER, dtype=torch.float64) - 1)
         columns = [
-            self._about(one, best[one.name], step) for one, step in zip(self.quantities, steps.T, strict=True)
+            self._about(quantity, best[quantity.name], step)
+            for quantity, step in zip(self.quantities, steps.T, strict=True)
         ]
         return [best, *(self._named(row) for row in torch.stack(columns, -1).tolist())]
 

@@ -51,8 +51,8 @@ def exponential_tilt(factor: Tensor, bound: Tensor) -> Tensor:
     J. R. Stat. Soc. B 79, 125, by Newton's method with the best of some step lengths. Any means give the
     right probability; those of the saddle point the one of least error. Their slopes are those of the saddle point."""
     scale = torch.diagonal(factor, dim1=-2, dim2=-1)
-    one = torch.eye(bound.shape[-1], dtype=bound.dtype, device=bound.device)
-    lower, edge = factor / scale[..., None] - one, bound / scale
+    identity = torch.eye(bound.shape[-1], dtype=bound.dtype, device=bound.device)
+    lower, edge = factor / scale[..., None] - identity, bound / scale
 
     def unsettled(x: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
         """The two gradients (..., 2 n) and by how much the hazard falls with its argument (..., n)."""
@@ -64,8 +64,8 @@ def exponential_tilt(factor: Tensor, bound: Tensor) -> Tensor:
     def curvature(fall: Tensor) -> Tensor:
         """Jacobian (..., 2 n, 2 n) of the gradients."""
         weighted = fall[..., None] * lower
-        top = torch.cat([-lower.mT @ weighted, -one - weighted.mT], -1)
-        return torch.cat([top, torch.cat([-one - weighted, one - torch.diag_embed(fall)], -1)], -2)
+        top = torch.cat([-lower.mT @ weighted, -identity - weighted.mT], -1)
+        return torch.cat([top, torch.cat([-identity - weighted, identity - torch.diag_embed(fall)], -1)], -2)
 
     both = torch.zeros_like(torch.cat([edge, edge], -1)).detach()
     steps = 0.5 ** torch.arange(STEP_LENGTHS, dtype=bound.dtype, device=bound.device)

@@ -60,7 +60,7 @@ class Rows:
         self.curves = len(recording.curve_ids)
         self.limit = torch.as_tensor(recording.upper_limit, device=like.device)
         self.measured = ~self.limit
-        self.censored = bool(self.limit.any())
+        self.censored = bool(np.any(recording.upper_limit))
         self.fainter = 1.0 if self.flux else -1.0
         """Sign of a fainter object in the recording's unit."""
         self.count = torch.bincount(self.curve[self.measured], minlength=self.curves).to(like)
@@ -121,9 +121,9 @@ class Rows:
         fainter = self.fainter * torch.where(self.limit, u, 0.0)
         return torch.where(self.limit, log_ndtr(fainter), 0.0)
 
-    def normalised(self, found: Residuals) -> Tensor:
+    def normalised(self, residuals: Residuals) -> Tensor:
         """Residuals over their errors, (..., T); for an upper limit the square root of its deviance."""
-        return self.deviance_rows(found.delta / found.sigma)
+        return self.deviance_rows(residuals.delta / residuals.sigma)
 
     def deviance_rows(self, u: Tensor) -> Tensor:
         """u (..., T) with sqrt(-2 ln P) in place of upper limits, whose sum of squares is -2 ln density."""
@@ -131,23 +131,23 @@ class Rows:
             return u
         return torch.where(self.limit, torch.sqrt((-2 * self.log_below(u)).clamp(min=1e-300)), u)
 
-    def above_zero(self, found: Residuals, sigma: Tensor) -> Tensor:
+    def above_zero(self, residuals: Residuals, sigma: Tensor) -> Tensor:
         """Standard deviations (..., T) by which the model is above a flux of 0 in curves of which rows are there
         only if their flux is above 0; 100, as good as infinite, in others."""
         assert self.power is not None and self.selected is not None  # asked of such curves only
         power = torch.where(self.selected, self.power, 1.0)
-        return torch.where(self.selected, above_zero(found.scale, power) / sigma, 100.0)
+        return torch.where(self.selected, above_zero(residuals.scale, power) / sigma, 100.0)
 
 
 def _successive(recording: Recording, curves: int) -> Tensor:
     """1.4826 median |successive difference| / sqrt 2 of each curve's measured rows, (curves,); at least 1e-4 mag or
     1e-4 of the mean."""
     level = np.empty(curves)
-    for one in range(curves):
-        rows = recording.curve == one
+    for number in range(curves):
+        rows = recording.curve == number
         measured = rows & ~recording.upper_limit
         values = recording.observed[measured if measured.any() else rows]
         steps = np.abs(np.diff(values)) if measured.any() else values[:0]
         floor = 1e-4 if recording.kind == "mag" else 1e-4 * abs(float(np.mean(values))) + 1e-300
-        level[one] = max(1.4826 * float(np.median(steps)) / np.sqrt(2) if len(steps) else floor, floor)
+        level[number] = max(1.4826 * float(np.median(steps)) / np.sqrt(2) if len(steps) else floor, floor)
     return torch.as_tensor(level)

@@ -15,15 +15,15 @@ from torchlc.stages.noise import Noise
 from torchlc.tensors.normal_tail import HALF_LOG_2PI
 
 
-def log_density(rows: Rows, found: Residuals, noise: Noise) -> Tensor:
+def log_density(rows: Rows, residuals: Residuals, noise: Noise) -> Tensor:
     """Log density (...) of residuals at the quoted errors."""
-    sigma = noise.sigma(found.sigma, found.scale)
-    u = found.delta / sigma
+    sigma = noise.sigma(residuals.sigma, residuals.scale)
+    u = residuals.delta / sigma
     if noise.normal and not rows.censored and rows.selected is None:
         return (-torch.log(sigma) - HALF_LOG_2PI).sum(-1) - 0.5 * u.square().sum(-1)
     total = row_densities(rows, u, sigma, noise)
     if rows.selected is not None:
-        above = noise.law.log_below(rows.above_zero(found, sigma))
+        above = noise.law.log_below(rows.above_zero(residuals, sigma))
         total = total - torch.where(rows.selected, above, 0.0)
     return total.sum(-1)
 

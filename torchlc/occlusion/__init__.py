@@ -43,10 +43,10 @@ def visible_fractions(
     if to_sun.is_meta:  # shapes alone are asked for, and which polygons cut which is told by numbers
         return [to_sun.new_empty(rows, len(part.faces)) for part in shape.parts]
     each: list[Tensor] = []
-    for part, own, pose in zip(shape.parts, facets, poses, strict=True):
+    for part, part_facets, pose in zip(shape.parts, facets, poses, strict=True):
         turn = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device) if pose is None else pose
-        fixed = [(own.vertices, 3), (own.normal, 2)]
-        fixed += [(own.u, 2), (part.hull_corners(own), 2)] if convex else []
+        fixed = [(part_facets.vertices, 3), (part_facets.normal, 2)]
+        fixed += [(part_facets.u, 2), (part.hull_corners(part_facets), 2)] if convex else []
         each += [turn if turn.dim() > 2 else turn[None]]
         each += [tensor if tensor.dim() > ends else tensor[None] for tensor, ends in fixed]
     if convex:

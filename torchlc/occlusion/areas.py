@@ -52,8 +52,8 @@ def shown_fractions(
         shares.append(
             torch.stack(
                 [
-                    (area * share * ((one > 0) & (other > 0))).sum(-1) / area.sum(-1)
-                    for area, share, (one, other) in zip(_areas(facets), free, turned, strict=True)
+                    (area * share * ((cos_1 > 0) & (cos_2 > 0))).sum(-1) / area.sum(-1)
+                    for area, share, (cos_1, cos_2) in zip(_areas(facets), free, turned, strict=True)
                 ]
             )
         )
@@ -61,13 +61,13 @@ def shown_fractions(
 
 
 def _areas(facets: Sequence[Facets]) -> list[Tensor]:
-    return [own.area for own in facets]
+    return [part_facets.area for part_facets in facets]
 
 
 def _cosines(facets: Sequence[Facets], poses: Sequence[Tensor | None], direction: Tensor) -> list[Tensor]:
     """Cosines (N, F) between the facets' normals and a direction (N, 3), by part."""
-    found = []
-    for own, pose in zip(facets, poses, strict=True):
+    cosines = []
+    for part_facets, pose in zip(facets, poses, strict=True):
         ahead = direction if pose is None else torch.einsum("nji,nj->ni", pose, direction)
-        found.append(ahead @ own.normal.mT)
-    return found
+        cosines.append(ahead @ part_facets.normal.mT)
+    return cosines

@@ -23,7 +23,7 @@ def rowwise(function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:
     Derivatives run it again, but for the gradient of few rows. Its Jacobian is taken as constant: second derivatives have the Gauss-Newton
     terms, not its own curvature.
     """
-    followed = torch.is_grad_enabled() and any(one.requires_grad for one in inputs)
+    followed = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     kind = _Kept if followed and not transformed() and len(inputs[0]) <= MOST_KEPT else _Value
     return kind.apply(function, *inputs)  # pyright: ignore[reportReturnType]
 
@@ -39,7 +39,7 @@ class _Kept(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, function: Rows, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
-        ctx.function, ctx.wanted = function, tuple(one.requires_grad for one in inputs)
+        ctx.function, ctx.wanted = function, tuple(tensor.requires_grad for tensor in inputs)
         ctx.save_for_backward(*inputs)
         ctx.leaves, ctx.outputs = _graph(function, ctx.wanted, inputs)
         return tuple(output.detach() for output in ctx.outputs)
@@ -50,8 +50,8 @@ class _Kept(torch.autograd.Function):
             pulled = _PulledBack.apply(ctx.function, ctx.wanted, *ctx.saved_tensors, *cotangents)
         else:
             pulled = _pulled(ctx.leaves, ctx.outputs, cotangents, kept=True)
-        found = iter(pulled)  # pyright: ignore
-        return None, *(next(found) if want else None for want in ctx.wanted)
+        gradients = iter(pulled)  # pyright: ignore
+        return None, *(next(gradients) if want else None for want in ctx.wanted)
 
 
 def _graph(
@@ -59,7 +59,7 @@ def _graph(
 ) -> tuple[list[Tensor], tuple[Tensor, ...]]:
     """Inputs of which a gradient is wanted, cut off from what they come from, and the outputs that follow from them."""
     with torch.enable_grad():
-        leaves = [one.detach().requires_grad_(want) for one, want in zip(inputs, wanted, strict=True)]
+        leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted, strict=True)]
         outputs = function(*leaves)
     return [leaf for leaf in leaves if leaf.requires_grad], outputs
 
@@ -96,8 +96,8 @@ class _Value(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> Any:
         wanted = tuple(ctx.needs_input_grad[1:])
-        found = iter(_PulledBack.apply(ctx.function, wanted, *ctx.saved_tensors, *cotangents))  # pyright: ignore
-        return None, *(next(found) if want else None for want in wanted)
+        gradients = iter(_PulledBack.apply(ctx.function, wanted, *ctx.saved_tensors, *cotangents))  # pyright: ignore
+        return None, *(next(gradients) if want else None for want in wanted)
 
     @staticmethod
     def jvp(ctx: Any, _function: Any, *tangents: Tensor) -> Any:
@@ -132,8 +132,8 @@ class _PushedForward(torch.autograd.Function):
     def backward(ctx: Any, *cotangents: Tensor) -> Any:
         inputs = ctx.saved_tensors
         wanted = tuple(ctx.needs_input_grad[1 + len(inputs) :])
-        found = iter(_PulledBack.apply(ctx.function, wanted, *inputs, *cotangents))  # pyright: ignore
-        return None, *[None] * len(inputs), *(next(found) if want else None for want in wanted)
+        gradients = iter(_PulledBack.apply(ctx.function, wanted, *inputs, *cotangents))  # pyright: ignore
+        return None, *[None] * len(inputs), *(next(gradients) if want else None for want in wanted)
 
     @staticmethod
     def jvp(ctx: Any, _function: Any, *tangents: Tensor) -> Any:

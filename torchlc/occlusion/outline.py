@@ -72,8 +72,10 @@ def outline(
     leaves, enters = ahead & ~after, ~ahead & after
     face = torch.arange(len(joints.loops), device=flat.device)
     cut_start, cut_end = (
-        cut.gather(1, joints.around[face, one.to(torch.uint8).argmax(dim=-1)][..., None].expand(-1, -1, 2))
-        for one in (leaves, enters)
+        cut.gather(
+            1, joints.around[face, crossing.to(torch.uint8).argmax(dim=-1)][..., None].expand(-1, -1, 2)
+        )
+        for crossing in (leaves, enters)
     )
     cut_present = faces & leaves.any(dim=-1)
 

@@ -72,14 +72,14 @@ def _stretches(facet: Tensor, start: Tensor, end: Tensor, valid: Tensor) -> tupl
     along = torch.cat([(end - start).flatten(1, 2), corner_end - facet], dim=1)
     low, high = _inside(a, along, outward.flatten(1, 2), offset.flatten(1, 2), edges)
     within_low, within_high = _inside(a, along, walls, wall_offset, walls.shape[1])
-    own = torch.arange(polygons, device=size.device).repeat_interleave(edges)
-    own = torch.cat([own, own.new_full((facet.shape[1],), -1)])
-    nowhere = (own[:, None] == torch.arange(polygons, device=size.device)) | ~valid.any(dim=-1)[:, None, :]
+    owner = torch.arange(polygons, device=size.device).repeat_interleave(edges)
+    owner = torch.cat([owner, owner.new_full((facet.shape[1],), -1)])
+    nowhere = (owner[:, None] == torch.arange(polygons, device=size.device)) | ~valid.any(dim=-1)[:, None, :]
     nowhere = nowhere | (low >= high)
     low = torch.where(nowhere, torch.inf, low)
     high = torch.where(nowhere, torch.inf, high)
 
-    is_wall = own < 0
+    is_wall = owner < 0
     begin = torch.where(is_wall, 0.0, within_low[..., 0].clamp(0.0, 1.0))
     finish = torch.where(is_wall, 1.0, within_high[..., 0].clamp(0.0, 1.0))
     finish = torch.maximum(begin, finish)

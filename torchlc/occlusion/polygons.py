@@ -103,7 +103,7 @@ def _rows_fractions(
 ) -> list[Tensor]:
     """Fractions (N, F) of each part; only rows in which the outlines of two parts overlap are worked out."""
     given = [tensors[k : k + TENSORS_PER_PART] for k in range(0, len(tensors), TENSORS_PER_PART)]
-    corners = [_posed(part, one[0], one[-1]) for part, one in zip(parts, given, strict=True)]
+    corners = [_posed(part, group[0], group[-1]) for part, group in zip(parts, given, strict=True)]
     joints = [Joints.of(_hull(part), to_sun.device) for part in parts]
     directions = torch.stack([to_sun, to_observer], dim=1)
     overlap = _overlaps(corners, joints, directions)
@@ -112,12 +112,12 @@ def _rows_fractions(
     if not len(some):
         return whole
     directions = directions[some]
-    overlap = {pair: one[some] for pair, one in overlap.items()}
+    overlap = {pair: mask[some] for pair, mask in overlap.items()}
     posed = []
-    for part, one, hull, own in zip(parts, given, joints, corners, strict=True):
-        pose, vertices, normal, u, own = (x[some] if len(x) > 1 else x for x in (*one[:-1], own))
-        faces = facing(own.detach(), hull, directions.detach())
-        posed.append(Posed(part, hull, pose, vertices, normal, u, own, faces))
+    for part, pieces, hull, points in zip(parts, given, joints, corners, strict=True):
+        pose, vertices, normal, u, points = (x[some] if len(x) > 1 else x for x in (*pieces[:-1], points))
+        faces = facing(points.detach(), hull, directions.detach())
+        posed.append(Posed(part, hull, pose, vertices, normal, u, points, faces))
     for k, own in enumerate(posed):
         others = [other for other in range(len(posed)) if other != k]
         reach = torch.cat([overlap[min(k, other), max(k, other)] for other in others], dim=-1)
@@ -140,7 +140,7 @@ def _overlaps(
     corners: Sequence[Tensor], joints: Sequence[Joints], directions: Tensor
 ) -> dict[tuple[int, int], Tensor]:
     """Along which of the directions (N, 2) two parts, by their numbers, may hide each other."""
-    hulls = [(one.detach(), hull.edges) for one, hull in zip(corners, joints, strict=True)]
+    hulls = [(points.detach(), hull.edges) for points, hull in zip(corners, joints, strict=True)]
     return {
         (k, other): overlapping(hulls[k], hulls[other], directions.detach())
         for other in range(len(hulls))
@@ -198,7 +198,7 @@ def _outlines(planes: Planes, reach: Tensor, others: Sequence[Posed]) -> tuple[T
     low, high = planes.facet.detach().amin(dim=1), planes.facet.detach().amax(dim=1)
     touching = TOUCHING * (high - low).amax(dim=-1)
     rank = torch.zeros_like(planes.row)
-    found = []
+    outlines = []
     for k, other in enumerate(others):
         for side in range(2):
             (item,) = reach[:, 2 * k + side].nonzero(as_tuple=True)
@@ -213,12 +213,12 @@ def _outlines(planes: Planes, reach: Tensor, others: Sequence[Posed]) -> tuple[T
             item, flat, height, cut = item[near], flat[near], height[near], cut[near]
             faces = picked(other.faces, planes.row[item])[:, side]
             start, end, present = outline(flat, height, cut, faces, other.joints)
-            found.append((item, rank[item], start, end, present))
+            outlines.append((item, rank[item], start, end, present))
             rank[item] += 1
-    shape = (len(planes.row), max(int(rank.max()), 1), max(present.shape[1] for *_, present in found))
+    shape = (len(planes.row), max(int(rank.max()), 1), max(present.shape[1] for *_, present in outlines))
     start, end = planes.facet.new_zeros(*shape, 2), planes.facet.new_zeros(*shape, 2)
     present = torch.zeros(shape, dtype=torch.bool, device=rank.device)
-    for item, slot, first, second, there in found:
+    for item, slot, first, second, there in outlines:
         edge = torch.arange(there.shape[1], device=rank.device)
         where = (item[:, None], slot[:, None], edge[None, :])
         start, end = start.index_put(where, first), end.index_put(where, second)

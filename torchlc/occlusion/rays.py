@@ -43,13 +43,15 @@ def ray_fractions(parts: Sequence[Part], still: Sequence[bool], *tensors: Tensor
         if len(vertices) > 1:
             changes[1:] |= (vertices[1:] != vertices[:-1]).flatten(1).any(dim=1).cpu().numpy()
     bounds = [0, *np.flatnonzero(changes), rows]
-    found = []
+    fractions = []
     for start, stop in pairwise(bounds):
         chosen = [tensor[start:stop] if len(tensor) > 1 else tensor for tensor in tensors]
-        own = [tensor.detach().cpu().double().numpy() for tensor in chosen]
-        found.append(_Bodies(parts, still, own[3::3], own[4::3]).visible(own[0], own[1], own[2::3]))
+        arrays = [tensor.detach().cpu().double().numpy() for tensor in chosen]
+        fractions.append(
+            _Bodies(parts, still, arrays[3::3], arrays[4::3]).visible(arrays[0], arrays[1], arrays[2::3])
+        )
     like = tensors[0]
-    return tuple(torch.as_tensor(np.concatenate(piece)).to(like) for piece in zip(*found, strict=True))
+    return tuple(torch.as_tensor(np.concatenate(piece)).to(like) for piece in zip(*fractions, strict=True))
 
 
 @dataclass(frozen=True)
@@ -98,24 +100,24 @@ class _Bodies:
         vertices: Sequence[np.ndarray],
         normal: Sequence[np.ndarray],
     ) -> None:
-        corners = np.concatenate([own[0].reshape(-1, 3) for own in vertices])
+        corners = np.concatenate([array[0].reshape(-1, 3) for array in vertices])
         self.centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         self.scale = np.linalg.norm(corners - self.centre, axis=1).max()
-        unit = [self._unit(own[0]) for own in vertices]
-        self.points = [_Points.on(own, facing[0]) for own, facing in zip(unit, normal, strict=True)]
+        unit = [self._unit(array[0]) for array in vertices]
+        self.points = [_Points.on(scaled, facing[0]) for scaled, facing in zip(unit, normal, strict=True)]
         self.normal = [facing[0] for facing in normal]
         self.turning = [
             None if quiet else self._unit(part.pivot) for part, quiet in zip(parts, still, strict=True)
         ]
         triangles = [
-            _triangles(own[: len(own) // 2] if part.thin else own)
-            for own, part in zip(unit, parts, strict=True)
+            _triangles(scaled[: len(scaled) // 2] if part.thin else scaled)
+            for scaled, part in zip(unit, parts, strict=True)
         ]
-        quiet = [own for own, rests in zip(triangles, still, strict=True) if rests]
+        quiet = [mesh for mesh, rests in zip(triangles, still, strict=True) if rests]
         self.scenes: list[tuple[int | None, Any]] = (
             [(None, _embree_scene(np.concatenate(quiet)))] if quiet else []
         )
-        self.scenes += [(k, _embree_scene(own)) for k, own in enumerate(triangles) if not still[k]]
+        self.scenes += [(k, _embree_scene(mesh)) for k, mesh in enumerate(triangles) if not still[k]]
 
     def _unit(self, points: np.ndarray) -> np.ndarray:
         return (points - self.centre) / self.scale

@@ -32,7 +32,7 @@ def may_meet(
     if any(part.hull is None for part in parts):
         return torch.ones(rows, dtype=torch.bool, device=directions[0].device)
     meeting = torch.zeros((1, 1), dtype=torch.bool, device=directions[0].device)
-    spheres = [_sphere(part, own) for part, own in zip(parts, facets, strict=True)]
+    spheres = [_sphere(part, part_facets) for part, part_facets in zip(parts, facets, strict=True)]
     for number, (pivot, radius) in enumerate(spheres):
         for other, size in spheres[number + 1 :]:
             offset = other - pivot
@@ -56,14 +56,14 @@ def overlapping(first: tuple[Tensor, Tensor], second: tuple[Tensor, Tensor], dir
     do not overlap.
     """
     sides = [corners[:, edges[:, 1]] - corners[:, edges[:, 0]] for corners, edges in (first, second)]
-    along = torch.cat([one[:, _unlike(one[0])].expand(len(directions), -1, -1) for one in sides], 1)
+    along = torch.cat([side[:, _unlike(side[0])].expand(len(directions), -1, -1) for side in sides], 1)
     axis = torch.linalg.cross(*torch.broadcast_tensors(directions[:, :, None], along[:, None]), dim=-1)
     length = torch.linalg.vector_norm(axis, dim=-1)
     least, most = [], []
     for corners, _ in (first, second):
-        place = corners.expand(len(directions), -1, -1) @ axis.flatten(1, 2).mT
-        least.append(place.amin(1).view_as(length))
-        most.append(place.amax(1).view_as(length))
+        projected = corners.expand(len(directions), -1, -1) @ axis.flatten(1, 2).mT
+        least.append(projected.amin(1).view_as(length))
+        most.append(projected.amax(1).view_as(length))
     gap = torch.maximum(least[0] - most[1], least[1] - most[0])
     size = torch.maximum(most[0], most[1]) - torch.minimum(least[0], least[1])
     scale = torch.linalg.vector_norm(along, dim=-1)[:, None]
@@ -74,12 +74,12 @@ def overlapping(first: tuple[Tensor, Tensor], second: tuple[Tensor, Tensor], dir
 def _unlike(sides: Tensor) -> list[int]:
     """Numbers of up to MOST_AXES of the edges (E, 3) that are not parallel."""
     unit = (sides / torch.linalg.vector_norm(sides, dim=-1, keepdim=True).clamp(min=1e-300)).tolist()
-    found: list[int] = []
-    for number, one in enumerate(unit):
-        alike = any(abs(sum(a * b for a, b in zip(one, unit[k], strict=True))) > 1 - MARGIN for k in found)
-        if not alike and len(found) < MOST_AXES:
-            found.append(number)
-    return found
+    kept: list[int] = []
+    for number, edge in enumerate(unit):
+        alike = any(abs(sum(a * b for a, b in zip(edge, unit[k], strict=True))) > 1 - MARGIN for k in kept)
+        if not alike and len(kept) < MOST_AXES:
+            kept.append(number)
+    return kept
 
 
 def _sphere(part: Part, facets: Facets) -> tuple[Tensor, Tensor]:

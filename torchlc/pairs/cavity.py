@@ -51,15 +51,15 @@ class Cavity:
 
 def cavities(context: Context) -> list[Cavity]:
     """The parts of which some facets rise above each other's planes. Convex parts have none."""
-    found = []
+    result = []
     for number, (part, facets) in enumerate(zip(context.parts, context.rest, strict=True)):
         if part.hull is not None:
             continue
         inner = _facing_others(facets)
         if len(inner):
             divide = _sampled if part.thin else _clustered
-            found.append(divide(number, inner, facets, part.materials))
-    return found
+            result.append(divide(number, inner, facets, part.materials))
+    return result
 
 
 def _facing_others(facets: Facets) -> Tensor:
@@ -90,9 +90,9 @@ def _sampled(part: int, inner: Tensor, facets: Facets, materials: tuple[str, ...
 def _clustered(part: int, inner: Tensor, facets: Facets, materials: tuple[str, ...]) -> Cavity:
     """Facets that lie and face alike are one patch: the widest patch is halved until there are PATCHES."""
     area = facets.area[inner].cpu().numpy()
-    place = facets.centroid[inner].cpu().numpy()
-    size = np.linalg.norm(np.ptp(place, axis=0))
-    features = np.concatenate([place / size, facets.normal[inner].cpu().numpy()], axis=1)
+    centroid = facets.centroid[inner].cpu().numpy()
+    size = np.linalg.norm(np.ptp(centroid, axis=0))
+    features = np.concatenate([centroid / size, facets.normal[inner].cpu().numpy()], axis=1)
     names = np.array([materials[i] for i in inner.tolist()])
 
     def entry(members: np.ndarray) -> tuple[float, int, np.ndarray]:
@@ -202,10 +202,12 @@ def sources_and_sinks(cavity: Cavity, view: View, context: Context, rows: slice)
     sums = []
     for direction in (to_sun, to_observer):
         free = visible_fractions(context.shape, view.facets, poses, direction, direction)[cavity.part]
-        own = direction if pose is None else torch.einsum("tij,ti->tj", pose, direction)
-        cosine = (own @ facets.normal[cavity.facets].mT).clamp(min=0)
+        local = direction if pose is None else torch.einsum("tij,ti->tj", pose, direction)
+        cosine = (local @ facets.normal[cavity.facets].mT).clamp(min=0)
         light = cavity.share * facets.area[cavity.facets] * cosine * free[:, cavity.facets]
-        sums.append(torch.stack([_by_patch(cavity, light * one) for one in _polynomials(cosine)], -1))
+        sums.append(
+            torch.stack([_by_patch(cavity, light * polynomial) for polynomial in _polynomials(cosine)], -1)
+        )
     sunlight = [light.irradiance[:, middle, rows].sum(0) for light in view.lights if light.primary]
     gain = torch.stack(sunlight).sum(0) / view.range_m[middle, rows] ** 2
     return gain[:, None, None] * sums[0], sums[1] / math.pi

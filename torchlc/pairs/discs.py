@@ -67,18 +67,18 @@ class DiscPairs:
     def picked(self, member: Tensor) -> DiscPairs:
         """Those of the geometries that ``member`` (B,) names."""
 
-        def one(tensor: Tensor) -> Tensor:
+        def of_members(tensor: Tensor) -> Tensor:
             return tensor[member] if len(tensor) > 1 else tensor
 
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
-        tensors = {name: one(value) for name, value in found.items() if isinstance(value, Tensor)}
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        tensors = {name: of_members(value) for name, value in values.items() if isinstance(value, Tensor)}
         return replace(self, **tensors)
 
     def middle(self) -> Mapping[str, Tensor]:
         """Table of the middle of the disc, every pair a column (B or 1, 1, K T)."""
         angles = _angles(self.su, self.sv, self.ci, self.ou, self.ov, self.cr)
         weight = self.area * (torch.minimum(self.ci, self.cr) > 0)
-        columns = (one.flatten(-2)[..., None, :] for one in vars(angles).values())
+        columns = (angle.flatten(-2)[..., None, :] for angle in vars(angles).values())
         return self.model.tabulate(Incidence(*columns), weight.flatten(-2)[..., None, :])
 
     def weights(
@@ -108,11 +108,11 @@ class DiscPairs:
         kink = _risen((1 + BESIDE - (ci - cr).abs() / radius) / BESIDE)
         kink = kink * _faded(KINK * specular * radius / torch.maximum(ci, radius) / allowed)
         finest = torch.maximum(horizon, kink)
-        found = []
+        shares = []
         for rule, (factor, power) in zip(rules, RULE_ERRORS, strict=False):
             error = light * (factor * square ** (power / 2)).clamp(max=1.0)
-            found.append((rule, torch.where(there, torch.maximum(finest, _faded(error / allowed)), 0.0)))
-        return found
+            shares.append((rule, torch.where(there, torch.maximum(finest, _faded(error / allowed)), 0.0)))
+        return shares
 
     def of_columns(self, columns: Tensor, which: tuple[Tensor, ...] | None) -> Tensor:
         """What the columns of :meth:`middle` have, (K T,) or (B, K T), for the pairs of :meth:`over`, (M, 1)."""
@@ -135,22 +135,22 @@ class DiscPairs:
             batch, pair, row = which
             apart = len(whole) > 1, whole.shape[-2] > 1
             if apart not in places:
-                place = (
+                index = (
                     batch * whole.shape[-2] + (pair if apart[1] else 0) if apart[0] else pair * int(apart[1])
                 )
-                places[apart] = place * self.shape[1] + row
+                places[apart] = index * self.shape[1] + row
             return whole.reshape(-1).index_select(0, places[apart])
 
         middle, observer = (
-            tuple(chosen(one) for one in local)
+            tuple(chosen(tensor) for tensor in local)
             for local in ((self.su, self.sv, self.ci), (self.ou, self.ov, self.cr))
         )
         su, sv, ci = self.disc.beside(middle, chosen(self.radius), rule, observer)
-        ou, ov, cr = (one[:, None] for one in observer)
+        ou, ov, cr = (tensor[:, None] for tensor in observer)
         angles = _angles(su, sv, ci, ou, ov, cr)
         weight = chosen(self.area)[:, None] * self.disc.rules[rule][1] * (torch.minimum(ci, cr) > 0)
         return self.model.tabulate(
-            Incidence(*(one[..., None] for one in vars(angles).values())), weight[..., None]
+            Incidence(*(angle[..., None] for angle in vars(angles).values())), weight[..., None]
         )
 
 

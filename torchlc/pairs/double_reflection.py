@@ -92,15 +92,15 @@ def facing_sides(context: Context) -> list[tuple[Side, Side]]:
 
 
 def _sides(context: Context) -> list[Side]:
-    found = []
-    for number, (part, own) in enumerate(zip(context.parts, context.rest, strict=True)):
+    sides = []
+    for number, (part, part_facets) in enumerate(zip(context.parts, context.rest, strict=True)):
         labels = list(zip(part.faces, part.materials, strict=True))
         for label in dict.fromkeys(labels):
-            facets = torch.as_tensor([i for i, one in enumerate(labels) if one == label])
+            facets = torch.as_tensor([i for i, other in enumerate(labels) if other == label])
             chosen = facets[:: math.ceil(len(facets) / MOST_FACETS)]
-            share = own.area[facets].sum() / own.area[chosen].sum()
-            found.append(Side(number, label[1], chosen, share.expand(len(chosen))))
-    return found
+            share = part_facets.area[facets].sum() / part_facets.area[chosen].sum()
+            sides.append(Side(number, label[1], chosen, share.expand(len(chosen))))
+    return sides
 
 
 def _suns() -> Tensor:
@@ -113,8 +113,8 @@ def _suns() -> Tensor:
 
 def _turned_to(suns: Tensor, context: Context, side: Side) -> tuple[Tensor, Tensor]:
     """Corners (T, F V, 3) and normals (T, F, 3) of a side for each direction to the Sun (T, 3)."""
-    part, own = context.parts[side.part], context.rest[side.part]
-    corners, normal = own.vertices[side.facets].flatten(0, 1), own.normal[side.facets]
+    part, facets = context.parts[side.part], context.rest[side.part]
+    corners, normal = facets.vertices[side.facets].flatten(0, 1), facets.normal[side.facets]
     if part.tracks_axis is None:
         return corners.expand(len(suns), -1, -1), normal.expand(len(suns), -1, -1)
     pivot = like(part.pivot, corners)
@@ -148,14 +148,14 @@ class Posed:
         still = torch.eye(3, dtype=to_sun.dtype, device=to_sun.device)[None]
         turns = [still if pose is None else pose[middle, rows] for pose in view.poses]
         vertices, normal, u, corners = [], [], [], []
-        for part, own, turn in zip(context.parts, view.facets, turns, strict=True):
+        for part, facets, turn in zip(context.parts, view.facets, turns, strict=True):
             pivot = like(part.pivot, to_sun)
-            fourth = min(3, own.vertices.shape[1] - 1)
-            hull = own.vertices[:0, 0] if part.hull is None else part.hull_corners(own)
-            moved = torch.einsum("rij,fvj->rfvi", turn, own.vertices[:, [0, 1, 2, fourth]] - pivot) + pivot
+            fourth = min(3, facets.vertices.shape[1] - 1)
+            hull = facets.vertices[:0, 0] if part.hull is None else part.hull_corners(facets)
+            moved = torch.einsum("rij,fvj->rfvi", turn, facets.vertices[:, [0, 1, 2, fourth]] - pivot) + pivot
             vertices.append(moved)
-            normal.append(own.normal @ turn.mT)
-            u.append(own.u @ turn.mT)
+            normal.append(facets.normal @ turn.mT)
+            u.append(facets.u @ turn.mT)
             corners.append((hull - pivot) @ turn.mT + pivot)
         return cls(context.parts, to_sun, to_observer, gain, vertices, normal, u, corners)
 
@@ -205,14 +205,14 @@ class Posed:
         way, cos_1, cos_2 = _at(along, row, i, j), _at(cos_1, row, i, j), _at(cos_2, row, i, j)
         per_cos_1, per_cos_2 = there / cos_1.clamp(min=NEAR), there / cos_2.clamp(min=NEAR)
         wide = 0.25 * SMOOTH**2 * math.pi * _at(factor, row, i, j) * per_cos_1
-        one = incidence(_at(normal_1, row, i), _at(u_1, row, i), self.to_sun[row], way)
-        two = incidence(_at(normal_2, row, j), _at(u_2, row, j), -way, self.to_observer[row])
+        angles_1 = incidence(_at(normal_1, row, i), _at(u_1, row, i), self.to_sun[row], way)
+        angles_2 = incidence(_at(normal_2, row, j), _at(u_2, row, j), -way, self.to_observer[row])
         products = (count * there for count in counts)
         values = (
-            *vars(one).values(),
+            *vars(angles_1).values(),
             wide,
             given * per_cos_1,
-            *vars(two).values(),
+            *vars(angles_2).values(),
             wide,
             per_cos_2,
             *products,
@@ -227,37 +227,45 @@ class Posed:
         blocked. What is a lobe at both ends is divided between the two sets by how densely the directions
         of each lie there.
         """
-        frames = [tuple(one[:, 0] for one in self._frame(side, 1)) for side in (first, second)]
+        frames = [tuple(axis[:, 0] for axis in self._frame(side, 1)) for side in (first, second)]
         known = (self.to_sun, self.to_observer)[which]
         half, size = _about(*frames[which])
         cosine = (half * known[:, None]).sum(-1)
         way = 2 * cosine[..., None] * half - known[:, None]
         way = -way if which else way
-        (normal_1, u_1), (normal_2, u_2) = (tuple(one[:, None] for one in frame) for frame in frames)
-        one = incidence(normal_1, u_1, self.to_sun[:, None], way)
-        two = incidence(normal_2, u_2, -way, self.to_observer[:, None])
+        (normal_1, u_1), (normal_2, u_2) = (tuple(axis[:, None] for axis in frame) for frame in frames)
+        angles_1 = incidence(normal_1, u_1, self.to_sun[:, None], way)
+        angles_2 = incidence(normal_2, u_2, -way, self.to_observer[:, None])
         gain = (self.gain * clear)[:, None] * 4 * cosine * size
-        ahead = (one.cos_i > 0) & (one.cos_r > NEAR) & (two.cos_i > NEAR) & (two.cos_r > 0) & (gain > 0)
+        ahead = (
+            (angles_1.cos_i > 0)
+            & (angles_1.cos_r > NEAR)
+            & (angles_2.cos_i > NEAR)
+            & (angles_2.cos_r > 0)
+            & (gain > 0)
+        )
         corners = [self.vertices[side.part][:, side.facets[0]] for side in (first, second)]
         (area,) = rowwise(_led, way, ahead.to(way), *corners)
         weight = torch.where(ahead, gain * area, 0.0)
         row, k = _counted(weight)
         given = weight[row, k]
         there, none = (given > 0).to(given), torch.zeros_like(given)
-        one, two = (
+        angles_1, angles_2 = (
             Incidence(*(field.expand(weight.shape)[row, k] for field in vars(angles).values()))
-            for angles in (one, two)
+            for angles in (angles_1, angles_2)
         )
-        density = [1 / (end.cos_half * (SHARPEST**2 - torch.expm1(2 * end.log_half))) for end in (one, two)]
+        density = [
+            1 / (end.cos_half * (SHARPEST**2 - torch.expm1(2 * end.log_half))) for end in (angles_1, angles_2)
+        ]
         products = (none, there) if which else (there, none)
         lobes = there * density[which] / (density[0] + density[1])
-        per_cos = there / two.cos_i.clamp(min=NEAR)
+        per_cos = there / angles_2.cos_i.clamp(min=NEAR)
         return (
             row,
-            *vars(one).values(),
+            *vars(angles_1).values(),
             none,
             given,
-            *vars(two).values(),
+            *vars(angles_2).values(),
             none,
             per_cos,
             *products,
@@ -270,10 +278,10 @@ class Posed:
         many."""
         x, w = np.polynomial.legendre.leggauss(POINTS if side.flat else 1)
         x, w = like(0.5 * (x + 1), self.gain), like(0.5 * w, self.gain)
-        place, stretch = _on_quadrilateral(
+        point, stretch = _on_quadrilateral(
             self.vertices[side.part][:, side.facets], x.repeat_interleave(len(x)), x.repeat(len(x))
         )
-        return place.flatten(1, 2), (side.share[:, None] * stretch * (w[:, None] * w).flatten()).flatten(1, 2)
+        return point.flatten(1, 2), (side.share[:, None] * stretch * (w[:, None] * w).flatten()).flatten(1, 2)
 
     def _cells(self, side: Side) -> Tensor:
         """Corners (R, N, 4, 3) of equal pieces of a side: a grid on one facet, the facets themselves of
@@ -292,7 +300,7 @@ class Posed:
         """Normal and u (R, count, 3) of the facets on which the points or cells of a side lie."""
         each = count // len(side.facets)
         normal, u = (
-            one[side.part][:, side.facets].repeat_interleave(each, 1) for one in (self.normal, self.u)
+            axes[side.part][:, side.facets].repeat_interleave(each, 1) for axes in (self.normal, self.u)
         )
         return normal, u
 
@@ -302,15 +310,15 @@ class Posed:
         bodies = [k for k, part in enumerate(self.parts) if part.hull is not None]
         function = partial(_clear, self.parts, bodies, first.part, second.part)
         given = (self.to_sun, self.to_observer, start, end, *(self.corners[k] for k in bodies))
-        return rowwise(function, *(one.detach() for one in given))[0]
+        return rowwise(function, *(tensor.detach() for tensor in given))[0]
 
 
 def _clear(
     parts: Sequence[Part], bodies: Sequence[int], first: int, second: int,
     to_sun: Tensor, to_observer: Tensor, start: Tensor, end: Tensor, *corners: Tensor,
 ) -> tuple[Tensor]:  # fmt: skip
-    hulls = {k: planes(parts[k], own) for k, own in zip(bodies, corners, strict=True)}
-    far = FAR * max(float(own.abs().max()) for own in (start, end, *corners))
+    hulls = {k: planes(parts[k], hull_corners) for k, hull_corners in zip(bodies, corners, strict=True)}
+    far = FAR * max(float(points.abs().max()) for points in (start, end, *corners))
 
     def free(origin: Tensor, ahead: Tensor, *without: int) -> Tensor:
         met = [blocked(origin, ahead, *hull) for k, hull in hulls.items() if k not in without]
@@ -379,12 +387,12 @@ def form_factor(corners: Tensor, normal: Tensor) -> Tensor:
 def _on_quadrilateral(vertices: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """Points (R, F, N, 3) at bilinear coordinates (N,) of facets (R, F, 4, 3), and how the map stretches
     area there."""
-    p, q, r, s = (one[:, :, None] for one in vertices.unbind(2))
+    p, q, r, s = (corner[:, :, None] for corner in vertices.unbind(2))
     a, b = a[:, None], b[:, None]
-    place = (1 - a) * (1 - b) * p + a * (1 - b) * q + a * b * r + (1 - a) * b * s
+    points = (1 - a) * (1 - b) * p + a * (1 - b) * q + a * b * r + (1 - a) * b * s
     along_a, along_b = (1 - b) * (q - p) + b * (r - s), (1 - a) * (s - p) + a * (r - q)
     square = (torch.linalg.cross(along_a, along_b) ** 2).sum(-1)
-    return place, torch.where(square > 0, torch.sqrt(torch.where(square > 0, square, 1.0)), 0.0)
+    return points, torch.where(square > 0, torch.sqrt(torch.where(square > 0, square, 1.0)), 0.0)
 
 
 def _unit(vector: Tensor) -> Tensor:

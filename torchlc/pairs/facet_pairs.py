@@ -54,8 +54,8 @@ def pair_table(
         gridded = _gridded(view, patches)
         return None if gridded is None else tabulated(model, gridded)
     if columns is None:
-        own = torch.arange(view.to_observer.shape[1])
-        columns = Columns(own, own, own, own)
+        every = torch.arange(view.to_observer.shape[1])
+        columns = Columns(every, every, every, every)
     instants = view.to_observer.shape[0]
     lights = sum(light.irradiance.shape[0] for light in view.lights)
     facets = sum(_slots(patch) for patch in patches)
@@ -141,14 +141,14 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...] | None:
     curved = [
         patch for patch in patches if isinstance(patch.surface, Band | Dome) and not patch.model.additive
     ]
-    flat = [patch for patch in patches if not patch.by_facet and not any(patch is one for one in curved)]
-    found = [
+    flat = [patch for patch in patches if not patch.by_facet and not any(patch is other for other in curved)]
+    groups = [
         columns_of_sides(view, light, sides)
         for light in view.lights
         if light.disc is None
         for sides in sides_of(view, flat, light.primary)
     ]
-    found += [
+    groups += [
         _of_points(
             view,
             light,
@@ -163,31 +163,31 @@ def _gridded(view: View, patches: Sequence[Patch]) -> tuple[Tensor, ...] | None:
         )
         for patch in patches
         if patch.by_facet
-        for light in (falling_light(patch, one) for one in view.lights)
+        for light in (falling_light(patch, original) for original in view.lights)
     ]
-    found += [
+    groups += [
         _of_points(view, falling_light(patch, light), pairs)
         for patch in curved
         for light in view.lights
         for pairs in curved_pairs(view, patch, falling_light(patch, light), slice(None))
     ]
-    if not found:
+    if not groups:
         return None
-    joint = _side_by_side(found)
+    joint = _side_by_side(groups)
     alone = all(column.shape[1] == 1 for column in joint)
     return tuple(column[:, 0] if alone else column.movedim(0, 1) for column in joint)
 
 
-def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
+def _side_by_side(groups: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
     """Columns (K, B or 1, T) of several groups of pairs as one, each of one axis B that is 1 where nothing differs."""
-    if len(found) == 1:
-        return list(found[0])
-    sizes = [max(map(len, columns)) for columns in found]
+    if len(groups) == 1:
+        return list(groups[0])
+    sizes = [max(map(len, columns)) for columns in groups]
     joint = []
-    for column in zip(*found, strict=True):
-        batch = max(one.shape[1] for one in column)
+    for column in zip(*groups, strict=True):
+        batch = max(piece.shape[1] for piece in column)
         joint.append(
-            torch.cat([one.expand(size, batch, -1) for size, one in zip(sizes, column, strict=True)])
+            torch.cat([piece.expand(size, batch, -1) for size, piece in zip(sizes, column, strict=True)])
         )
     return joint
 
@@ -195,17 +195,17 @@ def _side_by_side(found: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
 def disc_pairs(view: View, patches: Sequence[Patch]) -> DiscPairs | None:
     """All pairs of flat facets of one material with lights that are discs; None if there are none."""
     model = patches[0].model
-    flat = [one if model.additive else as_one_facet(one) for one in patches if not one.by_facet]
-    flat = [one for one in flat if model.additive or not isinstance(one.surface, Band | Dome)]
+    flat = [patch if model.additive else as_one_facet(patch) for patch in patches if not patch.by_facet]
+    flat = [patch for patch in flat if model.additive or not isinstance(patch.surface, Band | Dome)]
     lights = [light for light in view.lights if light.disc is not None]
-    found = [
+    groups = [
         disc_columns_of_sides(view, light, sides)
         for light in lights
         for sides in sides_of(view, flat, light.primary)
     ]
-    if not found:
+    if not groups:
         return None
-    joint = [column.movedim(0, 1).contiguous() for column in _side_by_side(found)]
+    joint = [column.movedim(0, 1).contiguous() for column in _side_by_side(groups)]
     su, sv, ci, ou, ov, cr, radius, gain, cover = joint
     area = reduce(torch.add, (patch.area.sum(-1) for patch in view.patches))
     area = area[:, None, None] if area.ndim else area
@@ -218,11 +218,11 @@ def packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) ->
     """The columns of :func:`_gridded` for a few rows, without the pairs of no weight: (slots of the busiest
     column, columns), each row being of a ``column`` (rows,)."""
     column = column - column[0]
-    found: list[tuple[Tensor, ...]] = []
+    pieces: list[tuple[Tensor, ...]] = []
     for patch in patches:
         pose = None if patch.pose is None else patch.pose[..., rows, :, :]
         observer = into_part(pose, view.to_observer[:, rows])
-        for light in (falling_light(patch, one) for one in view.lights):
+        for light in (falling_light(patch, original) for original in view.lights):
             if isinstance(patch.surface, Band | Dome):
                 several = curved_pairs(view, patch, light, rows)
             elif patch.by_facet:
@@ -237,13 +237,13 @@ def packed(view: View, patches: Sequence[Patch], rows: slice, column: Tensor) ->
                 weight = _by_row(given, shape)
                 lit = weight.nonzero()[:, 0]
                 asked = (cos_i, cos_r, along_u, along_v, square)
-                angles = projected(*(_by_row(one, shape)[lit] for one in asked))
+                angles = projected(*(_by_row(tensor, shape)[lit] for tensor in asked))
                 spread = []
                 if light.spread is not None:
                     spread = [0.25 * _by_row(light.spread[:, :, None, rows], shape)[lit]]
                 row = lit // (len(weight) // shape[-1])
-                found.append((row, *vars(angles).values(), *spread, weight[lit]))
-    row, *columns = (torch.cat(values) for values in zip(*found, strict=True))
+                pieces.append((row, *vars(angles).values(), *spread, weight[lit]))
+    row, *columns = (torch.cat(values) for values in zip(*pieces, strict=True))
     return slotted(column[row], columns, int(column[-1]) + 1, EMPTY)
 
 
@@ -259,4 +259,4 @@ def _of_points(view: View, light: Light, pairs: tuple[Tensor, ...]) -> tuple[Ten
     angles = projected(cos_i, cos_r, along_u, along_v, square)
     spread = [] if light.spread is None else [0.25 * light.spread[:, :, None]]
     columns = torch.broadcast_tensors(*vars(angles).values(), *spread, weight)
-    return tuple(view.apart(one.transpose(1, 2), 2).flatten(0, 2) for one in columns)
+    return tuple(view.apart(column.transpose(1, 2), 2).flatten(0, 2) for column in columns)

@@ -48,7 +48,7 @@ def pair_projections(patch: Patch, source: Tensor, observer: Tensor) -> tuple[Te
     bisector = source + observer
     v = torch.linalg.cross(patch.normal, patch.u)
     pairs = ((source, patch.normal), (observer, patch.normal), (bisector, patch.u), (bisector, v))
-    return *((one @ axis.mT).mT for one, axis in pairs), dot(bisector, bisector)[..., None, :]
+    return *((direction @ axis.mT).mT for direction, axis in pairs), dot(bisector, bisector)[..., None, :]
 
 
 def pairs_by_facet(
@@ -63,24 +63,31 @@ def pairs_by_facet(
     cos_i, cos_r = ((direction @ patch.normal.mT).mT for direction in (source, observer))
     v = torch.linalg.cross(patch.normal, patch.u)
     axes = () if patch.model.additive else (patch.u, v)
-    light_along, sight_along = ([(one @ axis.mT).mT for axis in axes] for one in (source, observer))
+    light_along, sight_along = (
+        [(direction @ axis.mT).mT for axis in axes] for direction in (source, observer)
+    )
     cosine = dot(source, observer)[..., None, :]
     gain: Tensor | None = None
     radiance = cos_i
     if patch.near is not None:
         point = patch.near.point
         lamp, camera = (
-            one if one.shape[-1] == 1 else one[:, rows] for one in (patch.near.lamp, patch.near.camera)
+            tensor if tensor.shape[-1] == 1 else tensor[:, rows]
+            for tensor in (patch.near.lamp, patch.near.camera)
         )
         lamp, camera = lamp[:, None] * light.primary, camera[:, None]
         size, off = dot(point, point)[..., None], dot(point, patch.normal)[..., None]
-        to_lamp, to_camera = ((one @ point.mT).mT for one in (source, observer))
+        to_lamp, to_camera = ((direction @ point.mT).mT for direction in (source, observer))
         nearer = torch.rsqrt(1 - 2 * lamp * to_lamp + lamp**2 * size)
         closer = torch.rsqrt(1 - 2 * camera * to_camera + camera**2 * size)
         cos_i, cos_r = (cos_i - lamp * off) * nearer, (cos_r - camera * off) * closer
         places = [dot(point, axis)[..., None] for axis in axes]
-        light_along = [(one - lamp * at) * nearer for one, at in zip(light_along, places, strict=True)]
-        sight_along = [(one - camera * at) * closer for one, at in zip(sight_along, places, strict=True)]
+        light_along = [
+            (component - lamp * at) * nearer for component, at in zip(light_along, places, strict=True)
+        ]
+        sight_along = [
+            (component - camera * at) * closer for component, at in zip(sight_along, places, strict=True)
+        ]
         cosine = cosine - camera * to_lamp - lamp * to_camera + lamp * camera * size
         cosine = cosine * nearer * closer
         radiance = cos_i * nearer**2
@@ -90,15 +97,17 @@ def pairs_by_facet(
         weight = weight * gain
     if patch.response is not None and light.primary:
         weight = weight * _recorded(patch.response, radiance, rows)
-    along = [one + other for one, other in zip(light_along, sight_along, strict=True)] or [cosine, cosine]
+    along = [
+        along_light + along_sight for along_light, along_sight in zip(light_along, sight_along, strict=True)
+    ] or [cosine, cosine]
     return cos_i, cos_r, *along, 2 + 2 * cosine, weight
 
 
 def _recorded(response: Response, radiance: Tensor, rows: slice) -> Tensor:
     """What is recorded of a radiance (L, Q, F, T) over the radiance itself; 1 where there is none."""
     power, threshold, pedestal = (
-        (one if one.shape[-1] == 1 else one[:, rows])[:, None]
-        for one in (response.power, response.threshold, response.pedestal)
+        (number if number.shape[-1] == 1 else number[:, rows])[:, None]
+        for number in (response.power, response.threshold, response.pedestal)
     )
     lit = radiance > DARKEST_RADIANCE
     safe = torch.where(lit, radiance, 1.0)
@@ -117,7 +126,7 @@ def curved_pairs(view: View, patch: Patch, light: Light, rows: slice) -> list[tu
     visible = patch.visible if light.primary else patch.seen
     options = {"mirrored": visible is None} if isinstance(surface, Dome) else {}
     points = surface.points(source, observer, **options)
-    points = Points(*(one.movedim(-1, -2) for one in vars(points).values()))
+    points = Points(*(values.movedim(-1, -2) for values in vars(points).values()))
     square = dot(source + observer, source + observer)[..., None, :]
     gain = (
         light.irradiance[..., rows]
@@ -125,7 +134,7 @@ def curved_pairs(view: View, patch: Patch, light: Light, rows: slice) -> list[tu
         / view.range_m[:, rows] ** 2
     )[:, :, None]
     weight = gain * points.area * (torch.minimum(points.cos_i, points.cos_r) > 0)
-    found = []
+    pairs = []
     if visible is not None:
         share = visible.expand(-1, view.range_m.shape[-1], -1)[:, rows].mT.expand(
             *points.facet.shape[:2], -1, -1
@@ -134,8 +143,8 @@ def curved_pairs(view: View, patch: Patch, light: Light, rows: slice) -> list[tu
         cos_i, cos_r, *bisector = pair_projections(patch, source, observer)
         nearest = surface.nearest(source + observer)
         far = 1 - share_near(2 * (1 - (nearest @ patch.normal.mT).mT), surface.bump)
-        found.append((cos_i, cos_r, *bisector, far * pair_weight(view, patch, light, cos_i, cos_r, rows)))
-    return [(points.cos_i, points.cos_r, points.along_u, points.along_v, square, weight), *found]
+        pairs.append((cos_i, cos_r, *bisector, far * pair_weight(view, patch, light, cos_i, cos_r, rows)))
+    return [(points.cos_i, points.cos_r, points.along_u, points.along_v, square, weight), *pairs]
 
 
 def pair_weight(view: View, patch: Patch, light: Light, cos_i: Tensor, cos_r: Tensor, rows: slice) -> Tensor:

@@ -70,11 +70,11 @@ def sides_of(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]
     Facets that a free number turns stay apart: they may lie in one plane now and have different slopes.
     """
     groups: dict[int, list[Patch]] = {}
-    found: list[Sides] = []
+    sides: list[Sides] = []
     for patch in patches:
         turned = followed(patch.normal) or followed(patch.u)
         if turned or transformed() or patch.normal.ndim > 2 or not readable(patch.normal):
-            found.append(Sides(patch.pose, patch.normal, patch.u, cover_of(view, patch, primary), None))
+            sides.append(Sides(patch.pose, patch.normal, patch.u, cover_of(view, patch, primary), None))
         else:
             groups.setdefault(id(patch.pose), []).append(patch)
     for alike in groups.values():
@@ -83,13 +83,13 @@ def sides_of(view: View, patches: Sequence[Patch], primary: bool) -> list[Sides]
         planes, member = torch.unique(torch.cat([normal, u], 1), dim=0, return_inverse=True)
         covers = [cover_of(view, patch, primary) for patch in alike]
         rows = np.broadcast_shapes(*(cover.shape[:-1] for cover in covers))
-        cover = torch.cat([one.expand(*rows, one.shape[-1]) for one in covers], -1)
+        cover = torch.cat([piece.expand(*rows, piece.shape[-1]) for piece in covers], -1)
         front, back = (
             cover.new_zeros(*rows, len(planes)).index_add(-1, member[side], cover[..., side])
             for side in (ahead, ~ahead)
         )
-        found.append(Sides(alike[0].pose, planes[:, :3], planes[:, 3:], front, back))
-    return found
+        sides.append(Sides(alike[0].pose, planes[:, :3], planes[:, 3:], front, back))
+    return sides
 
 
 def _signed(vectors: Tensor) -> tuple[Tensor, Tensor]:

@@ -28,10 +28,10 @@ def slotted(row: Tensor, columns: Sequence[Tensor], rows: int, empty: Sequence[f
     count = torch.bincount(row, minlength=rows)
     slot = torch.arange(len(row), device=row.device) - (count.cumsum(0) - count)[row]
     slots = int(count.max())
-    place = slot * rows + row
+    index = slot * rows + row
     return tuple(
         torch.full((slots * rows,), blank, dtype=column.dtype, device=column.device)
-        .scatter(0, place, column)
+        .scatter(0, index, column)
         .view(slots, rows)
         for column, blank in zip(columns, empty, strict=False)
     )

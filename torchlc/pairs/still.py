@@ -86,7 +86,7 @@ def turns(view: View, patches: Sequence[Patch]) -> bool:
         or not (patch.surface is None or isinstance(patch.surface, Plane))
         for patch in patches
     )
-    return shaped or any(len(one) > 1 for one in seen)
+    return shaped or any(len(tensor) > 1 for tensor in seen)
 
 
 def still_pairs(
@@ -99,13 +99,13 @@ def still_pairs(
 ) -> StillPairs | None:
     """Patches of a view of one value of the parameters; None if they are never lit and seen. ``phase_angle`` (C,)."""
     instants = view.to_observer.shape[1]
-    own = torch.arange(instants, device=phase_angle.device)
-    columns = Columns(own, own, own, own) if columns is None else columns
+    every = torch.arange(instants, device=phase_angle.device)
+    columns = Columns(every, every, every, every) if columns is None else columns
     planes: dict[tuple[int, bytes], list[int]] = {}
     facets = [(patch, number) for patch in patches for number in range(len(patch.normal))]
-    for place, (patch, number) in enumerate(facets):
+    for index, (patch, number) in enumerate(facets):
         axes = torch.stack([patch.normal[number], patch.u[number]]) + 0.0
-        planes.setdefault((id(patch.pose), axes.cpu().numpy().tobytes()), []).append(place)
+        planes.setdefault((id(patch.pose), axes.cpu().numpy().tobytes()), []).append(index)
     tables = []
     for members in planes.values():
         patch, number = facets[members[0]]
@@ -125,7 +125,10 @@ def still_pairs(
         return None
     whole = [
         torch.stack(
-            [torch.cat([one, one.new_full((most - len(one), one.shape[1]), blank)]) for one in column]
+            [
+                torch.cat([piece, piece.new_full((most - len(piece), piece.shape[1]), blank)])
+                for piece in column
+            ]
         )
         for column, blank in zip(zip(*tables, strict=True), EMPTY, strict=False)
     ]
@@ -134,7 +137,7 @@ def still_pairs(
     there, plane = torch.sort(lit.to(torch.uint8), dim=0, descending=True, stable=True)
     plane = plane[:slots]
     column = torch.arange(lit.shape[1], device=plane.device).expand_as(plane)
-    pairs = [one.movedim(1, -1)[plane, column].movedim(-1, 0).flatten(1) for one in whole]
+    pairs = [tensor.movedim(1, -1)[plane, column].movedim(-1, 0).flatten(1) for tensor in whole]
     facet_of_plane = phase_angle.new_zeros(len(facets), len(planes) + 1)
     for number, members in enumerate(planes.values()):
         facet_of_plane[members, number] = 1.0

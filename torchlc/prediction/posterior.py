@@ -15,6 +15,7 @@ from torchlc.files.hdf5 import check_hdf5
 from torchlc.files.reading import readable_file
 from torchlc.prediction.brightness import Posterior
 from torchlc.results.fit_result import FitResult
+from torchlc.results.stored_fit import StoredFit
 from torchlc.scene import Scene
 
 POSTERIOR_FILE = "posterior.nc"
@@ -24,15 +25,17 @@ MOST_BYTES = 2_000_000_000
 
 
 def read_fit(
-    given: str | Path | Scene | FitResult, load: Callable[[str | Path | Scene], Scene]
+    given: str | Path | Scene | FitResult | StoredFit, load: Callable[[str | Path | Scene], Scene]
 ) -> tuple[Scene, Posterior | None, list[Path]]:
-    """The scene, the posterior if ``given`` is a fit or its directory, and the files that were read; other scenes by
+    """The scene, the posterior if ``given`` is a fit, as made, as stored or as its directory, and the files that were read; other scenes by
     ``load``."""
     if isinstance(given, FitResult):
         posterior = given.posterior
         if posterior is None:
             return given.fitted_scene, None, []
         return given.fitted_scene, Posterior(tuple(posterior.names), posterior.flat.numpy()), []
+    if isinstance(given, StoredFit):
+        given = given.directory
     if isinstance(given, str | Path) and Path(given).is_dir():
         path = Path(given) / POSTERIOR_FILE
         scene, posterior = read_posterior(path)

@@ -235,7 +235,7 @@ class Prediction(PredictedPasses):
             f"From azimuth {path.azimuth[0]:.0f} to {path.azimuth[-1]:.0f} deg",
             *(f"{text} {str(self.iso(at))[11:19]} UTC" for at, text in path.events),
             *(f"Glint: {self._glint_words(glint)}" for glint in one.glints),
-            f"Times within {along_track_sd_s(self.orbiters[path.orbiter]):.0f} s",
+            f"Times are within {max(1, math.ceil(2 * along_track_sd_s(self.orbiters[path.orbiter])))} s with 95 %",
         ]
         return Event(
             name=name,

@@ -300,6 +300,33 @@ def units_told(header: Header, kind: str) -> list[str]:
     return []
 
 
+MOST_OTHERS = 8
+"""Columns without a use that are listed."""
+
+
+def errors_told(header: Header, kind: str) -> list[str]:
+    """What has to be said where no column of errors was found among several that have no use here."""
+    used = {place for places in header.columns.values() for place in places}
+    others = [
+        name for place, name in enumerate(header.names) if name and place not in used and name not in ROLES
+    ]
+    if f"{kind}_err" in header.names or not others or header.format:
+        return []
+    example = (
+        f'"{others[0][:60]}"'
+        if len(others) == 1 and " " in others[0]
+        else others[0][:60]
+        if len(others) == 1
+        else "NAME"
+    )
+    listed = ", ".join(name[:30] for name in others[:MOST_OTHERS]) + (
+        ", ..." if len(others) > MOST_OTHERS else ""
+    )
+    return [
+        f"no column is taken for the errors. Not used: {listed}. If one holds them: --columns {kind}_err={example}"
+    ]
+
+
 def taken(
     header: Header, reading: Reading, columns: Iterable[str], timing: Timing, time_format: str
 ) -> list[str]:

@@ -86,6 +86,7 @@ class _Reader:
         taken = declared.taken(header, reading, self.columns, self.timing, self.times.format)
         self.warnings = [
             *taken,
+            *declared.errors_told(header, self.kind),
             *self.timing.notes,
             *declared.units_told(header, self.kind),
             *declared.magnitudes_told(header, self.kind),

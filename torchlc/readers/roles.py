@@ -99,7 +99,7 @@ STAMPS: dict[str, Stamp] = {
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
         "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
-        "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags",
+        "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags", "v", "cv", "clear",
     ),
     "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
     "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
@@ -115,7 +115,7 @@ OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
 ERRORS = (
     "{}err", "err{}", "{}error", "e{}", "{}uncertainty", "{}uncert", "{}unc", "sigma{}", "{}sigma", "d{}", "u{}", "{}sig", "{}std", "rms{}",
 )  # fmt: skip
-ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf")  # fmt: skip
+ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf", "std", "stddev", "standarddeviation", "magnitudeerror", "magnitudeuncertainty", "magerrmag")  # fmt: skip
 """Names of errors of whatever brightness there is."""
 SIGNS = ("\N{PLUS-MINUS SIGN}", "+/-", "+-")
 """Names of errors without a letter."""
@@ -379,7 +379,9 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
         units[role] = header.units.get(source, "")
         descriptions[role] = header.descriptions.get(source, "")
         unit = without_brackets(source)[1]
-        if source != role and not units[role] and _is_unit(role, unit):
+        # brackets behind a magnitude hold its band, which V and G are, and not volts and gauss
+        in_mag = role not in ("mag", "mag_err", "limiting_mag") or "mag" in unit.lower()
+        if source != role and not units[role] and in_mag and _is_unit(role, unit):
             units[role] = unit
         if role == "time" and source != role:
             # the sign of an offset, as in UTC-7, stays

@@ -55,6 +55,7 @@ NAMES_OF_SCALES = {
     "utc": r"(coordinated[ _-])?universal[ _-]time",
 }
 """Time scales whose names are written out. The ephemeris time of planetary ephemerides is TDB (Standish 1998)."""
+BARYCENTRE = re.compile(r"b.?jd|bary", re.IGNORECASE)
 AT_THE_SUN = re.compile(
     r"(?<![A-Za-z])(HJD|BJD|HMJD|BMJD|heliocent\w*|barycent\w*(?![ _-](dynamical|coordinate)))(?![A-Za-z])",
     re.IGNORECASE,
@@ -205,9 +206,7 @@ def _as_stated(header: Header, reading: Reading, draft: Timing, given: str | Non
     for place, text in _statements(header, reading):
         said = f"{place} says {text[:60]!r}"
         if AT_THE_SUN.search(text):
-            light_path = light_path or (
-                "barycentric" if re.search(r"b.?jd|bary", text, re.I) else "heliocentric"
-            )
+            light_path = light_path or ("barycentric" if BARYCENTRE.search(text) else "heliocentric")
         stated = None if settled else _stated_scale(header, reading, place, text, given)
         if stated not in (None, scale):
             scale = stated
@@ -233,7 +232,9 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
         options = {
             "time_zone=+02:00": OF_ANOTHER_CLOCK.search(text) and not _has_offset(header),
             "time_mark=start": any(pattern.search(text) for pattern in MARKS.values()),
-            "light_path=heliocentric": AT_THE_SUN.search(text),
+            f"light_path={'barycentric' if BARYCENTRE.search(text) else 'heliocentric'}": AT_THE_SUN.search(
+                text
+            ),
             f"time_scale={next(iter(sorted(named & set(SCALES.values()) - {scale})), 'tai')}": named - {scale}
             and "time_scale" not in header.meta,
         }
@@ -245,7 +246,7 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
         if open_:
             notes.append(
                 f"a comment says {text[:60]!r}: the times are taken as {MARK_WORDS[mark]} in {scale.upper()}. "
-                f"If they are others, say so, as in --columns {' or '.join(open_)}"
+                f"If they are others, say so, as in --columns {','.join(open_)}"
             )
     return notes
 
@@ -296,14 +297,18 @@ def _light_path(header: Header, reading: Reading, stated: str, located: bool) ->
     if path and not located:
         name = header.theirs.get("time", "time")
         said = next((text for _, text in _statements(header, reading) if AT_THE_SUN.search(text)), name)
+        back = (
+            "Of an object in orbit about the Earth it cannot be put back: the direction in which it was reckoned is not known"
+            if reading.direction is not None
+            else "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
+            '--columns direction="120.5 -3.2"'
+        )
         raise InputError(
             header.source,
             "column time",
             f"{said[:60]!r}",
             "times at the observer",
-            f"Give UTC at the telescope: these are {path} times, and the way of light, up to 8.3 minutes, was taken off. "
-            "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
-            '--columns direction="120.5 -3.2"',
+            f"Give UTC at the telescope: these are {path} times, and the way of light, up to 8.3 minutes, was taken off. {back}",
         )
     return path
 

@@ -5,6 +5,7 @@ inside.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -73,7 +74,7 @@ def render_fit(
             words=words(result),
             substances=substances(result),
             diagnosis=diagnosis,
-            warnings=result.all_warnings,
+            warnings=with_titles(result),
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
             many=MANY_ROWS,
             matches=[(material, _match_words(matches)) for material, matches in result.materials().items()],
@@ -109,6 +110,16 @@ def words(result: FitResult) -> list[str]:
         f"Not determined by these data: {'; '.join(silent)}. What is quoted for "
         f"{'it' if len(silent) == 1 else 'them'} is what was assumed beforehand; the reasons are below.",
     ]
+
+
+def with_titles(result: FitResult) -> list[str]:
+    """The warnings, each parameter with what it is beside its name."""
+    titles = {free.name: titled_with_owner(free) for free in result.model.parameter_set.free}
+    if not titles:
+        return result.all_warnings
+    longest_first = "|".join(re.escape(name) for name in sorted(titles, key=len, reverse=True))
+    named = re.compile(rf"(?<![\w.\[(])({longest_first})(?![\w\[])")
+    return [named.sub(lambda match: titles[match[1]], text) for text in result.all_warnings]
 
 
 def substances(result: FitResult) -> list[tuple[str, str]]:

@@ -193,14 +193,29 @@ def simulated_curve(
             "flux_err": flux_err,
         }
     shares = np.where(shares.sum(0) == 0, np.nan, shares)
+    geometry = _geometry(model, theta)
     return SimulatedCurve(
         name=scene.name,
         recording=recording if noise is None else quoted,
-        columns=columns | _geometry(model, theta),
+        columns=columns | geometry,
         shares=dict(zip(brightness.components, shares, strict=True)),
-        warnings=[*left_out(recording), *model.assembly.warnings, *limits(model, theta)],
+        warnings=[
+            *left_out(recording),
+            *_below_horizon(geometry["elevation_deg"], flux > 0),
+            *model.assembly.warnings,
+            *limits(model, theta),
+        ],
         seed=seed,
     )
+
+
+def _below_horizon(elevation: np.ndarray | None, lit: np.ndarray) -> list[str]:
+    """What to say of rows (T,) that are lit and stand below the horizon of their station."""
+    if elevation is None or not (below := int(np.count_nonzero((elevation < 0) & lit))):
+        return []
+    return [
+        f"{below:,} of {len(lit):,} rows are below the horizon (elevation_deg), where nobody sees the object; torchlc predict finds its passes"
+    ]
 
 
 def masked(values: np.ndarray | None, rows: int, name: str) -> MaskedColumn:

@@ -36,15 +36,14 @@ def checked(scene: Tables, *, trust: bool, known_effects: Collection[str] | None
     check = _Checks(scene, trust)
     check.unique("stations", "id", [station.id for station in scene.stations])
     if scene.orbit.vectors is None and not scene.stations:
-        raise check.error(
-            "stations", "no station", "at least one [[stations]], which the object is seen from"
-        )
+        check.missing["stations"] = "no station", "at least one [[stations]], which the object is seen from"
     check.materials_in_use()
     check.files()
     check.effects(known_effects)
     if scene.orbit.tle and PLACEHOLDER in scene.orbit.tle[0]:
         scene.warnings.append(f"orbit.tle: the catalogue number is the placeholder {PLACEHOLDER}")
     completed = {name: check.material(name, material) for name, material in scene.materials.items()}
+    check.tell_missing()
     check.axes_of_facets(completed)
     return scene.model_copy(update={"materials": completed})
 
@@ -114,6 +113,14 @@ def file_inside(directory: Path, name: str, *, trust: bool = False) -> Path:
 class _Checks:
     def __init__(self, scene: SceneTables, trust: bool) -> None:
         self.scene, self.trust = scene, trust
+        self.missing: dict[str, tuple[str, str]] = {}
+        """What was found and what was expected, by place, of all that is missing, to be told at once."""
+
+    def tell_missing(self) -> None:
+        if self.missing:
+            (place, (found, expected)), *others = self.missing.items()
+            hint = f"Missing too: {', '.join(other for other, _ in others)}" if others else None
+            raise self.error(place, found, expected, hint)
 
     def error(self, place: str, found: str, expected: str | None, hint: str | None = None) -> InputError:
         return InputError(self.scene.source, place, found, expected, hint)
@@ -150,6 +157,8 @@ class _Checks:
         reflection = self._form(place, brdf.MODELS[model], material.parameters)
         preset = {key: number for key, number in preset.items() if key in reflection.keys_known()}
         parameters = self._complete(place, reflection, material.parameters, preset)
+        if any(absent.startswith(f"{place}.") for absent in self.missing):
+            return material
         bounded: dict[str, float | Free] = {}
         for key, number in parameters.items():
             quantity = reflection.quantity(key)
@@ -234,11 +243,12 @@ class _Checks:
         complete = dict(given)
         for source in (preset, reflection.defaults):
             complete |= {k: v for k, v in source.items() if not covered([k]) & covered(complete)}
-        missing = [key for key in quantities if key not in covered(complete)]
-        if missing:
-            aliases = [short for short, long in reflection.shared.items() if not set(long) - set(missing)]
-            key = next((short for short in aliases if missing[0] in reflection.shared[short]), missing[0])
-            raise self.error(f"{place}.{key}", "missing", f"a value: {quantities[missing[0]].meaning}")
+        aliases = {long: short for short, keys in reflection.shared.items() for long in keys}
+        for name, quantity in quantities.items():
+            if name not in covered(complete):
+                short = aliases.get(name, name)
+                key = name if covered([short]) & covered(complete) else short
+                self.missing.setdefault(f"{place}.{key}", ("missing", f"a value: {quantity.meaning}"))
         return complete
 
     def _bounded(self, place: str, number: float | Free, low: float, high: float) -> float | Free:

@@ -189,6 +189,11 @@ class Attitude(Table):
         return numbers
 
     @property
+    def tumbles(self) -> bool:
+        """Whether the mode is a free rotation about no axis fixed in the body."""
+        return "inertia" in self.MODE_KEYS[self.mode][0]
+
+    @property
     def spins_from_first_row(self) -> bool:
         """Is there a spin whose phase is that at the first row of a recording?"""
         return self.spin_axis is not None and self.spin_epoch is None
@@ -219,9 +224,10 @@ class Attitude(Table):
     def _keys_suit_the_mode(self) -> Attitude:
         needed, allowed = self.MODE_KEYS[self.mode]
         given = self.model_fields_set - {"mode"}
-        for key in needed:
-            if key not in given:
-                raise problem("missing", f'a value: mode "{self.mode}" needs it', key)
+        absent = [key for key in needed if key not in given]
+        if absent:
+            more = f"Missing too: {', '.join(f'attitude.{key}' for key in absent[1:])}" if absent[1:] else ""
+            raise problem("missing", f'a value: mode "{self.mode}" needs it', absent[0], more)
         for key in sorted(given - {*needed, *allowed}):
             also = ", ".join((*needed, *allowed)) or "none"
             raise problem("a key that does not belong to this mode", f'for mode "{self.mode}": {also}', key)

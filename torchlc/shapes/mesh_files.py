@@ -145,6 +145,8 @@ def read_stl(content: bytes, refuse: Refuse) -> Faces:
         return _binary_stl(content, count, refuse)
     if text:
         return _text_stl(content, refuse)
+    if content.lstrip()[:5].lower() == b"solid" and b"endsolid" in content[-512:].lower():
+        raise refuse("a text STL without a facet", "at least one facet between solid and endsolid")
     if count is None:
         raise refuse(
             number_of(size, "byte"), "a binary STL of at least 84 bytes, or text that begins with solid"

@@ -85,7 +85,8 @@ class Context:
             effect.stage in stages
             and not effect.linear
             and any(
-                self.bounds[effect.full_name(one.name)] != (one.off, one.off) for one in effect.quantities
+                self.bounds[effect.full_name(quantity.name)] != (quantity.off, quantity.off)
+                for quantity in effect.quantities
             )
             for effect in self.effects
             if not effect.spans_exposure
@@ -94,9 +95,9 @@ class Context:
     def at_rows(self, rows: Tensor) -> Context:
         """The context of some rows (N,), which may repeat."""
         per_row = {
-            one.name: value[rows]
-            for one in fields(self)
-            if isinstance(value := getattr(self, one.name), Tensor)
+            each.name: value[rows]
+            for each in fields(self)
+            if isinstance(value := getattr(self, each.name), Tensor)
         }
         return replace(self, **per_row, track=self.track.at_rows(rows))
 
@@ -107,7 +108,7 @@ class Context:
     @property
     def radius(self) -> float:
         """Largest distance of a corner of the object from the body's origin, m, at the scene's sizes."""
-        return max(float(torch.linalg.vector_norm(own.vertices, dim=-1).max()) for own in self.rest)
+        return max(float(torch.linalg.vector_norm(facets.vertices, dim=-1).max()) for facets in self.rest)
 
     @property
     def a_point(self) -> str | None:
@@ -149,11 +150,11 @@ def turned_poses(
 ) -> tuple[Tensor | None, ...]:
     """Poses of parts, with those of the parts that track the Sun turned; parts that stand alike have one pose, and
     keep one."""
-    found: dict[int, Tensor] = {}
+    turned: dict[int, Tensor] = {}
     for pose, part in zip(poses, parts, strict=True):
-        if pose is not None and part.tracks_axis is not None and id(pose) not in found:
-            found[id(pose)] = turn(pose, part)
-    return tuple(pose if pose is None else found.get(id(pose), pose) for pose in poses)
+        if pose is not None and part.tracks_axis is not None and id(pose) not in turned:
+            turned[id(pose)] = turn(pose, part)
+    return tuple(pose if pose is None else turned.get(id(pose), pose) for pose in poses)
 
 
 EFFECTS: Registry[type[Effect]] = Registry("effect")
@@ -245,7 +246,11 @@ class Effect(nn.Module):
         """Whether the change of the light that it makes has no opposite: each number that switches it off does so at a bound and changes
         the light in proportion, or it has none that does. Of glints that are moved or widened a small step may ask for less where the minimum
         has much of it, and sharper lobes."""
-        switches = [(one.low, one.off, one.high) for one in cls.quantities if one.off is not None]
+        switches = [
+            (quantity.low, quantity.off, quantity.high)
+            for quantity in cls.quantities
+            if quantity.off is not None
+        ]
         scales = not switches or cls.stage in SCALING_STAGES
         return scales and all(not low < off < high for low, off, high in switches)
 

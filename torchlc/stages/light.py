@@ -67,10 +67,11 @@ class Disc:
         x, y, z = middle
         second = y * c - z * b, z * a - x * c, x * b - y * a
         points, _ = self.rules[rule]
-        place = torch.cat([torch.ones_like(points[:, :1]), points], -1).mT
+        on_plane = torch.cat([torch.ones_like(points[:, :1]), points], -1).mT
         shorter = torch.rsqrt(1 + radius.square()[:, None] * points.square().sum(-1))
         su, sv, sn = (
-            (torch.stack(each, -1) @ place) * shorter for each in zip(middle, (a, b, c), second, strict=True)
+            (torch.stack(each, -1) @ on_plane) * shorter
+            for each in zip(middle, (a, b, c), second, strict=True)
         )
         return su, sv, sn
 
@@ -184,7 +185,7 @@ class View:
         """The view of some of the instants (K,) along the axis T, each of which stands for its whole row."""
 
         def picked(record: Any) -> Any:
-            columns = {one.name: getattr(record, one.name) for one in fields(record)}
+            columns = {field.name: getattr(record, field.name) for field in fields(record)}
             ends = {"position": 2, "velocity": 2, "sun": 2, "observer": 2, "direction": 2}
             return replace(
                 record,

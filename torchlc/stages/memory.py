@@ -33,8 +33,8 @@ class Memory:
             return list(compute(list(range(len(inputs)))))
         keys = [_digest(item) for item in inputs]
         new = {key: k for k, key in enumerate(keys) if key not in self._kept}
-        found = compute(list(new.values())) if new else ()
-        made = {key: [one[place].clone() for one in found] for place, key in enumerate(new)}
+        computed = compute(list(new.values())) if new else ()
+        made = {key: [tensor[number].clone() for tensor in computed] for number, key in enumerate(new)}
         self._kept |= made
         self._bytes += bytes_of(made)
         whole = [torch.stack(column) for column in zip(*(self._kept[key] for key in keys), strict=True)]
@@ -48,7 +48,7 @@ def bytes_of(value: Any) -> int:
     if isinstance(value, Tensor):
         return value.untyped_storage().nbytes()
     if is_dataclass(value):
-        return sum(bytes_of(getattr(value, one.name)) for one in fields(value))
+        return sum(bytes_of(getattr(value, field.name)) for field in fields(value))
     if isinstance(value, Mapping):
         return sum(map(bytes_of, value.values()))
     return sum(map(bytes_of, value)) if isinstance(value, list | tuple) else 0

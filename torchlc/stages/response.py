@@ -20,8 +20,8 @@ def not_resolved(context: Context) -> str | None:
 def recorded(patches: tuple[Patch, ...], view: View, name: str, value: Tensor) -> tuple[Patch, ...]:
     """Patches whose radiance is recorded with a number of the response, (..., 1 or T), in the place of a linear detector's."""
     number = view.every(value)
-    one, none = number.new_ones(1, 1), number.new_zeros(1, 1)
-    linear = Response(one, none, none)
+    unit, none = number.new_ones(1, 1), number.new_zeros(1, 1)
+    linear = Response(unit, none, none)
     return tuple(
         replace(patch, response=replace(patch.response or linear, **{name: number}))
         if patch.model.radiance_as_irradiance

@@ -27,7 +27,7 @@ def swinging(cls: type[Effect]) -> type[Effect]:
     """An effect of the stage "pointing" with its angle ``cls.swings`` = deg sin(2 pi t / period + phase), t from the first row:
     0.3 mag for 1 deg beside a glint. It is none of the library's effects: a diagnosis
     that finds it says that something is missing which the library does not hold, and what it looks like."""
-    (steady,) = (one for one in cls.quantities if one.name == cls.swings)
+    (steady,) = (quantity for quantity in cls.quantities if quantity.name == cls.swings)
     typical = steady.typical or 1.0
 
     class Swinging(cls):

@@ -42,29 +42,30 @@ def moved(
     dtype: torch.dtype,
     device: torch.device,
     kept: tuple[type, ...] = (),
+    parameter: Callable[[nn.Parameter], nn.Parameter] = lambda parameter: parameter,
 ) -> Thing:
     """A copy of an object, of all that it holds, and of all that these hold, with ``convert(tensor)`` for every tensor,
-    and for ``dtype`` and ``device`` those that convert changes them to. Classes, ``nn.Parameter`` and objects of the types
-    ``kept`` are not copied. What is one object in two places is so in the copy, unless a function encloses it.
+    and for ``dtype`` and ``device`` those that convert changes them to. Classes and objects of the types
+    ``kept`` are not copied; ``parameter`` says what becomes of an ``nn.Parameter``, which stays what it is. What is one object in two places is so in the copy, unless a function encloses it.
 
     The copy is by pickle, which finds whatever an object holds; neither tensors nor functions are pickled.
     """
     like = convert(torch.zeros((), dtype=dtype, device=device))
     known: dict[int, Any] = {}
 
-    def replaced(one: Any) -> Any:
-        if id(one) not in known:
-            known[id(one)] = other(one)
-        return known[id(one)]
+    def replaced(item: Any) -> Any:
+        if id(item) not in known:
+            known[id(item)] = other(item)
+        return known[id(item)]
 
-    def other(one: Any) -> Any:
-        if isinstance(one, Tensor):
-            return one if isinstance(one, nn.Parameter) else convert(one)
-        if isinstance(one, torch.dtype) and one == dtype:
+    def other(item: Any) -> Any:
+        if isinstance(item, Tensor):
+            return parameter(item) if isinstance(item, nn.Parameter) else convert(item)
+        if isinstance(item, torch.dtype) and item == dtype:
             return like.dtype
-        if isinstance(one, torch.device) and one == device:
+        if isinstance(item, torch.device) and item == device:
             return like.device
-        return enclosing(one) if isinstance(one, FunctionType) and one.__closure__ else one
+        return enclosing(item) if isinstance(item, FunctionType) and item.__closure__ else item
 
     def enclosing(function: FunctionType) -> FunctionType:
         cells = tuple(CellType() for _ in function.__closure__ or ())
@@ -82,7 +83,7 @@ def moved(
         taking = _Taking(stream, (Tensor, torch.dtype, torch.device, type, FunctionType, *kept))
         taking.dump(whole)
         stream.seek(0)
-        return _Giving(stream, [replaced(one) for one in taking.taken]).load()
+        return _Giving(stream, [replaced(item) for item in taking.taken]).load()
 
     return copied(thing)
 

@@ -28,7 +28,7 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
     normal, aim = normal * scale[:, :, None] * scale[:, None, :], aim * scale
     least = 1e-12 * aim.abs().amax(-1, keepdim=True)
     free = aim > 0
-    found = torch.zeros_like(aim)
+    solution = torch.zeros_like(aim)
     left = torch.arange(len(aim))
     fewest, spare = torch.full((len(aim),), count + 1), torch.full((len(aim),), SPARE)
     for _ in range(PIVOTS * count):
@@ -37,7 +37,7 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
         system.diagonal(dim1=-2, dim2=-1).add_(1 - kept + RIDGE)
         factor, _ = torch.linalg.cholesky_ex(system)
         solved = torch.cholesky_solve((aim * kept)[..., None], factor)[..., 0]
-        found[left] = solved
+        solution[left] = solved
         slope = (normal @ solved[..., None])[..., 0] - aim
         wrong = torch.where(free, solved, slope) < -least
         number = wrong.sum(-1)
@@ -45,7 +45,7 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
         if not bool(on.any()):
             break
         left, normal, aim, least, free, fewest, spare, wrong, number = (
-            one[on] for one in (left, normal, aim, least, free, fewest, spare, wrong, number)
+            tensor[on] for tensor in (left, normal, aim, least, free, fewest, spare, wrong, number)
         )
         # all that are wrong change sides while they grow fewer; else, so that no round repeats, the last of them alone
         fell = number < fewest
@@ -54,7 +54,7 @@ def non_negative(products: Tensor, targets: Tensor) -> Tensor:
         last = count - 1 - wrong.flip(-1).to(torch.int8).argmax(-1)
         alone = torch.zeros_like(wrong).scatter_(1, last[:, None], True)
         free = free ^ torch.where(every[:, None], wrong, alone)
-    return (found.clamp(min=0) * scale).reshape(targets.shape)
+    return (solution.clamp(min=0) * scale).reshape(targets.shape)
 
 
 def _two(diagonal: Tensor, cross: Tensor, targets: Tensor) -> Tensor:

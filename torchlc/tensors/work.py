@@ -31,15 +31,15 @@ class Work(TorchFunctionMode):
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         made = func(*args, **(kwargs or {}))
         results = _tensors([made])  # none where a shape or a dtype is asked for
-        if not all(one._is_view() for one in results):
+        if not all(tensor._is_view() for tensor in results):
             self.operations += 1
-            self.elements += max(one.numel() for one in _tensors((made, *args)))
+            self.elements += max(tensor.numel() for tensor in _tensors((made, *args)))
         return made
 
 
-def _tensors(found: Iterable[Any]) -> Iterator[torch.Tensor]:
-    for one in found:
-        if isinstance(one, torch.Tensor):
-            yield one
-        elif isinstance(one, (list, tuple)):
-            yield from _tensors(one)
+def _tensors(values: Iterable[Any]) -> Iterator[torch.Tensor]:
+    for value in values:
+        if isinstance(value, torch.Tensor):
+            yield value
+        elif isinstance(value, (list, tuple)):
+            yield from _tensors(value)

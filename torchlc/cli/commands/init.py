@@ -18,7 +18,7 @@ from torchlc.cli.options import (
     moment,
 )
 from torchlc.cli.printing import warn
-from torchlc.terminal import say, show_json
+from torchlc.terminal import printable, say, show_json
 
 
 @app.command(
@@ -92,10 +92,16 @@ def init(
     if json:
         show_json({"scene": str(scene), "name": read.name, "tle": list(chosen.lines)})
     elif not quiet:
-        print(f"written: {scene}")
+        print(
+            f"written: {scene}, of {printable(chosen.label)}, elements of {scaffold.to_the_minute(chosen.epoch)[:10]}"
+        )
+        if wanted is not None:
+            warn(scaffold.old_elements(chosen, wanted))
         if place is None:
             say("warning: the station is a placeholder: edit [[stations]] before use")
         start = scaffold.to_the_minute(chosen.epoch if wanted is None else wanted)
-        print(
-            f"next: torchlc simulate {shlex.quote(str(scene))} --start {start} --hours 24 --cadence 60 -o out"
-        )
+        file = shlex.quote(str(scene))
+        if place is None:
+            print(f"next: torchlc simulate {file} --start {start} --hours 24 --cadence 60 -o out")
+        else:
+            print(f"next: torchlc predict {file} --start {start} --hours 24 -o out")

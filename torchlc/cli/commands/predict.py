@@ -107,6 +107,5 @@ def predict(
         print("\n".join(map(printable, result.lines())))
         warn(result.warnings)
         if out is not None:
-            print(
-                f"written: {out / 'prediction.ecsv'}, passes.ecsv, passes.ics, passes.png and prediction.json"
-            )
+            figure = ", passes.png" if (out / "passes.png").exists() else ""
+            print(f"written: {out / 'prediction.ecsv'}, passes.ecsv, passes.ics{figure} and prediction.json")

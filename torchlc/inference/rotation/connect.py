@@ -69,17 +69,17 @@ def connections(
     order = np.argsort(np.abs(line.middles - line.middles[np.argmax(rows.span.numpy())]), kind="stable")
     kept: list[dict[int, int]] = [{int(order[0]): 0}]
     complete = True
-    for one in order[1:]:
-        kept, all_of_them = _extended(line, kept, int(one))
+    for passed in order[1:]:
+        kept, all_of_them = _extended(line, kept, int(passed))
         complete = complete and all_of_them
-    found = []
+    joined = []
     for known in kept:
         result, _, distance = line.solved(known)
         if bounds[0] <= result[1] <= bounds[1]:
-            counts = tuple(known[one] for one in range(rows.passes))
+            counts = tuple(known[index] for index in range(rows.passes))
             phase, frequency, change = (float(number) for number in result)
-            found.append(Connection(counts, line.reference, phase, frequency, change, distance))
-    return Connections(tuple(sorted(found, key=lambda one: one.distance)), complete)
+            joined.append(Connection(counts, line.reference, phase, frequency, change, distance))
+    return Connections(tuple(sorted(joined, key=lambda connection: connection.distance)), complete)
 
 
 class _PhaseLine:
@@ -101,8 +101,8 @@ class _PhaseLine:
 
     def solved(self, known: Mapping[int, int]) -> tuple[np.ndarray, np.ndarray, float]:
         """(phi0, f, g), their covariance (3, 3), and the squared distance of the data from them, in standard deviations."""
-        rows = [*range(self.passes), *(self.passes + one for one in known), 2 * self.passes]
-        phases = [self.phases[one] + count / self.symmetry for one, count in known.items()]
+        rows = [*range(self.passes), *(self.passes + passed for passed in known), 2 * self.passes]
+        phases = [self.phases[passed] + count / self.symmetry for passed, count in known.items()]
         values = np.array([*self.frequencies, *phases, 0.0])
         weight = np.linalg.inv(self.covariance[np.ix_(rows, rows)])
         part = self.design[rows][:, : self.free]
@@ -131,23 +131,23 @@ class _PhaseLine:
         both = _beyond_second_order(self.middles - self.reference, float(result[1]), float(result[2]))
         return np.concatenate([*both, [0.0]])
 
-    def expected_count(self, known: Mapping[int, int], one: int) -> tuple[float, float]:
+    def expected_count(self, known: Mapping[int, int], passed: int) -> tuple[float, float]:
         """The count of a further pass, not rounded, and its standard deviation."""
         result, spread, _ = self.solved(known)
-        place = self.passes + one
-        row = self.design[place]
-        deviation = float(np.sqrt(row @ spread @ row + self.covariance[place, place]))
-        expected = row @ result + self.beyond(result)[place]
-        return float(expected - self.phases[one]) * self.symmetry, deviation * self.symmetry
+        index = self.passes + passed
+        row = self.design[index]
+        deviation = float(np.sqrt(row @ spread @ row + self.covariance[index, index]))
+        expected = row @ result + self.beyond(result)[index]
+        return float(expected - self.phases[passed]) * self.symmetry, deviation * self.symmetry
 
 
 def _covariance(rows: Rows, local: Local) -> np.ndarray:
     """(2 N + 1, 2 N + 1) of the frequencies, the phases, and the prior of g; the first two with what the light of facets leaves out."""
     passes = rows.passes
-    own = np.arange(passes)
+    index = np.arange(passes)
     measured = local.covariance.numpy().copy()
-    measured[passes + own, passes + own] += local.own_error**2
-    measured[own, own] += (0.3 * local.own_error / np.maximum(rows.span.numpy(), 1e-3)) ** 2
+    measured[passes + index, passes + index] += local.own_error**2
+    measured[index, index] += (0.3 * local.own_error / np.maximum(rows.span.numpy(), 1e-3)) ** 2
     whole = np.zeros((2 * passes + 1, 2 * passes + 1))
     whole[:-1, :-1], whole[-1, -1] = measured, (RATE_A_DAY / DAY_S * local.frequency) ** 2
     return whole
@@ -175,18 +175,18 @@ def _design(elapsed: np.ndarray) -> np.ndarray:
 
 
 def _extended(
-    line: _PhaseLine, kept: Sequence[dict[int, int]], one: int
+    line: _PhaseLine, kept: Sequence[dict[int, int]], passed: int
 ) -> tuple[list[dict[int, int]], bool]:
     """The sets of counts with those of one more pass that may be right, best first, and whether these are all."""
     complete = True
     grown: list[tuple[float, dict[int, int]]] = []
     for known in kept:
-        expected, deviation = line.expected_count(known, one)
+        expected, deviation = line.expected_count(known, passed)
         reach = WIDTH * deviation
         if reach > MOST:
             reach, complete = MOST, False
         around = range(int(np.ceil(expected - reach)), int(np.floor(expected + reach)) + 1)
-        grown += [(abs(k - expected), {**known, one: k}) for k in around]
+        grown += [(abs(k - expected), {**known, passed: k}) for k in around]
         if len(grown) > 4 * MOST:
             complete = False
             break

@@ -64,8 +64,8 @@ class FacetLight:
         )
         coupled = tuple(
             any(
-                one.role == REFLECTANCE and one.name in models[name].simplex
-                for one in models[name].quantities
+                quantity.role == REFLECTANCE and quantity.name in models[name].simplex
+                for quantity in models[name].quantities
             )
             for name in names
         )
@@ -93,7 +93,7 @@ class FacetLight:
     def _painted(self) -> tuple[Tensor | None, ...]:
         """Of each material the facets that have it, None for all: a lobe costs an exponential a facet."""
         facets = [torch.nonzero(area)[:, 0] for area in self.area.T]
-        return tuple(None if len(one) == len(self.normal) else one for one in facets)
+        return tuple(None if len(chosen) == len(self.normal) else chosen for chosen in facets)
 
     def light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         """Light (..., K) at unit directions (..., 3) in the body, times the square of the range, for one of each
@@ -103,7 +103,7 @@ class FacetLight:
             return self._light(to_sun, to_observer, exponent)
         exponents = exponent.expand(*to_sun.shape[:-2], 1, exponent.shape[-1])
         pieces = zip(to_sun.split(size), to_observer.split(size), exponents.split(size), strict=True)
-        return torch.cat([self._light(*one) for one in pieces])
+        return torch.cat([self._light(*piece) for piece in pieces])
 
     def _light(self, to_sun: Tensor, to_observer: Tensor, exponent: Tensor) -> Tensor:
         cos_i, cos_r = to_sun @ self.normal.T, to_observer @ self.normal.T
@@ -116,11 +116,11 @@ class FacetLight:
         plain, joined = (lambert(angles), None) if not any(self.coupled) else (None, coupled_diffuse(angles))
         if not all(self.coupled) and plain is None:
             plain = lambert(angles)
-        found = []
+        columns = []
         for k, coupled in enumerate(self.coupled):
             shape = joined if coupled else plain
             assert shape is not None
-            found.append((shape * seen) @ self.area[:, k])
+            columns.append((shape * seen) @ self.area[:, k])
         base = torch.minimum(cos_i, cos_r) * seen / (4 * math.pi * length)
         number = 0
         for lobed, on, area in zip(self.lobed, self._painted, self.area.T, strict=True):
@@ -128,12 +128,12 @@ class FacetLight:
                 continue
             n = exponent[..., number, None]
             strength, steep = (base, log_half) if on is None else (base[..., on], log_half[..., on])
-            found.append(
+            columns.append(
                 (strength * (n + 1) * torch.exp((n * steep).clamp(min=-80.0)))
                 @ (area if on is None else area[on])
             )
             number += 1
-        return torch.stack(found, -1)
+        return torch.stack(columns, -1)
 
     def symmetry(self, axis: Tensor) -> int:
         """The largest m up to ROUND for which a turn by 1/m about ``axis`` (3,) leaves the light as it is."""

@@ -65,8 +65,8 @@ class Turns:
 
     def other_turn(self, period_s: float) -> float | None:
         """The turn, s, that sides of unlike paint explain better than any of one paint, where it is another than ``period_s``."""
-        found = 1 / self.best[0].frequency
-        return None if self.of_one_paint is None or abs(found / period_s - 1) < OTHER else found
+        turn = 1 / self.best[0].frequency
+        return None if self.of_one_paint is None or abs(turn / period_s - 1) < OTHER else turn
 
     @property
     def leaves_structure(self) -> bool:
@@ -77,10 +77,10 @@ class Turns:
         otherwise, one of each region of poles comes before a second."""
         enough = 1.5 * self.best[0].chi2 + 200 if self.best else math.inf
         first, more = [], []
-        for one in self.best:
-            known = self.leaves_structure and any(_near(one, other) for other in first)
-            (more if known else first).append(one)
-        return [*self.best[:1], *(one for one in [*first[1:], *more] if one.chi2 <= enough)][:most]
+        for solution in self.best:
+            known = self.leaves_structure and any(_near(solution, other) for other in first)
+            (more if known else first).append(solution)
+        return [*self.best[:1], *(local for local in [*first[1:], *more] if local.chi2 <= enough)][:most]
 
     def misfits(self) -> list[float]:
         """Of the grid at each of its poles."""
@@ -91,19 +91,19 @@ class Turns:
 def turns(problem: Problem, ranges: Sequence[tuple[float, float]], course: Course) -> Turns:
     """Turns of a frequency within the ``ranges``, 1/s."""
     grid = _frequencies(problem, ranges)
-    found = _straight(problem, grid, course)
+    solved = _straight(problem, grid, course)
     count = _starts(problem)
     # a scene that gives a tilt has it tried whatever the straight body leaves
     given = "tilt" in problem.scene.attitude.model_fields_set
-    if given or (found.leaves_structure and course.allowed("tilted bodies")):
-        found = _tilted(problem, replace(found, tilted=given), grid, count, course)
+    if given or (solved.leaves_structure and course.allowed("tilted bodies")):
+        solved = _tilted(problem, replace(solved, tilted=given), grid, count, course)
     if (
-        found.leaves_structure
+        solved.leaves_structure
         and problem.body.symmetry(_axis()) > 1
         and course.allowed("sides of unlike paint")
     ):
-        found = _unlike(problem, found, given, count, course)
-    return found
+        solved = _unlike(problem, solved, given, count, course)
+    return solved
 
 
 def with_sides(problem: Problem, found: Turns, course: Course) -> Turns:
@@ -116,10 +116,11 @@ def with_sides(problem: Problem, found: Turns, course: Course) -> Turns:
     return replace(found, best=[*sides, *found.best[1:]])
 
 
-def _near(one: Local, other: Local) -> bool:
+def _near(solution: Local, other: Local) -> bool:
     """Whether two solutions are of one region of poles and one turn."""
     return (
-        apart_deg(one.pole, other.pole) < ALIKE_DEG and abs(one.frequency / other.frequency - 1) < SAME_REGION
+        apart_deg(solution.pole, other.pole) < ALIKE_DEG
+        and abs(solution.frequency / other.frequency - 1) < SAME_REGION
     )
 
 
@@ -204,9 +205,9 @@ def _unlike(problem: Problem, plain: Turns, given: bool, count: int, course: Cou
     )
     if not unlike or unlike[0].chi2 >= steady - CHANGED * sum(body.unlike_halves().lobed):
         return plain
-    told = (
+    sentence = (
         f"sides half a turn apart shine unlike: with paint of their own a turn in {1 / unlike[0].frequency:.6g} s leaves "
         f"chi-square {unlike[0].chi2:.0f} where the scene's materials leave {steady:.0f}; give such faces materials of "
         "their own (sectors and face_materials of a cylinder, face_materials of a box)"
     )
-    return replace(plain, best=unlike, symmetry=1, tilted=given, told=[told], of_one_paint=plain)
+    return replace(plain, best=unlike, symmetry=1, tilted=given, told=[sentence], of_one_paint=plain)

@@ -63,15 +63,17 @@ def tilted_bodies(
     angle = math.radians(TILTED_DEG)
     eye = torch.eye(3, dtype=torch.float64)
     free = free_tilts(body)
-    tilts = [sign * angle * eye[one] for sign in (1.0, -1.0) for one in free]
+    tilts = [sign * angle * eye[component] for sign in (1.0, -1.0) for component in free]
     generator = torch.Generator().manual_seed(0)
     ways = torch.nn.functional.normalize(
         torch.randn(2, 40, 3, generator=generator, dtype=torch.float64), dim=-1
     )
     exponent = torch.full((40, sum(body.lobed)), 3.0, dtype=torch.float64)
     plain = body.light(ways[0], ways[1], exponent)
-    near = torch.stack([one.pole for one in states[: max(12, count // 4)]])
-    best = torch.tensor([one for state in states[:3] for one in state.frequencies], dtype=torch.float64)
+    near = torch.stack([start.pole for start in states[: max(12, count // 4)]])
+    best = torch.tensor(
+        [frequency for state in states[:3] for frequency in state.frequencies], dtype=torch.float64
+    )
     close = grid[(grid[:, None] - best).abs().amin(-1) < 2.5 / float(rows.span.max()) / STEPS_A_TURN]
     symmetric = body.symmetry(axis) % 2 == 0
     starts: list[GridState] = []
@@ -106,14 +108,20 @@ def unlike_sides(
     painted = body.unlike_halves()
     step = 1 / STEPS_A_TURN / float(rows.span.max())
     offsets = step * torch.arange(-3, 4, dtype=torch.float64)
-    poles = torch.stack([one.pole for one in states])  # all: a body of one paint may have liked other poles
-    known = [one * part for state in states[:3] for one in state.frequencies for part in (1.0, 0.5, 2.0)]
+    # all: a body of one paint may have liked other poles
+    poles = torch.stack([state.pole for state in states])
+    known = [
+        frequency * part
+        for state in states[:3]
+        for frequency in state.frequencies
+        for part in (1.0, 0.5, 2.0)
+    ]
     around = (torch.tensor(known, dtype=torch.float64)[:, None] + offsets).reshape(-1)
     around = torch.unique((around / step).round()) * step
     around = around[(around >= bounds[0]) & (around <= bounds[1])]
     starts = pole_grid.search(rows, painted, poles, around)[: max(8, count // 4)]
     still = torch.zeros(3, dtype=torch.float64)
-    found = distinct(Refiner(rows, painted, FLOOR).refined(starts, [still] * len(starts)))
+    solutions = distinct(Refiner(rows, painted, FLOOR).refined(starts, [still] * len(starts)))
 
     def mean(values: Tensor) -> Tensor:
         return values.reshape(2, -1).mean(0)
@@ -121,11 +129,11 @@ def unlike_sides(
     diffuse = len(painted.names)
     return [
         replace(
-            one,
-            exponents=mean(one.exponents),
-            weights=torch.cat([mean(one.weights[:diffuse]), mean(one.weights[diffuse:])]),
+            solution,
+            exponents=mean(solution.exponents),
+            weights=torch.cat([mean(solution.weights[:diffuse]), mean(solution.weights[diffuse:])]),
         )
-        for one in found
+        for solution in solutions
     ]
 
 
@@ -153,23 +161,23 @@ def sides_taken(
         for on in halves
     ]
     others = [
-        one
-        for one in refiner.refined(starts, [best.tilt] * len(starts))
-        if one.chi2 < best.chi2 + KEPT_CHI2 and apart_deg(one.pole, best.pole) < ALIKE_DEG
+        solution
+        for solution in refiner.refined(starts, [best.tilt] * len(starts))
+        if solution.chi2 < best.chi2 + KEPT_CHI2 and apart_deg(solution.pole, best.pole) < ALIKE_DEG
     ]
 
-    def joins(one: Local) -> float:
+    def joins(turn: Local) -> float:
         steady, drifting = (
             min(
                 (
                     way.distance
-                    for way in connections(rows, one, symmetry, changing=changing, bounds=bounds).found
+                    for way in connections(rows, turn, symmetry, changing=changing, bounds=bounds).found
                 ),
                 default=math.inf,
             )
             for changing in (False, True)
         )
-        return one.chi2 + min(steady, drifting + CHANGED)
+        return turn.chi2 + min(steady, drifting + CHANGED)
 
     return sorted([best, *others], key=joins)[:SIDES] if others else [best]
 
@@ -177,14 +185,15 @@ def sides_taken(
 def distinct(found: Sequence[Local]) -> list[Local]:
     """Solutions of different poles or periods, best first."""
     kept: list[Local] = []
-    for one in found:
-        if not math.isfinite(one.chi2):
+    for solution in found:
+        if not math.isfinite(solution.chi2):
             continue
         if all(
-            apart_deg(one.pole, other.pole) > SAME_DEG or abs(one.frequency / other.frequency - 1) > 1e-3
+            apart_deg(solution.pole, other.pole) > SAME_DEG
+            or abs(solution.frequency / other.frequency - 1) > 1e-3
             for other in kept
         ):
-            kept.append(one)
+            kept.append(solution)
     return kept
 
 
@@ -201,60 +210,62 @@ def free_rotations(
     first = tumble_grid.search(
         rows, body, pairs, tumble_grid.bodies(), progress=lambda share: say("free rotations", share)
     )
-    found = refiner.refined(
+    solutions = refiner.refined(
         _spread_out(first, TUMBLE_STARTS), progress=lambda share: say("their bodies", share)
     )
-    if found and found[0][0].chi2 < about_an_axis - CHANGED:
+    if solutions and solutions[0][0].chi2 < about_an_axis - CHANGED:
         # the bodies are known now, but for which axis is which; with them the grid tells directions of the angular momentum apart
-        for state in _distinct_tumbles(found, TUMBLES):
+        for state in _distinct_tumbles(solutions, TUMBLES):
             axes = torch.tensor(list(itertools.permutations(range(3))))
             moments = state.moments[axes]
             states = tumble_grid.search(
                 rows, body, [state.pair], moments / moments[:, 2:], kept=SECOND_STARTS // 3
             )
-            found += refiner.refined(states[:SECOND_STARTS], progress=lambda share: say("their poles", share))
-    found.sort(key=lambda one: one[0].chi2)
+            solutions += refiner.refined(
+                states[:SECOND_STARTS], progress=lambda share: say("their poles", share)
+            )
+    solutions.sort(key=lambda solution: solution[0].chi2)
     kept: list[tuple[Tumble, Tensor, Tensor]] = []
-    for one in found:
-        if len(kept) < TUMBLES and all(not _same(one[0], other[0]) for other in kept):
-            kept.append(one)
+    for candidate in solutions:
+        if len(kept) < TUMBLES and all(not _same(candidate[0], other[0]) for other in kept):
+            kept.append(candidate)
     joined = []
-    for one in kept:
-        if one[0].chi2 < 1.5 * kept[0][0].chi2 + 200:
+    for start in kept:
+        if start[0].chi2 < 1.5 * kept[0][0].chi2 + 200:
             # light of flat facets is that of the model, but for shadows, which a good fit says there are none of
-            last = TumbleRefiner(rows, body, SHARP if one[0].chi2 < dof else FLOOR)
-            joined += last.joined(last.settled(one))[:TUMBLES]
-    joined.sort(key=lambda one: one.chi2)
-    return [one for one in joined if one.chi2 < joined[0].chi2 + 2 * KEPT_CHI2]
+            last = TumbleRefiner(rows, body, SHARP if start[0].chi2 < dof else FLOOR)
+            joined += last.joined(last.settled(start))[:TUMBLES]
+    joined.sort(key=lambda tumble: tumble.chi2)
+    return [tumble for tumble in joined if tumble.chi2 < joined[0].chi2 + 2 * KEPT_CHI2]
 
 
 def _spread_out(states: Sequence[TumbleState], most: int) -> list[TumbleState]:
     """The best states, OF_A_BODY of each body with each pair of frequencies."""
     kept: list[TumbleState] = []
     count: Counter[tuple[float, ...]] = Counter()
-    for one in states:
-        key = (one.long, one.nutation, *one.moments.tolist())
+    for state in states:
+        key = (state.long, state.nutation, *state.moments.tolist())
         if len(kept) < most and count[key] < OF_A_BODY:
             count[key] += 1
-            kept.append(one)
+            kept.append(state)
     return kept
 
 
-def _distinct_tumbles(found: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
+def _distinct_tumbles(tumbles: Sequence[tuple[Tumble, Tensor, Tensor]], most: int) -> list[Tumble]:
     """The best solutions of different bodies."""
     kept: list[Tumble] = []
-    for one, _, _ in found:
+    for tumble, _, _ in tumbles:
         if len(kept) < most and all(
-            bool(((one.moments - other.moments).abs() > 0.05).any()) for other in kept
+            bool(((tumble.moments - other.moments).abs() > 0.05).any()) for other in kept
         ):
-            kept.append(one)
-    return [one for one in kept if one.chi2 < 2 * kept[0].chi2]
+            kept.append(tumble)
+    return [solution for solution in kept if solution.chi2 < 2 * kept[0].chi2]
 
 
-def _same(one: Tumble, other: Tumble) -> bool:
+def _same(tumble: Tumble, other: Tumble) -> bool:
     """Whether two solutions are one: of a pole, a body and periods."""
     return (
-        apart_deg(one.pole, other.pole) < SAME_DEG
-        and abs(one.long / other.long - 1) < 1e-3
-        and bool(((one.moments - other.moments).abs() < 0.02).all())
+        apart_deg(tumble.pole, other.pole) < SAME_DEG
+        and abs(tumble.long / other.long - 1) < 1e-3
+        and bool(((tumble.moments - other.moments).abs() < 0.02).all())
     )

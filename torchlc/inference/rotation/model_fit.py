@@ -47,6 +47,11 @@ class Candidate:
     names: tuple[str, ...]
     covariance: Tensor
 
+    @property
+    def tumbling(self) -> bool:
+        """Whether it is a free rotation about no axis fixed in the body."""
+        return self.trial.scene.attitude.tumbles
+
 
 def fitted(trial: Trial, recording: Recording) -> Candidate:
     """The model's own least squares from a trial."""
@@ -61,8 +66,8 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
         settled = polish(likelihood, theta[None], noise, iterations=12, held=moving)
         theta = parameters.from_flat(settled.y[0])
     best = polish(likelihood, theta[None], noise, iterations=40)
-    place = int(best.cost.argmin())
-    natural = parameters.from_flat(best.y[place])
+    lowest = int(best.cost.argmin())
+    natural = parameters.from_flat(best.y[lowest])
     with torch.no_grad():
         chi2 = float(likelihood.chi2(natural))
         deviance = -2 * float(likelihood.log_likelihood(natural))
@@ -71,9 +76,9 @@ def fitted(trial: Trial, recording: Recording) -> Candidate:
             left = MAG_PER_LN * left / likelihood.observed[likelihood.measured]
         rms = float(left.square().mean().sqrt())
     low, high = parameters.flat_bounds()
-    covariance, _ = laplace(best.jacobian[place], best.y[place], low, high)
+    covariance, _ = laplace(best.jacobian[lowest], best.y[lowest], low, high)
     spread = torch.sqrt(torch.diagonal(covariance).clamp(min=0))
-    shifted = parameters.from_flat(best.y[place] + 1e-4 * spread)
+    shifted = parameters.from_flat(best.y[lowest] + 1e-4 * spread)
     slope = torch.where(spread > 0, (shifted - natural) / (1e-4 * spread.clamp(min=1e-300)), 0.0)
     covariance = covariance * slope[:, None] * slope
     natural_sd = torch.sqrt(torch.diagonal(covariance).clamp(min=0)).tolist()

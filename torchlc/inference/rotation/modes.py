@@ -78,7 +78,7 @@ class RotationMode:
     @property
     def tumbling(self) -> bool:
         """Whether it is a free rotation about no axis fixed in the body."""
-        return "nutation" in self.numbers
+        return self.scene.attitude.tumbles
 
     @property
     def moments(self) -> tuple[float, float, float] | None:
@@ -126,53 +126,49 @@ def merged(found: Sequence[Candidate], rows: Rows) -> list[RotationMode]:
     CHANGED off chi-square, and so does a free rotation against one about an axis of the body."""
     kept_kinds = list(found)
     for simpler, richer in (
-        (lambda one: not one.trial.changing, lambda one: one.trial.changing),
-        (lambda one: not _tumbling(one), _tumbling),
+        (lambda candidate: not candidate.trial.changing, lambda candidate: candidate.trial.changing),
+        (lambda candidate: not candidate.tumbling, lambda candidate: candidate.tumbling),
     ):
-        plain = [one.deviance for one in kept_kinds if simpler(one)]
-        rich = [one.deviance for one in kept_kinds if richer(one)]
+        plain = [candidate.deviance for candidate in kept_kinds if simpler(candidate)]
+        rich = [candidate.deviance for candidate in kept_kinds if richer(candidate)]
         if plain and rich and min(rich) > min(plain) - CHANGED:
-            kept_kinds = [one for one in kept_kinds if simpler(one)]
-    ranked = sorted(kept_kinds, key=lambda one: one.deviance)
+            kept_kinds = [candidate for candidate in kept_kinds if simpler(candidate)]
+    ranked = sorted(kept_kinds, key=lambda candidate: candidate.deviance)
     kept: list[Candidate] = []
-    for one in ranked:
-        if one.deviance > ranked[0].deviance + KEPT_CHI2:
+    for fit in ranked:
+        if fit.deviance > ranked[0].deviance + KEPT_CHI2:
             break
         if all(
-            apart_deg(one.pole, other.pole) > SAME_DEG
-            or abs(one.numbers["period"] / other.numbers["period"] - 1) > SAME_PERIOD
-            or _tumbling(one) != _tumbling(other)
+            apart_deg(fit.pole, other.pole) > SAME_DEG
+            or abs(fit.numbers["period"] / other.numbers["period"] - 1) > SAME_PERIOD
+            or fit.tumbling != other.tumbling
             for other in kept
         ):
-            kept.append(one)
+            kept.append(fit)
     if not kept:
         return []
-    weights = np.exp(-0.5 * np.array([one.deviance - kept[0].deviance for one in kept]))
+    weights = np.exp(-0.5 * np.array([candidate.deviance - kept[0].deviance for candidate in kept]))
     weights /= weights.sum()
     base = kept[0].trial.counts
     return [
         RotationMode(
-            one.numbers,
-            one.sd,
-            one.chi2,
-            tuple(a - b for a, b in zip(one.trial.counts, base, strict=False)),
+            candidate.numbers,
+            candidate.sd,
+            candidate.chi2,
+            tuple(a - b for a, b in zip(candidate.trial.counts, base, strict=False)),
             float(weight),
-            None if one is kept[0] else _mirror(one.pole, kept[0].pole, rows),
-            one.theta,
-            one.trial.scene,
-            one.trial.possible,
-            one.trial.likely,
-            one.deviance - kept[0].deviance,
-            one.rms,
-            one.trial.periods,
-            one.trial.apart,
+            None if candidate is kept[0] else _mirror(candidate.pole, kept[0].pole, rows),
+            candidate.theta,
+            candidate.trial.scene,
+            candidate.trial.possible,
+            candidate.trial.likely,
+            candidate.deviance - kept[0].deviance,
+            candidate.rms,
+            candidate.trial.periods,
+            candidate.trial.apart,
         )
-        for one, weight in zip(kept, weights, strict=True)
+        for candidate, weight in zip(kept, weights, strict=True)
     ]
-
-
-def _tumbling(one: Candidate) -> bool:
-    return "nutation" in one.numbers
 
 
 def _mirror(pole: Tensor, best: Tensor, rows: Rows) -> str | None:

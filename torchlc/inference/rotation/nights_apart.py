@@ -45,37 +45,37 @@ def settled(problem: Problem, turns: Turns, found: Sequence[Candidate], course: 
     if not (several and _unjoined(problem, found) and course.allowed("each night for itself")):
         return Settled(modes, [], [])
     apart, sharp = _apart(problem, turns, found, course)
-    told: list[str] = []
+    sentences: list[str] = []
     if sharp:
-        joined, told = fits_of_turns(problem, replace(turns, best=sharp), course, changing=True)
-        found = joined + [one for one in found if not any(_one_turn(one, other) for other in joined)]
+        joined, sentences = fits_of_turns(problem, replace(turns, best=sharp), course, changing=True)
+        found = joined + [fit for fit in found if not any(_one_turn(fit, other) for other in joined)]
         modes = merged(found, rows)
     loose = merged(apart, rows)
     if not loose or not _one_rate_fails(problem, apart, found):
-        return Settled(modes, loose, told)
+        return Settled(modes, loose, sentences)
     if modes:
-        told.append(
+        sentences.append(
             f"no one rotation holds over the nights: the best leaves {modes[0].rms:.3g} mag rms, that with "
             f"{' and '.join(loose[0].apart)} of each night for itself {loose[0].rms:.3g} mag"
         )
-    return Settled(loose, [], told)
+    return Settled(loose, [], sentences)
 
 
-def _unjoined(problem: Problem, found: Sequence[Candidate]) -> bool:
+def _unjoined(problem: Problem, fits: Sequence[Candidate]) -> bool:
     """Whether the best of the rotations that join the passes takes one of several counts for granted, or leaves structure."""
-    best = min(found, key=lambda one: one.deviance, default=None)
+    best = min(fits, key=lambda fit: fit.deviance, default=None)
     if best is None or not problem.fits(best):
         return True
-    return "nutation" not in best.numbers and (best.trial.possible > 1 or not best.trial.complete)
+    return not best.tumbling and (best.trial.possible > 1 or not best.trial.complete)
 
 
 def _apart(
-    problem: Problem, turns: Turns, found: Sequence[Candidate], course: Course
+    problem: Problem, turns: Turns, joined: Sequence[Candidate], course: Course
 ) -> tuple[list[Candidate], list[Local]]:
     """The model fitted at the leading poles with a phase for each night; where the passes have unlike periods, or one for all leaves
     structure, with a period for each too. Where a count of turns explains the light, also the solutions with the phases and periods of
     the passes as the model has them, by which fewer counts are possible than by the light of facets."""
-    explained = any(problem.fits(one) for one in found)
+    explained = any(problem.fits(candidate) for candidate in joined)
     fits: list[Candidate] = []
     sharp: list[Local] = []
     most = APART if explained else LOCALS
@@ -88,33 +88,33 @@ def _apart(
             trial = loose_trial(
                 problem.scene, problem.recording, problem.rows, local, periods=periods, tilted=tilted
             )
-            one = fitted(trial, problem.recording)
-            if not math.isfinite(one.chi2):
+            fit = fitted(trial, problem.recording)
+            if not math.isfinite(fit.chi2):
                 continue
             if not enough:
-                fits.append(one)
-                enough = problem.fits(one)
-            better = sharpened(problem.recording, problem.rows, local, one) if periods and explained else None
+                fits.append(fit)
+                enough = problem.fits(fit)
+            better = sharpened(problem.recording, problem.rows, local, fit) if periods and explained else None
             sharp += [] if better is None else [better]
         course.say("nights apart", (number + 1) / len(tried))
     return fits, sharp
 
 
-def _one_turn(one: Candidate, other: Candidate) -> bool:
+def _one_turn(fit: Candidate, other: Candidate) -> bool:
     """Whether two fits of a turn about an axis are of one pole and period."""
     return (
-        "nutation" not in one.numbers
-        and apart_deg(one.pole, other.pole) < SAME_DEG
-        and abs(one.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
+        not fit.tumbling
+        and apart_deg(fit.pole, other.pole) < SAME_DEG
+        and abs(fit.numbers["period"] / other.numbers["period"] - 1) < SAME_PERIOD
     )
 
 
-def _one_rate_fails(problem: Problem, apart: Sequence[Candidate], found: Sequence[Candidate]) -> bool:
+def _one_rate_fails(problem: Problem, apart: Sequence[Candidate], fits: Sequence[Candidate]) -> bool:
     """Whether nights by themselves are so much better than joined that no rotation joins them: where that leaves structure, by
     CHANGED for each further number."""
-    if not found or not apart:
-        return not found
-    best = min(found, key=lambda one: one.deviance)
-    loose = min(apart, key=lambda one: one.deviance)
+    if not fits or not apart:
+        return not fits
+    best = min(fits, key=lambda fit: fit.deviance)
+    loose = min(apart, key=lambda fit: fit.deviance)
     further = max(1, len(loose.theta) - len(best.theta))
     return not problem.fits(best) and loose.deviance < best.deviance - CHANGED * further

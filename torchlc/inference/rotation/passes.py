@@ -90,7 +90,7 @@ def rows_of(model: LightCurve) -> Rows:
         noise = successive_noise(flux, number)
         error = torch.full_like(error, max(noise, LEAST_NOISE))
     count = int(number.max()) + 1
-    each = [seconds[number == one] for one in range(count)]
+    each = [seconds[number == passed] for passed in range(count)]
     return Rows(
         index,
         seconds,
@@ -99,8 +99,8 @@ def rows_of(model: LightCurve) -> Rows:
         flux * (1e3 * distance) ** 2,
         error,
         number,
-        torch.stack([(one.max() + one.min()) / 2 for one in each]),
-        torch.stack([one.max() - one.min() for one in each]),
+        torch.stack([(times.max() + times.min()) / 2 for times in each]),
+        torch.stack([times.max() - times.min() for times in each]),
         scaled,
         noise,
     )

@@ -77,20 +77,20 @@ def search(
     progress: Callable[[float], None] | None = None,
 ) -> list[GridState]:
     """The best period and phases of each pole, best pole first."""
-    found: list[GridState] = []
+    states: list[GridState] = []
     for start in range(0, len(poles), POLES_AT_ONCE):
-        found += _some(rows, body, poles[start : start + POLES_AT_ONCE], frequencies, symmetry)
+        states += _some(rows, body, poles[start : start + POLES_AT_ONCE], frequencies, symmetry)
         if progress is not None:
             progress(min(1.0, (start + POLES_AT_ONCE) / len(poles)))
-    return sorted(found, key=lambda one: one.misfit)
+    return sorted(states, key=lambda state: state.misfit)
 
 
 def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symmetry: int) -> list[GridState]:
     frame = frame_of(poles)
     products, targets, sizes = [], [], []
-    for one in range(rows.passes):
+    for passed in range(rows.passes):
         normal, target, size = _normal_equations(
-            rows, body, frame, frequencies, rows.of(one), rows.middle[one], symmetry
+            rows, body, frame, frequencies, rows.of(passed), rows.middle[passed], symmetry
         )
         products.append(normal)
         targets.append(target)
@@ -107,11 +107,11 @@ def _some(rows: Rows, body: FacetLight, poles: Tensor, frequencies: Tensor, symm
     ]
     weights = torch.zeros(0, dtype=torch.float64)
     for turn in range(4):
-        by_frequency = [one.amin(-1) for one in misfits]
-        least = [_least(one, near) for one, near in zip(by_frequency, allowed, strict=True)]
+        by_frequency = [misfit.amin(-1) for misfit in misfits]
+        least = [_least(misfit, near) for misfit, near in zip(by_frequency, allowed, strict=True)]
         total, best = torch.stack([value for value, _ in least]).sum(0).min(-1)
         turning = [at[poles_index, best] for _, at in least]
-        phases = [one[poles_index, at].argmin(-1) for one, at in zip(misfits, turning, strict=True)]
+        phases = [misfit[poles_index, at].argmin(-1) for misfit, at in zip(misfits, turning, strict=True)]
         if turn == 3:
             break
         chosen = [(poles_index, at, phase) for at, phase in zip(turning, phases, strict=True)]
@@ -161,11 +161,11 @@ def _normal_equations(
     """Products (D, G, H, K, K) of the columns and (D, G, H, K) of these with the light, over a pass, and the square of
     the light, all over errors. Rows are put on steps of a turn, and all phases follow by one correlation."""
     seconds = rows.seconds[here] - middle
-    place = instants(rows, here)
-    nodes = here[place]
-    nearest = (seconds[:, None] - seconds[place]).abs().argmin(-1)
+    chosen = instants(rows, here)
+    nodes = here[chosen]
+    nearest = (seconds[:, None] - seconds[chosen]).abs().argmin(-1)
     sun, observer = (
-        torch.einsum("dij,nj->dni", frame, one[nodes]) for one in (rows.to_sun, rows.to_observer)
+        torch.einsum("dij,nj->dni", frame, vectors[nodes]) for vectors in (rows.to_sun, rows.to_observer)
     )
     angle = torch.arange(STEPS, dtype=torch.float64) * (2 * math.pi / STEPS)
     cos, sin = torch.cos(angle), torch.sin(angle)
@@ -179,10 +179,10 @@ def _normal_equations(
     target = rows.flux[here] * weight
     shift = (seconds * frequencies[:, None] * STEPS).round().long() % STEPS  # (G, T)
     at = nearest * STEPS + shift
-    binned = table.new_zeros(2, len(frequencies), len(place) * STEPS)
-    for one, value in enumerate((weight**2, weight * target)):
-        binned[one].scatter_add_(1, at, value.expand_as(at))
-    binned = binned.unflatten(-1, (len(place), STEPS))
+    binned = table.new_zeros(2, len(frequencies), len(chosen) * STEPS)
+    for index, value in enumerate((weight**2, weight * target)):
+        binned[index].scatter_add_(1, at, value.expand_as(at))
+    binned = binned.unflatten(-1, (len(chosen), STEPS))
     phase = torch.arange(0, STEPS // symmetry, 2)
     first, second = torch.triu_indices(table.shape[-1], table.shape[-1])
     squares = _correlated(table[..., first] * table[..., second], binned[0])
@@ -198,7 +198,7 @@ def columns_of(body: FacetLight, to_sun: Tensor, to_observer: Tensor) -> Tensor:
     """Light (..., K) of each reflectance at directions (..., 3) in the body, with a wide and a narrow lobe for each that has
     one."""
     lobes = sum(body.lobed)
-    wide, narrow = (torch.full((lobes,), one, dtype=torch.float64) for one in EXPONENTS)
+    wide, narrow = (torch.full((lobes,), exponent, dtype=torch.float64) for exponent in EXPONENTS)
     first = body.light(to_sun, to_observer, wide)
     if not lobes:
         return first
@@ -208,8 +208,8 @@ def columns_of(body: FacetLight, to_sun: Tensor, to_observer: Tensor) -> Tensor:
 def instants(rows: Rows, here: Tensor) -> Tensor:
     """Which of the rows of a pass stand for the directions of all: as many as the directions move."""
     moved = max(
-        float(torch.linalg.vector_norm(one[here].diff(dim=0), dim=-1).sum())
-        for one in (rows.to_sun, rows.to_observer)
+        float(torch.linalg.vector_norm(vectors[here].diff(dim=0), dim=-1).sum())
+        for vectors in (rows.to_sun, rows.to_observer)
     )
     count = max(2, min(NODES, len(here), math.ceil(moved / NODE_STEP) + 1))
     return torch.linspace(0, len(here) - 1, count, dtype=torch.float64).round().long()

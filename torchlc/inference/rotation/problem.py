@@ -48,8 +48,8 @@ class Problem:
         rows = rows_of(model)
         _check_rows(rows, recording)
         body = FacetLight.of(model.assembly)
-        low, high, told = _range(scene, recording, rows, shortest_s, longest_s)
-        return cls(scene, recording, rows, body, low, high, [*told, *body.notes])
+        low, high, notes = _range(scene, recording, rows, shortest_s, longest_s)
+        return cls(scene, recording, rows, body, low, high, [*notes, *body.notes])
 
     @property
     def wide(self) -> tuple[float, float]:

@@ -64,7 +64,7 @@ def free_tilts(body: FacetLight) -> list[int]:
     """Components of the tilt that a body shows: not that along z, which is a phase, nor that about an axis round which
     the body looks the same; of a body that is round about z one of two, since the other is a phase."""
     axes = torch.eye(3, dtype=torch.float64)
-    shown = [one for one in (0, 1) if body.symmetry(axes[one]) < ROUND]
+    shown = [component for component in (0, 1) if body.symmetry(axes[component]) < ROUND]
     return shown[:1] if body.symmetry(axes[2]) == ROUND else shown
 
 
@@ -85,21 +85,21 @@ class Refiner:
     ) -> list[Local]:
         """Solutions of the starts that went down most, the best first."""
         rows = self.rows
-        poles = torch.stack([one.pole for one in starts])
+        poles = torch.stack([state.pole for state in starts])
         begin = torch.stack(
             [
                 torch.cat(
                     [
                         torch.zeros(2 + rows.passes, dtype=torch.float64),
-                        torch.tensor(one.phases, dtype=torch.float64),
+                        torch.tensor(state.phases, dtype=torch.float64),
                         torch.full((self.lobes,), math.log(START_N), dtype=torch.float64),
                         tilt[self.tilted],
                     ]
                 )
-                for one, tilt in zip(starts, tilts, strict=True)
+                for state, tilt in zip(starts, tilts, strict=True)
             ]
         )
-        base = torch.tensor([one.frequencies for one in starts], dtype=torch.float64)
+        base = torch.tensor([state.frequencies for state in starts], dtype=torch.float64)
         left = list(range(len(starts)))
         best: dict[int, Minimum] = {}
         for part, kept in STAGES:
@@ -120,7 +120,7 @@ class Refiner:
                 self._local(best[k].y[0], poles[k], base[k], float(best[k].cost[0]), best[k].jacobian[0])
                 for k in left
             ),
-            key=lambda one: one.chi2,
+            key=lambda solution: solution.chi2,
         )
 
     def _bounds(self, begin: Tensor) -> tuple[Tensor, Tensor]:
@@ -146,11 +146,11 @@ class Refiner:
 
     def _changes(self, y: Tensor, frequency: Tensor) -> Tensor:
         """Differences (B, N - 1) of the frequencies from that of the longest pass, over their standard deviations."""
-        found = frequency + y[:, 2 : 2 + self.rows.passes] / self.span
+        frequencies = frequency + y[:, 2 : 2 + self.rows.passes] / self.span
         longest = self.rows.longest
-        others = [one for one in range(self.rows.passes) if one != longest]
+        others = [passed for passed in range(self.rows.passes) if passed != longest]
         sd = (self.rows.drift * frequency[longest]).clamp(min=1e-12)
-        return (found[:, others] - found[:, longest, None]) / sd[others]
+        return (frequencies[:, others] - frequencies[:, longest, None]) / sd[others]
 
     def _residual(self, y: Tensor, pole: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
         """Residuals (B, T) in units of their errors, and reflectances (B, K)."""
@@ -189,8 +189,8 @@ class Refiner:
             weights = non_negative(columns.mT @ columns, (columns.mT @ target)[..., 0])
             model = (light @ weights[..., None])[..., 0]
         if rows.scaled:
-            for one in range(rows.passes):
-                here = rows.of(one)
+            for passed in range(rows.passes):
+                here = rows.of(passed)
                 part, data = model[:, here] * weight[here], rows.flux[here] * weight[here]
                 gain = (part * data).sum(-1) / part.square().sum(-1).clamp(min=1e-30)
                 model = model.index_copy(1, here, model[:, here] * gain[:, None])

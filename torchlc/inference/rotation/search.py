@@ -55,8 +55,8 @@ def search_rotation(
     turns = fixed_axis.turns(problem, ranges, course)
     tumbles, told_of_tumbles = _tumbles(problem, turns, course)
     turns = with_sides(problem, turns, course)
-    found, told_of_fits = _fits(problem, turns, tumbles, course)
-    answer = settled(problem, turns, found, course)
+    fits, told_of_fits = _fits(problem, turns, tumbles, course)
+    answer = settled(problem, turns, fits, course)
     if not answer.modes:
         raise _nothing_found(problem, course.allowed)
     decided, words = _verdict(problem, turns, answer, course.allowed)
@@ -85,10 +85,10 @@ def _tumbles(problem: Problem, turns: Turns, course: Course) -> tuple[list[Tumbl
     """Free rotations that explain the light better than the best turn about an axis, where that leaves structure, and what there is
     to say of them."""
     best = turns.best[0]
-    if problem.scene.attitude.mode != "rigid-body" and not turns.leaves_structure:
+    if not problem.scene.attitude.tumbles and not turns.leaves_structure:
         return [], []
     if _changed(problem.rows, best):
-        least, most = (1 / float(one) for one in (best.frequencies.max(), best.frequencies.min()))
+        least, most = (1 / float(frequency) for frequency in (best.frequencies.max(), best.frequencies.min()))
         return [], [
             f"the passes have turns of {least:.5g} to {most:.5g} s: no one free rotation holds over them, and none was looked for; "
             "search one pass to look for it"
@@ -102,8 +102,8 @@ def _tumbles(problem: Problem, turns: Turns, course: Course) -> tuple[list[Tumbl
             problem.rows, problem.body, problem.low, problem.high, turns.dof, best.chi2, course.say
         ),
     )
-    told = [] if tumbles else ["no pair of frequencies of a free rotation explains the light"]
-    return [one for one in tumbles if one.chi2 < best.chi2 - CHANGED], told
+    sentences = [] if tumbles else ["no pair of frequencies of a free rotation explains the light"]
+    return [tumble for tumble in tumbles if tumble.chi2 < best.chi2 - CHANGED], sentences
 
 
 def _changed(rows: Rows, best: Local) -> bool:
@@ -118,23 +118,23 @@ def _fits(
     """The model fitted to the free rotations and, where none of these explains the light, to turns about one axis, and what there is
     to say."""
     course.say("model", 0.0)
-    found: list[Candidate] = []
-    told: list[str] = []
-    for one in tumbles:
-        if not any_finite(found) or course.allowed(FITS):
-            trial = tumbling_trial(problem.scene, problem.recording, problem.rows, one)
-            found.append(fitted(trial, problem.recording))
-    if not any(_explains(problem, one) for one in found):
-        steady, told = fits_of_turns(problem, turns, course)
-        found += steady
-    return [one for one in found if math.isfinite(one.chi2)], told
+    fits: list[Candidate] = []
+    sentences: list[str] = []
+    for tumble in tumbles:
+        if not any_finite(fits) or course.allowed(FITS):
+            trial = tumbling_trial(problem.scene, problem.recording, problem.rows, tumble)
+            fits.append(fitted(trial, problem.recording))
+    if not any(_explains(problem, fit) for fit in fits):
+        steady, sentences = fits_of_turns(problem, turns, course)
+        fits += steady
+    return [fit for fit in fits if math.isfinite(fit.chi2)], sentences
 
 
-def _explains(problem: Problem, one: Candidate) -> bool:
+def _explains(problem: Problem, fit: Candidate) -> bool:
     """Whether a fit leaves little enough that no other kind of rotation is asked for. Errors that are fitted bring chi-square to
     the count of rows whatever is left, so there the rms is held against the noise of successive rows."""
     noise = problem.noise_mag
-    return one.chi2 <= 2 * len(problem.rows.flux) if noise is None else one.rms <= NOISY * noise
+    return fit.chi2 <= 2 * len(problem.rows.flux) if noise is None else fit.rms <= NOISY * noise
 
 
 def _nothing_found(problem: Problem, allowed: Allowed) -> InputError:

@@ -136,7 +136,7 @@ def _tilt(
     values |= {f"tilt_{axis_}": x for axis_, x in zip("xyz", tilt, strict=True)}
     most = math.degrees(MOST_TILT) + 1
     table["tilt"] = tuple(
-        Free(value=x, low=-most, high=most) if one in free else x for one, x in enumerate(tilt)
+        Free(value=x, low=-most, high=most) if component in free else x for component, x in enumerate(tilt)
     )
 
 
@@ -163,17 +163,17 @@ def loose_trial(
     night, number = recording.night[index], rows.number.numpy()
     epochs = night_epochs(recording, night, number, index)
     seconds, texts = recording.seconds, iso_times(recording)
-    at = {one: float(seconds[row]) for one, row in epochs.items()}
+    at = {key: float(seconds[row]) for key, row in epochs.items()}
     common = _common(local)
     phase: dict[str, float] = {}
     period: dict[str, float] = {}
-    for one, name in enumerate(recording.night_ids):
-        held = np.unique(number[night == one])
+    for night_number, name in enumerate(recording.night_ids):
+        held = np.unique(number[night == night_number])
         if not len(held):
             continue
         longest = int(held[np.argmax(rows.span.numpy()[held])])
         frequency = float(local.frequencies[longest]) if periods else common
-        away = at[one] - float(rows.middle[longest])
+        away = at[night_number] - float(rows.middle[longest])
         phase[name] = 360 * ((float(local.phases[longest]) + frequency * away) % 1.0)
         period[name] = 1 / frequency / 3600
     reference = recording.night_ids[int(night[number == rows.longest][0])]
@@ -206,10 +206,10 @@ def night_epochs(
     """By the number of a night, the row of the recording that it counts from: nights that share a pass, as those of two stations
     do, have one. ``night`` and pass ``number`` are those of the rows ``index``."""
     groups: list[tuple[set[int], set[int]]] = []
-    for one, held in sorted(set(zip(night.tolist(), number.tolist(), strict=True))):
-        met = [group for group in groups if one in group[0] or held in group[1]]
+    for night_number, held in sorted(set(zip(night.tolist(), number.tolist(), strict=True))):
+        met = [group for group in groups if night_number in group[0] or held in group[1]]
         groups = [group for group in groups if group not in met]
-        groups.append(({one}.union(*(a for a, _ in met)), {held}.union(*(b for _, b in met))))
+        groups.append(({night_number}.union(*(a for a, _ in met)), {held}.union(*(b for _, b in met))))
     epochs: dict[int, int] = {}
     for nights, _ in groups:
         of = index[np.isin(night, list(nights))]
@@ -267,7 +267,7 @@ def tumbling_trial(scene: Scene, recording: Recording, rows: Rows, state: Tumble
             low=max(0.0, nutation_deg - NUTATION_DEG),
             high=min(90.0, nutation_deg + NUTATION_DEG),
         ),
-        "inertia": tuple(Free(value=one, low=one - room, high=one + room) for one in (x, y)),
+        "inertia": tuple(Free(value=moment, low=moment - room, high=moment + room) for moment in (x, y)),
         "epoch": epoch,
     }
     return Trial(

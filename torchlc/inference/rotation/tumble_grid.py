@@ -95,11 +95,11 @@ def search(
     passes = torch.argsort(rows.span, descending=True)[:MOST_PASSES].tolist()
     paths = []
     for pair in pairs:
-        data = [_binned(rows, rows.of(one), rows.middle[one], pair) for one in passes]
-        for one in moments:
-            nutation = nutation_of(one, pair)
+        data = [_binned(rows, rows.of(passed), rows.middle[passed], pair) for passed in passes]
+        for inertia in moments:
+            nutation = nutation_of(inertia, pair)
             if nutation is not None:
-                paths.append((pair, one, nutation, data, *_path(one, nutation, ways)))
+                paths.append((pair, inertia, nutation, data, *_path(inertia, nutation, ways)))
     best: list[list[TumbleState]] = [[] for _ in paths]
     if not paths:
         return []
@@ -107,13 +107,13 @@ def search(
     paths = [(*path[:4], place, *path[5:]) for path, place in zip(paths, places, strict=True)]
     parts = directions(POLES).split(POLES_AT_ONCE)
     for number, poles in enumerate(parts):
-        tables = [_table(rows, body, poles, ways[used], rows.of(one)) for one in passes]
+        tables = [_table(rows, body, poles, ways[used], rows.of(passed)) for passed in passes]
         for k, path in enumerate(paths):
             best[k] += _states(rows, passes, tables, poles, kept, *path)
             if progress is not None:
                 progress((number + (k + 1) / len(paths)) / len(parts))
-    leading = [sorted(one, key=lambda state: state.misfit)[:kept] for one in best]
-    return sorted((state for one in leading for state in one), key=lambda one: one.misfit)
+    leading = [sorted(states, key=lambda state: state.misfit)[:kept] for states in best]
+    return sorted((state for states in leading for state in states), key=lambda state: state.misfit)
 
 
 def _table(rows: Rows, body: FacetLight, poles: Tensor, ways: Tensor, here: Tensor) -> Tensor:
@@ -130,14 +130,14 @@ def _table(rows: Rows, body: FacetLight, poles: Tensor, ways: Tensor, here: Tens
     sun, observer = turned(rows.to_sun[nodes]), turned(rows.to_observer[nodes])
     lobes = sum(body.lobed)
     exponent = torch.full((lobes,), EXPONENT, dtype=torch.float64)
-    found = []
+    harmonics = []
     for gauge in _gauge(ways):  # body from the frame with z along L, which points along the way in the body
         light = body.light(sun @ gauge, observer @ gauge, exponent)
         plain = light[..., : len(body.names)].sum(-1)
         shiny = light[..., len(body.names) :].sum(-1)
         columns = torch.stack([plain * plain, plain * shiny, shiny * shiny, plain, shiny], -2)
-        found.append(torch.fft.rfft(columns)[..., :HARMONICS].to(torch.complex64))
-    return torch.stack(found)
+        harmonics.append(torch.fft.rfft(columns)[..., :HARMONICS].to(torch.complex64))
+    return torch.stack(harmonics)
 
 
 def _gauge(ways: Tensor) -> Tensor:
@@ -148,18 +148,18 @@ def _gauge(ways: Tensor) -> Tensor:
 def _binned(rows: Rows, here: Tensor, middle: Tensor, pair: FrequencyPair) -> tuple[Tensor, float]:
     """Spectra (2, N, W, H) of the weights and of weights times light of a pass on the torus of a pair, and the square of the light."""
     seconds = rows.seconds[here] - middle
-    place = instants(rows, here)
-    nearest = (seconds[:, None] - seconds[place]).abs().argmin(-1)
+    chosen = instants(rows, here)
+    nearest = (seconds[:, None] - seconds[chosen]).abs().argmin(-1)
     weight = 1 / spread(rows.flux[here], rows.error[here])
     mean = pair.long if pair.short_axis_mode else pair.long + pair.polhode
     way = (seconds * pair.polhode * WAY_STEPS).round().long() % WAY_STEPS
     turn = (seconds * mean * TURN_STEPS).round().long() % TURN_STEPS
     at = (nearest * WAY_STEPS + way) * TURN_STEPS + turn
-    binned = weight.new_zeros(2, len(place) * WAY_STEPS * TURN_STEPS)
-    for one, value in enumerate((weight**2, weight**2 * rows.flux[here])):
-        binned[one].scatter_add_(0, at, value)
+    binned = weight.new_zeros(2, len(chosen) * WAY_STEPS * TURN_STEPS)
+    for index, value in enumerate((weight**2, weight**2 * rows.flux[here])):
+        binned[index].scatter_add_(0, at, value)
     spectrum = torch.fft.fft(
-        torch.fft.rfft(binned.unflatten(-1, (len(place), WAY_STEPS, TURN_STEPS)))[..., :HARMONICS], dim=-2
+        torch.fft.rfft(binned.unflatten(-1, (len(chosen), WAY_STEPS, TURN_STEPS)))[..., :HARMONICS], dim=-2
     )
     return spectrum.conj().to(torch.complex64), float((weight * rows.flux[here]).square().sum())
 
@@ -209,17 +209,17 @@ def _states(
         least, at = (size - torch.where(gain < size, gain, 0.0)).flatten(1).min(-1)
         total += least
         places.append(at)
-    found = []
+    states = []
     for k in torch.argsort(total)[:kept].tolist():
         phases, around = [0.0] * rows.passes, [0.0] * rows.passes
-        for one, at in zip(passes, places, strict=True):
+        for passed, at in zip(passes, places, strict=True):
             way, turn = divmod(int(at[k]), TURN_STEPS)
-            around[one] = way / WAY_STEPS
-            phases[one] = (turn / TURN_STEPS + float(own[way]) / (2 * math.pi)) % 1.0
-        found.append(
+            around[passed] = way / WAY_STEPS
+            phases[passed] = (turn / TURN_STEPS + float(own[way]) / (2 * math.pi)) % 1.0
+        states.append(
             TumbleState(poles[k], pair.long, moments, nutation, tuple(phases), tuple(around), float(total[k]))
         )
-    return found
+    return states
 
 
 def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
@@ -240,7 +240,7 @@ def wander(moments: Tensor, nutation: Tensor, way: Tensor) -> Tensor:
 def _gain(aa: Tensor, ab: Tensor, bb: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """By how much two columns, neither less than 0, lower the sum of squares, from their products and targets. Where a column is
     dark its product is what the harmonics that are left out make of the bright ones."""
-    aa, bb = (one.clamp(min=max(DARK * float(one.mean()), 1e-30)) for one in (aa, bb))
+    aa, bb = (square.clamp(min=max(DARK * float(square.mean()), 1e-30)) for square in (aa, bb))
     determinant = (aa * bb - ab * ab).clamp(min=ALONG * aa * bb)
     x, y = (bb * a - ab * b) / determinant, (aa * b - ab * a) / determinant
     both = torch.where((x > 0) & (y > 0), a * x + b * y, 0.0)

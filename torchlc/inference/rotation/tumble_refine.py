@@ -144,9 +144,9 @@ def nutation_at(moments: Tensor, ratio: Tensor, short_axis_mode: bool, near: flo
     if near is not None:
         a = torch.minimum(torch.maximum(torch.full_like(ratio, near), least), most)
         b = torch.where(a + NEARBY < most, a + NEARBY, a - NEARBY)
-        found, left = crossed(a, over(a), b, over(b))
+        nutation, left = crossed(a, over(a), b, over(b))
         if bool((left.abs() <= ROUNDING * ratio).all()):
-            return found
+            return nutation
     for _ in range(HALVINGS):
         trial = (slow + fast) / 2
         above = over(trial) > 0
@@ -173,11 +173,11 @@ class TumbleRefiner:
         """The best states with phases of each pass, with coordinates (P,) and normal matrices (P, P); best first."""
         begin, bases = [], []
         log_n = torch.full((self.lobes,), math.log(START_N), dtype=torch.float64)
-        for one in starts:
-            phases = torch.tensor([*one.phases, *one.ways], dtype=torch.float64)
-            shared = [0.0, 0.0, 0.0, *logs_of(one.moments).tolist(), 0.0]
+        for guess in starts:
+            phases = torch.tensor([*guess.phases, *guess.ways], dtype=torch.float64)
+            shared = [0.0, 0.0, 0.0, *logs_of(guess.moments).tolist(), 0.0]
             begin.append(torch.cat([torch.tensor(shared, dtype=torch.float64), phases, log_n]))
-            bases.append(_Base.of(one.pole, one.long, one.moments, one.nutation))
+            bases.append(_Base.of(guess.pole, guess.long, guess.moments, guess.nutation))
         at = self.rows.middle
         best: dict[int, Minimum] = {}
         left = list(range(len(starts)))
@@ -189,12 +189,12 @@ class TumbleRefiner:
                     progress((stage + number / len(left)) / len(STAGES))
             left = sorted(left, key=lambda k: float(best[k].cost[0]))
             left = left[: max(LEAST_KEPT, round(len(starts) * kept))]
-        found = []
+        solutions = []
         for k in left:
             jacobian = best[k].jacobian[0]
             state = self._state(best[k].y, bases[k], at, self.longest, float(best[k].cost[0]))
-            found.append((state, best[k].y[0], jacobian.T @ jacobian))
-        return sorted(found, key=lambda one: one[0].chi2)
+            solutions.append((state, best[k].y[0], jacobian.T @ jacobian))
+        return sorted(solutions, key=lambda solution: solution[0].chi2)
 
     def settled(self, local: tuple[Tumble, Tensor, Tensor]) -> tuple[Tumble, Tensor, Tensor]:
         """A solution at the bottom of its valley: bodies and frequencies are exchanged along one that is flat and bent, and phases
@@ -233,9 +233,9 @@ class TumbleRefiner:
                 break
         else:
             return []
-        found = []
-        for _, one in counts[:JOINED]:
-            moved = y + covariance @ slope.T @ torch.linalg.solve(spread, one - off)
+        tumbles = []
+        for _, count in counts[:JOINED]:
+            moved = y + covariance @ slope.T @ torch.linalg.solve(spread, count - off)
             shared = torch.cat([moved[:FIXED], moved[FIXED + reference, None]])
             way = moved[FIXED + self.rows.passes + reference, None]
             shared[[2, 5]] *= self.total / self.longest
@@ -243,11 +243,11 @@ class TumbleRefiner:
             at = self.rows.middle[reference, None]
             best = self._minimised(start[None], base, at, self.total, 40)
             joined = self._state(best.y, base, at, self.total, float(best.cost[0]))
-            pairs = tuple((float(a), float(b)) for a, b in one.reshape(-1, 2))
-            found.append(
+            pairs = tuple((float(a), float(b)) for a, b in count.reshape(-1, 2))
+            tumbles.append(
                 Tumble(**{**vars(joined), "counts": pairs, "possible": len(counts), "complete": complete})
             )
-        return sorted(found, key=lambda one: one.chi2)
+        return sorted(tumbles, key=lambda tumble: tumble.chi2)
 
     def _minimised(
         self, start: Tensor, base: _Base, at: Tensor, length: float, iterations: int, tolerance: float = 1e-4
@@ -279,11 +279,16 @@ class TumbleRefiner:
         exponent = torch.exp(y[:, FIXED + 2 * epochs :])
         frame = frame_of(pole)
         columns = y.new_zeros(len(y), len(self.rows.flux), self.body.columns)
-        for one in range(epochs):
-            here = self.rows.of(one) if epochs > 1 else torch.arange(len(self.rows.flux))
-            elapsed = (self.rows.seconds[here] - at[one]).expand(len(y), len(here))
+        for passed in range(epochs):
+            here = self.rows.of(passed) if epochs > 1 else torch.arange(len(self.rows.flux))
+            elapsed = (self.rows.seconds[here] - at[passed]).expand(len(y), len(here))
             rotation = free_rotation(
-                elapsed, moments, nutation[:, None], 1 / long[:, None], turn[:, one, None], way[:, one, None]
+                elapsed,
+                moments,
+                nutation[:, None],
+                1 / long[:, None],
+                turn[:, passed, None],
+                way[:, passed, None],
             )
             body = rotation.mT @ frame[:, None]
             sun, observer = (
@@ -310,14 +315,14 @@ class TumbleRefiner:
         passes = self.rows.passes
         turn, way = y[:, FIXED : FIXED + passes], y[:, FIXED + passes : FIXED + 2 * passes]
         order = torch.argsort(self.rows.middle).tolist()
-        found = []
+        gaps = []
         for a, b in itertools.pairwise(order):
             elapsed = (self.rows.middle[b] - self.rows.middle[a]).expand(len(y))
             reached_turn, reached_way = advanced(moments, nutation, long, turn[:, a], way[:, a], elapsed)
             # the turn is that at the phase of the way which the pass itself has
-            own = wander(moments, nutation, way[:, b]) - wander(moments, nutation, reached_way)
-            found += [reached_turn + own - turn[:, b], reached_way - way[:, b]]
-        return torch.stack(found, -1)
+            wandered = wander(moments, nutation, way[:, b]) - wander(moments, nutation, reached_way)
+            gaps += [reached_turn + wandered - turn[:, b], reached_way - way[:, b]]
+        return torch.stack(gaps, -1)
 
 
 def advanced(
@@ -337,7 +342,7 @@ def _counts(off: Tensor, spread: Tensor, symmetric: bool) -> tuple[list[tuple[fl
     beams: list[tuple[float, Tensor]] = [(0.0, off.new_zeros(0))]
     complete = True
     parts = (0.0, 0.5) if symmetric else (0.0,)
-    for place in range(0, len(off), 2):
+    for index in range(0, len(off), 2):
         grown: list[tuple[float, Tensor]] = []
         for _, known in beams:
             for part in parts:
@@ -351,7 +356,7 @@ def _counts(off: Tensor, spread: Tensor, symmetric: bool) -> tuple[list[tuple[fl
                         if len(grown) > 20 * MOST_COUNTS:
                             complete = False
                             break
-        grown = [one for one in sorted(grown, key=lambda one: one[0]) if one[0] < WIDTH**2 + place + 2]
+        grown = [beam for beam in sorted(grown, key=lambda beam: beam[0]) if beam[0] < WIDTH**2 + index + 2]
         complete = complete and len(grown) <= MOST_COUNTS
         beams = grown[:MOST_COUNTS]
     return beams, complete

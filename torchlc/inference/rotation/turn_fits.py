@@ -36,30 +36,30 @@ def fits_of_turns(
     change of the period is tried even where a steady turn explains the light."""
     always = changing or isinstance(problem.scene.attitude.period_rate, Free)
     trials = [trial for kind in turns.kinds for trial in _trials(problem, kind)]
-    told: list[str] = []
+    sentences: list[str] = []
     if not trials:
-        told.append(
+        sentences.append(
             "no count of turns between the passes joins their phases to one rotation within its bounds"
         )
-    found: list[Candidate] = []
+    fits: list[Candidate] = []
     for number, trial in enumerate(trials):
-        if trial.changing and not always and found and not _wanting(found, problem.rows):
+        if trial.changing and not always and fits and not _wanting(fits, problem.rows):
             continue
-        if any_finite(found) and not course.allowed(FITS):
+        if any_finite(fits) and not course.allowed(FITS):
             break
-        found.append(fitted(trial, problem.recording))
+        fits.append(fitted(trial, problem.recording))
         course.say("model", (number + 1) / len(trials))
-    if found and not found[0].trial.complete:
-        told.append(
+    if fits and not fits[0].trial.complete:
+        sentences.append(
             "the passes are too far apart for their phases to be connected: the counts of turns between them that are "
             "told are some of many"
         )
-    return found, told
+    return fits, sentences
 
 
 def any_finite(found: Sequence[Candidate]) -> bool:
     """Whether a fit has a chi-square; one whose light is nowhere has none."""
-    return any(math.isfinite(one.chi2) for one in found)
+    return any(math.isfinite(fit.chi2) for fit in found)
 
 
 def period_at(one: Connection, seconds: float) -> float:
@@ -82,27 +82,27 @@ class _Ways:
         """Those about as possible as the best."""
         return _about_as_possible(self.joined)
 
-    def spread(self, one: Connection) -> dict[str, float]:
-        """What the other ways leave open of the period and of its rate, of a trial of ``one``. Where the period is taken as steady,
+    def spread(self, connection: Connection) -> dict[str, float]:
+        """What the other ways leave open of the period and of its rate, of a trial of ``connection``. Where the period is taken as steady,
         the rate that would not show is that of all counts with one."""
         near = self.near
         spread: dict[str, float] = {}
         if len(near) > 1:
             periods = np.array([period_at(other, self.epoch) for other in near]) / 3600
-            off = periods - period_at(one, self.epoch) / 3600
+            off = periods - period_at(connection, self.epoch) / 3600
             spread["period"] = float(np.sqrt(_chances(near) @ off**2))
         if self.changes is not None and self.changes.found:
             most = _about_as_possible(self.changes)
             rates = np.array([other.rate for other in most])
-            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - one.rate) ** 2))
+            spread["period_rate"] = float(np.sqrt(_chances(most) @ (rates - connection.rate) ** 2))
         return spread
 
-    def likely(self, one: Connection) -> tuple[Count, ...]:
-        """The counts that are as possible, from those of ``one``; none where there is only it."""
+    def likely(self, connection: Connection) -> tuple[Count, ...]:
+        """The counts that are as possible, from those of ``connection``; none where there is only it."""
         near = self.near
         if len(near) < 2:
             return ()
-        base = np.array(differences(one.counts, self.symmetry))
+        base = np.array(differences(connection.counts, self.symmetry))
         return tuple(
             Count(
                 tuple((np.array(differences(other.counts, self.symmetry)) - base).tolist()),
@@ -113,15 +113,15 @@ class _Ways:
             for other, chance in list(zip(near, _chances(near), strict=True))[:LIKELY]
         )
 
-    def left_open(self, trial: Trial, one: Connection) -> Trial:
-        """A trial of ``one`` with what the other ways leave open."""
+    def left_open(self, trial: Trial, connection: Connection) -> Trial:
+        """A trial of ``connection`` with what the other ways leave open."""
         near = self.near
         return replace(
             trial,
             possible=max(1, len(near)),
             complete=self.joined.complete or len(near) < len(self.joined.found),
-            spread=self.spread(one),
-            likely=self.likely(one),
+            spread=self.spread(connection),
+            likely=self.likely(connection),
         )
 
 
@@ -140,11 +140,18 @@ def _trials(problem: Problem, turns: Turns) -> list[Trial]:
             ways = _Ways(joined, changes, turns.symmetry, epoch)
             # of counts that are some of many, one fit tells what any leaves
             tried = JOINED if number == 0 and joined.complete else 1
-            for one in ways.near[:tried]:
+            for connection in ways.near[:tried]:
                 trial = steady_trial(
-                    scene, recording, rows, local, one, turns.symmetry, changing=drifts, tilted=turns.tilted
+                    scene,
+                    recording,
+                    rows,
+                    local,
+                    connection,
+                    turns.symmetry,
+                    changing=drifts,
+                    tilted=turns.tilted,
                 )
-                trials.append(ways.left_open(trial, one))
+                trials.append(ways.left_open(trial, connection))
     return trials
 
 
@@ -153,17 +160,19 @@ def _joined(problem: Problem, turns: Turns, local: Local, *, changing: bool) -> 
 
 
 def _about_as_possible(ways: Connections) -> list[Connection]:
-    return [one for one in ways.found if one.distance < ways.found[0].distance + KEPT_CHI2]
+    return [
+        connection for connection in ways.found if connection.distance < ways.found[0].distance + KEPT_CHI2
+    ]
 
 
 def _chances(near: Sequence[Connection]) -> np.ndarray:
     """Probabilities of counts of turns by the distances of their phases."""
-    weight = np.exp(-0.5 * (np.array([one.distance for one in near]) - near[0].distance))
+    weight = np.exp(-0.5 * (np.array([connection.distance for connection in near]) - near[0].distance))
     return weight / weight.sum()
 
 
-def _wanting(found: Sequence[Candidate], rows: Rows) -> bool:
+def _wanting(fits: Sequence[Candidate], rows: Rows) -> bool:
     """Whether steady spin leaves more than the errors allow: chi-square beyond 3 of its standard deviations."""
-    least = min((one.chi2 for one in found if not one.trial.changing), default=math.inf)
+    least = min((fit.chi2 for fit in fits if not fit.trial.changing), default=math.inf)
     count = len(rows.flux)
     return least > count + 3 * math.sqrt(2 * count)

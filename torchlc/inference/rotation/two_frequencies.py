@@ -58,9 +58,11 @@ def frequency_pairs(rows: Rows, low: float, high: float, *, halves: bool, most: 
     """Pairs with the first frequency between ``low`` and ``high``, 1/s, the likeliest first; ``halves``: the body looks the
     same after half a turn about each axis."""
     longest = float(rows.span.max())
-    light = [_light(rows, one) for one in range(rows.passes)]
+    light = [_light(rows, passed) for passed in range(rows.passes)]
     light = [
-        one for one in light if len(one[0]) >= ROWS_A_COEFFICIENT * (2 * len(_orders(COARSE, halves)) + 1)
+        series
+        for series in light
+        if len(series[0]) >= ROWS_A_COEFFICIENT * (2 * len(_orders(COARSE, halves)) + 1)
     ]
     if not light:
         return []
@@ -101,8 +103,8 @@ def _candidates(low: float, high: float, longest: float) -> tuple[Tensor, float]
     polhode = torch.arange(
         LEAST_TURNS / longest, max(MOST_RATIO * high, 1 / longest), step, dtype=torch.float64
     )
-    found = torch.cartesian_prod(long, polhode, torch.tensor([1.0, 0.0], dtype=torch.float64))
-    return found[found[:, 1] <= MOST_RATIO * found[:, 0]], step
+    pairs = torch.cartesian_prod(long, polhode, torch.tensor([1.0, 0.0], dtype=torch.float64))
+    return pairs[pairs[:, 1] <= MOST_RATIO * pairs[:, 0]], step
 
 
 def _pair(candidates: Tensor) -> Tensor:
@@ -123,10 +125,10 @@ def _distinct(candidates: Tensor, share: Tensor, longest: float, most: int) -> l
     return kept
 
 
-def _light(rows: Rows, one: int) -> tuple[Tensor, Tensor]:
+def _light(rows: Rows, passed: int) -> tuple[Tensor, Tensor]:
     """Seconds about its middle and magnitudes about a mean and a slope of a pass."""
-    here = rows.of(one)
-    seconds = rows.seconds[here] - rows.middle[one]
+    here = rows.of(passed)
+    seconds = rows.seconds[here] - rows.middle[passed]
     light = -torch.log(rows.flux[here].clamp(min=1e-300))
     design = torch.stack([torch.ones_like(seconds), seconds / seconds.abs().max().clamp(min=1e-9)], 1)
     return seconds, light - design @ torch.linalg.lstsq(design, light[:, None]).solution[:, 0]
@@ -144,7 +146,7 @@ def _orders(most: int, halves: bool) -> list[tuple[int, int]]:
 
 def explained(passes: list[tuple[Tensor, Tensor]], pairs: Tensor, halves: bool, most: int) -> Tensor:
     """Share (B,) of the variance that the series of pairs (B, 2) explains, less what so many coefficients explain of noise."""
-    found, total = torch.zeros(len(pairs), dtype=torch.float64), 0.0
+    shares, total = torch.zeros(len(pairs), dtype=torch.float64), 0.0
     for seconds, light in passes:
         order = most
         while order > COARSE and ROWS_A_COEFFICIENT * (2 * len(_orders(order, halves)) + 1) > len(seconds):
@@ -161,8 +163,8 @@ def explained(passes: list[tuple[Tensor, Tensor]], pairs: Tensor, halves: bool, 
             target = (design.mT @ light[:, None])[..., 0]
             solved = torch.linalg.solve(normal, target[..., None])[..., 0]
             left = (light - (design @ solved[..., None])[..., 0]).square().sum(-1)
-            found[start : start + AT_ONCE] += size - left * (len(seconds) - 1) / max(free, 1)
-    return found / max(total, 1e-300)
+            shares[start : start + AT_ONCE] += size - left * (len(seconds) - 1) / max(free, 1)
+    return shares / max(total, 1e-300)
 
 
 def _spectral(passes: list[tuple[Tensor, Tensor]], pairs: Tensor, step: float, halves: bool) -> Tensor:

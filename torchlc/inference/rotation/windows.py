@@ -24,8 +24,8 @@ OVERSAMPLING = 5
 def power(rows: Rows, frequency: np.ndarray, passes: Sequence[int] | None = None) -> np.ndarray:
     """Share of the variance, over all ``passes``, that two harmonics explain, about a mean and a slope of each pass."""
     explained, total = np.zeros(len(frequency)), 0.0
-    for one in range(rows.passes) if passes is None else passes:
-        here = rows.of(one).numpy()
+    for passed in range(rows.passes) if passes is None else passes:
+        here = rows.of(passed).numpy()
         if len(here) < 2 * TERMS + 4:
             continue
         seconds = rows.seconds[here].numpy()
@@ -51,28 +51,28 @@ def windows(rows: Rows, low: float, high: float) -> tuple[list[tuple[float, floa
         return [(low, high)], frequency, strength
     peaks = _peaks(frequency, strength, longest)
     # what may have changed by more than a step since the longest pass is looked for in each of them
-    apart = [one for one in range(rows.passes) if float(rows.drift[one]) * high * longest > WHOLE]
-    for one in [rows.longest, *apart] if apart else []:
-        alone = _peaks(frequency, power(rows, frequency, [one]), longest)
+    apart = [number for number in range(rows.passes) if float(rows.drift[number]) * high * longest > WHOLE]
+    for passed in [rows.longest, *apart] if apart else []:
+        alone = _peaks(frequency, power(rows, frequency, [passed]), longest)
         peaks += [peak for peak in alone if all(abs(peak - other) > 1.5 / longest for other in peaks)]
     reach = WHOLE / longest
-    found: list[tuple[float, float]] = []
+    ranges: list[tuple[float, float]] = []
     for peak in peaks:
         for multiple in MULTIPLES:
             middle = peak / multiple
             first, last = max(low, middle - reach / 2), min(high, middle + reach / 2)
-            if first < last and all(abs(middle - (a + b) / 2) > reach / 2 for a, b in found):
-                found.append((first, last))
-    return found or [(low, high)], frequency, strength
+            if first < last and all(abs(middle - (a + b) / 2) > reach / 2 for a, b in ranges):
+                ranges.append((first, last))
+    return ranges or [(low, high)], frequency, strength
 
 
 def _peaks(frequency: np.ndarray, strength: np.ndarray, longest: float) -> list[float]:
     """Frequencies of the highest maxima, highest first."""
     inner = np.flatnonzero((strength[1:-1] >= strength[:-2]) & (strength[1:-1] > strength[2:])) + 1
     peaks: list[float] = []
-    for place in inner[np.argsort(-strength[inner])]:
-        if all(abs(frequency[place] - other) > 1.5 / longest for other in peaks):
-            peaks.append(float(frequency[place]))
+    for index in inner[np.argsort(-strength[inner])]:
+        if all(abs(frequency[index] - other) > 1.5 / longest for other in peaks):
+            peaks.append(float(frequency[index]))
         if len(peaks) == PEAKS:
             break
     return peaks

@@ -79,10 +79,10 @@ class ClockTables(Evaluator):
         columns = nodes[0].columns
         row = torch.arange(self.assembly.T) if columns is None else columns.row
         values = self.values(flat)
-        place = self.assembly.rows(values, self.clock_name, row) / step
-        place = place.expand(len(flat), len(row)).clamp(-half, half) + half
-        first_node = (place.detach().floor().long() - 1).clamp(0, NODES - 4)
-        weights = cubic(place - first_node)
+        position = self.assembly.rows(values, self.clock_name, row) / step
+        position = position.expand(len(flat), len(row)).clamp(-half, half) + half
+        first_node = (position.detach().floor().long() - 1).clamp(0, NODES - 4)
+        weights = cubic(position - first_node)
         column = torch.arange(len(row))
         view = self.pipeline.places(values, len(flat))
         phase_angle = phase_angle_of(view, columns)
@@ -93,7 +93,7 @@ class ClockTables(Evaluator):
                 stack = torch.stack([node.surfaces[number].table[name] for node in nodes])
                 table[name] = sum(
                     (weights[k] * stack[first_node + k, column] for k in range(4)),
-                    start=torch.zeros_like(place),
+                    start=torch.zeros_like(position),
                 )
             surfaces.append(replace(surface, table=table, phase_angle=phase_angle))
         sky = sky_of(view, columns, self.assembly.instants, fixed=False)
@@ -105,7 +105,7 @@ class ClockTables(Evaluator):
         with apart():
             values = self.assembly.attitude_values(self.values(self.parameters.start()))
             state = [self.assembly.track.at(zero, zero, 0.0) for zero in (0.0, 1.0)]
-            first, second = (self.assembly.attitude.rotation(one, values) for one in state)
+            first, second = (self.assembly.attitude.rotation(moment, values) for moment in state)
             turn = torch.linalg.matrix_norm(first - second).median() / math.sqrt(2)
             return float(math.radians(CLOCK_TURN_DEG) / turn.clamp(min=1e-12))
 

@@ -58,12 +58,12 @@ class Evaluator(ABC):
 
     def brightness(self, theta: Tensor, shares: bool) -> Brightness:
         """`light`, whose flux is the same whether or not shares are asked for."""
-        found = self.light(theta, shares)
+        brightness = self.light(theta, shares)
         detailed = shares and not self.assembly.needs_shares
         if detailed and (self.materials_tabulated(True) or self.materials_tabulated(False)):
             # a component's lobes are another table than those of all of its material together
-            return replace(found, flux=self.light(theta, False).flux)
-        return found
+            return replace(brightness, flux=self.light(theta, False).flux)
+        return brightness
 
     @property
     def tabulated(self) -> tuple[str, ...]:
@@ -77,14 +77,14 @@ class Evaluator(ABC):
     def tabulated_mag(self) -> float:
         """The largest error of lobes that are interpolated over their exponent, mag."""
         kept = self.kept_surfaces(self.assembly.needs_shares) if self.tabulated else []
-        return max((one.tabulated_mag for one in kept if one is not None), default=0.0)
+        return max((surface.tabulated_mag for surface in kept if surface is not None), default=0.0)
 
     def materials_tabulated(self, detail: bool) -> tuple[str, ...]:
         """Materials whose lobes are interpolated over their exponent."""
         if not any(map(self.condensable, self.assembly.models)):
             return ()
         surfaces = (surface for surface in self.kept_surfaces(detail) if surface is not None)
-        return tuple(dict.fromkeys(one.material for one in surfaces if "lobes" in one.table))
+        return tuple(dict.fromkeys(surface.material for surface in surfaces if "lobes" in surface.table))
 
     def kept_surfaces(self, detail: bool) -> list[Surface | None]:
         """Surfaces whose tables are made once for all theta."""
@@ -156,14 +156,15 @@ class Evaluator(ABC):
 
     def shone(self, tables: Tables, theta: Tensor, shares: bool) -> Brightness:
         """Light of every row of theta (..., P), whether or not it depends on it."""
-        found = self.pipeline.shine(tables, self.values(theta), shares)
-        flux = found.flux.expand(*theta.shape[:-1], -1)
-        kept = None if found.shares is None else found.shares.expand(*theta.shape[:-1], -1, -1)
-        return replace(found, flux=flux, shares=kept)
+        brightness = self.pipeline.shine(tables, self.values(theta), shares)
+        flux = brightness.flux.expand(*theta.shape[:-1], -1)
+        kept = None if brightness.shares is None else brightness.shares.expand(*theta.shape[:-1], -1, -1)
+        return replace(brightness, flux=flux, shares=kept)
 
     def joined(self, pieces: list[Brightness], theta: Tensor) -> Brightness:
         """Pieces of a batch as one, in the shape of theta (..., P)."""
-        flux = torch.cat([piece.flux for piece in pieces]).reshape(*theta.shape[:-1], -1)
+        flux = torch.cat([piece.flux for piece in pieces])
+        flux = flux.reshape(*theta.shape[:-1], flux.shape[-1])
         several = [piece.shares for piece in pieces if piece.shares is not None]
         if not several:
             return Brightness(flux, None, self.assembly.components)

@@ -46,15 +46,15 @@ class Sized:
     def at(self, areas: Sequence[Tensor]) -> Tables:
         """Tables for facets of areas (F,) or (B, F) of each part."""
         surfaces: list[Surface] = []
-        for one, patches in self.kept:
-            if isinstance(one, StillPairs):
+        for surface, patches in self.kept:
+            if isinstance(surface, StillPairs):
                 pieces = [areas[part][..., select] for part, select in patches]
                 if any(piece.ndim > 1 for piece in pieces):
                     batch = max(len(piece) for piece in pieces if piece.ndim > 1)
                     pieces = [piece.expand(batch, piece.shape[-1])[:, None] for piece in pieces]
-                surfaces.append(one.covered(torch.cat(pieces, -1)))
-            elif one is not None:
-                surfaces.append(one)
+                surfaces.append(surface.covered(torch.cat(pieces, -1)))
+            elif surface is not None:
+                surfaces.append(surface)
         return replace(self.tables, surfaces=tuple(surfaces))
 
 
@@ -75,19 +75,19 @@ class ExactGeometry(Evaluator):
 
     def light(self, theta: Tensor, shares: bool) -> Brightness:
         flat = theta[None] if theta.ndim == 1 else theta.flatten(0, -2)
-        found = self._sharing(flat, shares)
-        if found is None and theta.ndim == 1:
+        brightness = self._sharing(flat, shares)
+        if brightness is None and theta.ndim == 1:
             return self._single(theta, shares)
-        if found is None:
+        if brightness is None:
             size = max(1, VALUES_AT_ONCE // max(1, self.assembly.pairs))
 
-            def one(row: Tensor) -> tuple[Tensor, ...]:
+            def of_row(row: Tensor) -> tuple[Tensor, ...]:
                 result = self._single(row, shares)
                 return (result.flux,) if result.shares is None else (result.flux, result.shares)
 
-            flux, *kept = torch.vmap(one, chunk_size=size)(flat)
-            found = Brightness(flux, kept[0] if kept else None, self.assembly.components)
-        return self.joined([found], theta)
+            flux, *kept = torch.vmap(of_row, chunk_size=size)(flat)
+            brightness = Brightness(flux, kept[0] if kept else None, self.assembly.components)
+        return self.joined([brightness], theta)
 
     def _sharing(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) together, with tables that they have in common; None where each stands alone."""
@@ -141,10 +141,10 @@ class ExactGeometry(Evaluator):
             return make()
         return self._remembered(detail, distinct[0], make)
 
-    def _remembered(self, detail: bool, one: Tensor, make: Callable[[], Tables]) -> Tables:
+    def _remembered(self, detail: bool, theta: Tensor, make: Callable[[], Tables]) -> Tables:
         """Tables of the geometry of theta (P,) as they were made before, or now; the last RECENT_TABLES are kept, or as many as take
         LARGEST_MEMORY: one of a rocket body may take 200 MB."""
-        key = (detail, tuple(one[self.assembly.geometry_columns].tolist()))
+        key = (detail, tuple(theta[self.assembly.geometry_columns].tolist()))
         if key not in self._recent:
             self._recent[key] = make()
             most = max(1, min(RECENT_TABLES, LARGEST_MEMORY // max(1, bytes_of(self._recent[key]))))
@@ -161,8 +161,8 @@ class ExactGeometry(Evaluator):
         distinct, member = torch.unique(moving, dim=0, return_inverse=True)
         if len(distinct) == len(rows):
             return rows, None
-        place = torch.arange(len(rows), device=rows.device)
-        return rows[member.new_empty(len(distinct)).index_copy(0, member, place)], member
+        index = torch.arange(len(rows), device=rows.device)
+        return rows[member.new_empty(len(distinct)).index_copy(0, member, index)], member
 
     def _grouped(self, flat: Tensor, shares: bool) -> Brightness | None:
         """Rows of theta (B, P) that share their geometric parameters share one compact table; None where
@@ -177,13 +177,15 @@ class ExactGeometry(Evaluator):
         detail = shares or self.assembly.needs_shares
         flux = flat.new_empty(len(flat), self.assembly.T)
         kept = flat.new_empty(len(flat), len(self.assembly.components), self.assembly.T) if shares else None
-        for index, one in enumerate(distinct):
+        for index, geometry in enumerate(distinct):
             rows = torch.nonzero(member == index)[:, 0]
 
-            def make(one: Tensor = one) -> Tables:
-                return self.pipeline.make_tables(self.pipeline.view(self.values(one)), detail, compact=True)
+            def make(geometry: Tensor = geometry) -> Tables:
+                return self.pipeline.make_tables(
+                    self.pipeline.view(self.values(geometry)), detail, compact=True
+                )
 
-            piece = self.chunked(flat[rows], self._remembered(detail, one, make), shares)
+            piece = self.chunked(flat[rows], self._remembered(detail, geometry, make), shares)
             flux[rows] = piece.flux
             if kept is not None and piece.shares is not None:
                 kept[rows] = piece.shares
@@ -208,17 +210,25 @@ class ExactGeometry(Evaluator):
                 theta = self.parameters.start()
                 alone = self.pipeline.view(self.values(theta))
                 both = self.pipeline.view(self.values(theta.expand(2, -1)), 2)
-                turning = {key: turns(one, patches) for key, one, patches in sorted_patches(both, detail)}
-                moving = {key for key, one, patches in sorted_patches(both, detail) if moves(one, patches)}
+                turning = {
+                    key: turns(lit_view, patches) for key, lit_view, patches in sorted_patches(both, detail)
+                }
+                moving = {
+                    key for key, lit_view, patches in sorted_patches(both, detail) if moves(lit_view, patches)
+                }
                 self._still[detail] = {}
-                for key, one, patches in sorted_patches(alone, detail):
+                for key, part_view, patches in sorted_patches(alone, detail):
                     if key not in moving:
-                        made = surface_of(key, one, patches, True, self.assembly.apart)
+                        made = surface_of(key, part_view, patches, True, self.assembly.apart)
                         self._still[detail][key] = made and self.condensed(made)
-                    elif not turning[key] and len(one.nodes.offset) == 1 and self._few_pairs(one, patches[0]):
-                        phase = phase_angle_of(one, self.assembly.apart)
+                    elif (
+                        not turning[key]
+                        and len(part_view.nodes.offset) == 1
+                        and self._few_pairs(part_view, patches[0])
+                    ):
+                        phase = phase_angle_of(part_view, self.assembly.apart)
                         self._still[detail][key] = still_pairs(
-                            key, one, patches, self.assembly.apart, phase, self.condensed
+                            key, part_view, patches, self.assembly.apart, phase, self.condensed
                         )
         return self._still[detail]
 
@@ -238,7 +248,9 @@ class ExactGeometry(Evaluator):
                     still = self.still_surfaces(detail)
                     patches = sorted_patches(view, detail)
                     if all(key in still for key, _, _ in patches):
-                        kept = [(still[key], [_facets_of(one) for one in own]) for key, _, own in patches]
+                        kept = [
+                            (still[key], [_facets_of(patch) for patch in alike]) for key, _, alike in patches
+                        ]
                         made = Sized(
                             kept, self.pipeline.make_tables(view, detail, compact=False, still=still)
                         )
@@ -256,9 +268,9 @@ class ExactGeometry(Evaluator):
         with apart():
             view = self.pipeline.view(self.values(self.parameters.start()))
         shadowed = any(
-            one is not None and one.shape[1] > 1
+            share is not None and share.shape[1] > 1
             for patch in view.patches
-            for one in (patch.visible, patch.seen)
+            for share in (patch.visible, patch.seen)
         )
         return not shadowed and all(key in still for key, _, _ in sorted_patches(view, detail))
 
@@ -271,7 +283,7 @@ class ExactGeometry(Evaluator):
 
     def kept_surfaces(self, detail: bool) -> list[Surface | None]:
         kept = self.still_surfaces(detail).values() if self.gridded else []
-        return [one.surface if isinstance(one, StillPairs) else one for one in kept]
+        return [surface.surface if isinstance(surface, StillPairs) else surface for surface in kept]
 
     def forget(self) -> None:
         """Drops the tables of recent geometries, which an optimiser at work comes back to."""

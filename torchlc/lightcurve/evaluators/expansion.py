@@ -2,7 +2,8 @@
 
 Sums of lobes and of diffuse light change smoothly with a geometry: near a glint the logarithm of a lobe is a parabola in any
 angle. So their logarithms, at every exponent of the tables and in every row, are expanded to second order in the d numbers
-that move the geometry, from exact tables at 1 + 2 d + d (d - 1) / 2 geometries. A call then adds up some rows of these
+that move the geometry, from exact tables at 1 + 2 d + d (d - 1) / 2 geometries; or to the third, where the second does not reach as far as draws
+lie. A call then adds up some rows of these
 tables, whatever effects are on: shadows, the Sun's disc and exposures are in them. What is not smooth stays out: the Earth's
 shadow is worked out from expanded positions; a facet that rises or sets, or a shadow's edge that reaches a corner, is what
 is left, and is measured.
@@ -15,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import torch
 from torch import Tensor
@@ -34,14 +35,26 @@ MOST_MAG = 2e-3
 LEAST_REACH = 1.5
 """Standard deviations within which it has to keep that, to be of use."""
 HELD_OUT = 24
-"""Geometries at which the error is measured, spread evenly over the reach. At 300 draws of each posterior of the tests, which
-lie nearer, light was at most 0.45 times as far off, or by no more than the exact light itself."""
+"""Geometries at which the error is measured, spread evenly over the reach."""
+STEEPEST = 6
+"""Of these geometries, the ones towards which the error grows fastest."""
+CLOSER = (1.0, 0.8, -1.0)
+"""Shares of the reach at which it is measured again about these directions, and in the opposite ones."""
+ASIDE = 0.3
+"""How far aside of them, as a share of the distance: of random directions one in some hundreds lies nearer the worst of five numbers."""
+MARGIN = 1.0
+"""Standard deviations by which it has to reach beyond the mean distance of draws, lest a sixth of them cost exact light; else it goes to
+the third order."""
+MOST_CUBIC = 5
+"""Numbers of the geometry up to which it does: 66 exact tables, and 56 monomials."""
 MOST_NUMBERS = 12
 """Numbers of the geometry, for which 91 exact tables are made."""
 NEGLIGIBLE = 2e-5
 """Term of a logarithm, at the end of the reach, below which it is left out."""
 DARK = -600.0
 """Logarithm that tables of lobes hold where there is no light."""
+LOBES = "lobes"
+"""Ends the name of an entry of a condensed table that holds logarithms of sums by exponent."""
 FAINT = 1e-6
 """Share of the brightest row below which a row's error is not counted."""
 
@@ -51,7 +64,7 @@ class UnsuitableError(ValueError):
 
 
 class Expansion(Evaluator):
-    """Second order about theta (P,), for values within ``reach`` standard deviations, of covariance ``scale`` (P, P); beyond
+    """Second order about theta (P,), or third, for values within ``reach`` standard deviations, of covariance ``scale`` (P, P); beyond
     them light is exact. ``own_error_mag`` is the largest difference from the exact light at HELD_OUT geometries within the
     reach, between those of the stencil, with materials about those of theta as ``scale`` has them, in rows of at least FAINT of the brightest;
     ``error_mag`` has that of the exact light too.
@@ -85,11 +98,40 @@ class Expansion(Evaluator):
         self.factor = factor
         self.centre = self._unscaled(at)
         count = len(at)
-        self.pairs = list(combinations(range(count), 2))
-        self.reach = math.sqrt(count) + 3.0
         self._kept: dict[bool, tuple[Tables, Tables]] = {}
+        self._made: dict[bool, list[Tables]] = {}
+        """Exact tables of the stencil, for the third order to begin with."""
+        self._measured: dict[bytes, Tensor] = {}
+        """Exact light of geometries at which an order was measured, for the other."""
+        self.may_go_on = count <= MOST_CUBIC
         with apart():
-            self._measure()
+            self._to_order(2)
+            if self.reach < math.sqrt(count) + MARGIN and self.may_go_on:
+                self.may_go_on = False
+                self._to_order(3)
+        self.may_go_on = False
+        self._made.clear()
+        self._measured.clear()
+        if self.reach < LEAST_REACH:
+            raise UnsuitableError(
+                f"light {self.reach:.2g} standard deviations away is {float(self.row_errors.max()):.2g} mag off"
+            )
+
+    def _to_order(self, order: int) -> None:
+        """Be of an order as far as that reaches."""
+        count = len(self.columns)
+        self.powers = [
+            powers
+            for degree in range(order + 1)
+            for powers in combinations_with_replacement(range(count), degree)
+        ]
+        """Axes (several times for higher powers) whose coordinates each monomial is the product of."""
+        stencil = _stencil(count, order).to(self.theta)
+        self.stencil = STEP * stencil
+        self.solved = torch.linalg.pinv(self._products(self.stencil))
+        self.reach = math.sqrt(count) + 3.0
+        self._kept.clear()
+        self._measure()
 
     def _check(self) -> None:
         a = self.assembly
@@ -135,33 +177,17 @@ class Expansion(Evaluator):
 
     # ------------------------------------------------------------------ polynomials
 
-    def _stencil(self) -> Tensor:
-        """Coordinates (S, d): the middle, a step either way, a step along two axes at once."""
-        d = len(self.columns)
-        eye = STEP * torch.eye(d, dtype=self.theta.dtype, device=self.theta.device)
-        both = [eye[i] + eye[j] for i, j in self.pairs]
-        return torch.stack([torch.zeros_like(self.centre), *eye, *-eye, *both])
+    def _products(self, u: Tensor) -> Tensor:
+        """The monomials (..., M) at coordinates (..., d)."""
+        return torch.stack([u[..., list(powers)].prod(-1) for powers in self.powers], -1)
 
     def _coefficients(self, values: Tensor) -> Tensor:
-        """Coefficients (M, ...) of monomials 1, u_i, u_i^2, u_i u_j from values (S, ...) of the stencil."""
-        d = len(self.columns)
-        middle, ahead, behind, both = (
-            values[:1],
-            values[1 : d + 1],
-            values[d + 1 : 2 * d + 1],
-            values[2 * d + 1 :],
-        )
-        cross = [
-            (both[k] - ahead[i] - ahead[j] + middle[0])[None] / STEP**2 for k, (i, j) in enumerate(self.pairs)
-        ]
-        first, second = (ahead - behind) / (2 * STEP), (ahead - 2 * middle + behind) / (2 * STEP**2)
-        return torch.cat([middle, first, second, *cross])
+        """Coefficients (M, ...) of the monomials from values (S, ...) of the stencil."""
+        return torch.tensordot(self.solved, values, 1)
 
     def monomials(self, theta: Tensor) -> Tensor:
         """The monomials (..., M) at theta (..., P)."""
-        u = self.coordinates(theta)
-        cross = [(u[..., i] * u[..., j])[..., None] for i, j in self.pairs]
-        return torch.cat([torch.ones_like(u[..., :1]), u, u * u, *cross], -1)
+        return self._products(self.coordinates(theta))
 
     # ------------------------------------------------------------------ tables
 
@@ -169,39 +195,46 @@ class Expansion(Evaluator):
         """Tables of coefficients, and the tables of the reference that they are of."""
         if detail not in self._kept:
             with apart():
-                made = [self._exact_tables(theta, detail) for theta in self.theta_at(self._stencil())]
+                known = self._made.pop(detail, [])
+                further = self.theta_at(self.stencil[len(known) :])
+                made = known + [self._exact_tables(theta, detail) for theta in further]
+            if self.may_go_on:
+                self._made[detail] = made
             self._kept[detail] = self._expanded(made), made[0]
         return self._kept[detail]
 
     def _exact_tables(self, theta: Tensor, detail: bool) -> Tables:
         made = self.pipeline.make_tables(self.pipeline.view(self.values(theta)), detail, compact=True)
-        return replace(made, surfaces=tuple(condensed(one) for one in made.surfaces))
+        return replace(made, surfaces=tuple(condensed(surface) for surface in made.surfaces))
 
     def _expanded(self, made: list[Tables]) -> Tables:
         several: dict[Key, list[Surface | None]] = {}
         for number, tables in enumerate(made):
-            for one in tables.surfaces:
-                key = one.component, one.material, one.sunlit, one.scale
-                several.setdefault(key, [None] * len(made))[number] = one
+            for surface in tables.surfaces:
+                key = surface.component, surface.material, surface.sunlit, surface.scale
+                several.setdefault(key, [None] * len(made))[number] = surface
         surfaces = tuple(self._surface(surfaces) for surfaces in several.values())
         sky = made[0].sky
-        state, nodes = (self._record([getattr(one.sky, name) for one in made]) for name in ("state", "nodes"))
+        state, nodes = (
+            self._record([getattr(tables.sky, name) for tables in made]) for name in ("state", "nodes")
+        )
         return replace(made[0], surfaces=surfaces, sky=replace(sky, state=state, nodes=nodes))
 
     def _surface(self, surfaces: list[Surface | None]) -> Surface:
-        known = next(one for one in surfaces if one is not None)
+        known = next(surface for surface in surfaces if surface is not None)
         table = {}
         for name, like in known.table.items():
-            blank = torch.full_like(like, DARK) if name == "lobes" else torch.zeros_like(like)
-            if name == "lobes":
+            of_lobes = name.endswith(LOBES)
+            blank = torch.full_like(like, DARK) if of_lobes else torch.zeros_like(like)
+            if of_lobes:
                 blank.unflatten(0, (-1, 2))[:, 1] = 0.0
-            values = torch.stack([blank if one is None else one.table[name] for one in surfaces])
-            table |= self._lobes(values) if name == "lobes" else self._sums(name, values)
-        phase = torch.stack([(known if one is None else one).phase_angle for one in surfaces])
+            values = torch.stack([blank if surface is None else surface.table[name] for surface in surfaces])
+            table |= self._lobes(name, values) if of_lobes else self._sums(name, values)
+        phase = torch.stack([(known if surface is None else surface).phase_angle for surface in surfaces])
         return replace(known, table=table, phase_angle=self._coefficients(phase))
 
-    def _lobes(self, values: Tensor) -> dict[str, Tensor]:
-        """Coefficients of the logarithms of lobe sums (S, 2 G, 2 C) by exponent, monomial and row: (2 G M, 2 C); those that
+    def _lobes(self, name: str, values: Tensor) -> dict[str, Tensor]:
+        """Coefficients of the logarithms of lobe sums (S, 2 G, 2 C), with which monomials they are of, by exponent, monomial and row: (2 G M, 2 C); those that
         are dark at some geometry of the stencil stay what they are at the reference."""
         nodes = values.unflatten(1, (-1, 2))
         dark = (nodes[:, :, 0] <= DARK).any(0)[:, None]
@@ -212,11 +245,11 @@ class Expansion(Evaluator):
         kept = largest * self.reach ** self._degree().clamp(min=1) > NEGLIGIBLE
         kept[0] = True
         order = torch.nonzero(kept)[:, 0]
-        return {"lobes": coefficients[order].transpose(0, 1).flatten(0, 1).contiguous(), "order": order}
+        flat = coefficients[order].transpose(0, 1).flatten(0, 1).contiguous()
+        return {name: flat, name.removesuffix(LOBES) + "order": order}
 
     def _degree(self) -> Tensor:
-        d = len(self.columns)
-        return self.theta.new_tensor([0] + [1] * d + [2] * (d + len(self.pairs)))
+        return self.theta.new_tensor([len(powers) for powers in self.powers])
 
     def _sums(self, name: str, values: Tensor) -> dict[str, Tensor]:
         """Coefficients (M, ...) of sums (S, ...), of their logarithms where these are smooth."""
@@ -229,13 +262,13 @@ class Expansion(Evaluator):
 
     def _record(self, records: list[Record]) -> Record:
         """Places or instants with coefficients in place of what differs over the stencil, (M, 1, ...)."""
-        found = {}
+        changed = {}
         for field in fields(records[0]):
-            several = [getattr(one, field.name) for one in records]
+            several = [getattr(record, field.name) for record in records]
             first = several[0]
             if first is not None and any(not torch.equal(first, other) for other in several[1:]):
-                found[field.name] = self._coefficients(torch.stack(several))
-        return replace(records[0], **found) if found else records[0]
+                changed[field.name] = self._coefficients(torch.stack(several))
+        return replace(records[0], **changed) if changed else records[0]
 
     def tables_at(self, theta: Tensor, detail: bool) -> Tables:
         """Tables at theta (..., P), whether within the reach or not."""
@@ -243,11 +276,11 @@ class Expansion(Evaluator):
         monomials = self.monomials(theta)
         surfaces = tuple(
             replace(
-                one,
-                table=_evaluated(one.table, monomials),
-                phase_angle=_polynomial(one.phase_angle, monomials),
+                surface,
+                table=_evaluated(surface.table, monomials),
+                phase_angle=_polynomial(surface.phase_angle, monomials),
             )
-            for one in tables.surfaces
+            for surface in tables.surfaces
         )
         sky = Sky(
             self._moved(tables.sky.state, reference.sky.state, monomials),
@@ -306,12 +339,38 @@ class Expansion(Evaluator):
             torch.randn(HELD_OUT, size, generator=generator, dtype=torch.float64).to(self.theta)
             for size in (d, len(self.theta))
         )
-        length = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
+        towards = towards / torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
         share = (torch.arange(HELD_OUT, dtype=torch.float64)[:, None] + 1) / HELD_OUT
-        u = self.reach * share.to(towards) * towards / length
-        radius = self.reach * share[:, 0]
+        u, errors = self._errors(self.reach * share.to(towards) * towards, materials)
+        if not len(u):
+            raise UnsuitableError("the scale of the geometry is wider than its bounds")
+        # what is left out grows as the cube of the distance: where it grows fastest it is looked at closer, and the other way
+        radius = torch.linalg.vector_norm(u, dim=-1)
+        steepest = torch.argsort(errors.amax(-1) / radius**3, descending=True)[:STEEPEST]
+        ways = (u / radius[:, None])[steepest].repeat(len(CLOSER), 1)
+        aside = torch.randn(ways.shape, generator=generator, dtype=torch.float64).to(u) * ASIDE / math.sqrt(d)
+        ways = (ways + aside) / torch.linalg.vector_norm(ways + aside, dim=-1, keepdim=True)
+        reach = self._reached(radius, errors.amax(-1))
+        at = ways.new_tensor(CLOSER).repeat_interleave(len(steepest))[:, None]
+        more, further = self._errors(reach * at * ways, materials[: len(ways)])
+        u, self.row_errors = torch.cat([u, more]), torch.cat([errors, further])
+        radius, error = torch.linalg.vector_norm(u, dim=-1), self.row_errors.amax(-1)
+        self.reach = self._reached(radius, error)
+        # where the reach ends because of it the error is all that it may be
+        ends = bool((error > MOST_MAG - self.exact.error_mag).any())
+        self.own_error_mag = MOST_MAG - self.exact.error_mag if ends else float(error.max())
+
+    def _reached(self, radius: Tensor, error: Tensor) -> float:
+        """How far errors (N,), which grow as the cube of distances (N,) from the reference, are small enough."""
+        allowed = MOST_MAG - self.exact.error_mag
+        enough = radius * (allowed / error.clamp(min=allowed)) ** (1 / 3)
+        return min([self.reach, *enough[error > allowed].tolist()])
+
+    def _errors(self, u: Tensor, materials: Tensor) -> tuple[Tensor, Tensor]:
+        """Those of coordinates (H, d) that the bounds allow, (N, d), and how far light is off there, (N, T) mag, with ``materials`` (H, P) in
+        standard deviations."""
         low, high = (
-            self.theta.new_tensor([getattr(one.prior, end) for one in self.parameters.free])
+            self.theta.new_tensor([getattr(free.prior, end) for free in self.parameters.free])
             for end in ("low", "high")
         )
         others = torch.maximum(torch.minimum(self.theta + self.spread * materials, high), low)
@@ -320,23 +379,28 @@ class Expansion(Evaluator):
         allowed = torch.isfinite(self.parameters.log_prior(points))[:, None]
         points = torch.where(allowed, points, self.theta_at(u))
         sound = ((points >= low) & (points <= high)).all(-1)
-        points, radius = points[sound], radius[sound]
-        if not len(points):
-            raise UnsuitableError("the scale of the geometry is wider than its bounds")
-        found, expected = self._near(points, False).flux, self.exact.brightness(points, False).flux
-        counted = (expected > FAINT * expected.amax()) & (found > 0)
-        ratio = torch.where(counted, found, 1.0) / torch.where(counted, expected, 1.0)
-        self.row_errors = 2.5 * torch.log10(ratio).abs()
-        error = self.row_errors.amax(-1)
-        good = error <= MOST_MAG - self.exact.error_mag
-        if not bool(good.all()):
-            self.reach = float(radius[~good].min())
-        kept = radius < self.reach if not bool(good.all()) else good
-        if self.reach < LEAST_REACH or not bool(kept.any()):
-            raise UnsuitableError(
-                f"light {self.reach:.2g} standard deviations away is {float(error.max()):.2g} mag off"
-            )
-        self.own_error_mag = float(error[kept].max())
+        if not bool(sound.any()):
+            return u[:0], u.new_zeros(0, self.assembly.T)
+        points = points[sound]
+        place = points.cpu().numpy().tobytes()
+        if place not in self._measured:
+            self._measured[place] = self.exact.brightness(points, False).flux
+        near, expected = self._near(points, False).flux, self._measured[place]
+        counted = (expected > FAINT * expected.amax()) & (near > 0)
+        ratio = torch.where(counted, near, 1.0) / torch.where(counted, expected, 1.0)
+        return u[sound], 2.5 * torch.log10(ratio).abs()
+
+
+def _stencil(count: int, order: int) -> Tensor:
+    """Geometries (S, d), in steps: the middle, a step either way along each axis, a step along two axes at once; of the third order also all
+    ways to go along two, along three, and half a step along one."""
+    eye = torch.eye(count, dtype=torch.float64)
+    pairs = list(combinations(eye, 2))
+    points = [torch.zeros_like(eye[0]), *eye, *-eye, *(a + b for a, b in pairs)]
+    if order > 2:
+        points += [sign * a - b for a, b in pairs for sign in (1, -1)] + [b - a for a, b in pairs]
+        points += [a + b + c for a, b, c in combinations(eye, 3)] + [0.5 * a for a in eye]
+    return torch.stack(points)
 
 
 def _polynomial(coefficients: Tensor, monomials: Tensor) -> Tensor:
@@ -346,12 +410,13 @@ def _polynomial(coefficients: Tensor, monomials: Tensor) -> Tensor:
 
 def _evaluated(table: Mapping[str, Tensor], monomials: Tensor) -> dict[str, Tensor]:
     """A surface's table (of coefficients) at monomials (..., M)."""
-    found: dict[str, Tensor] = {}
+    evaluated: dict[str, Tensor] = {}
     for name, coefficients in table.items():
         smooth = table.get(f"{name} in logarithms")
-        if name == "lobes":
-            found |= {"lobes": coefficients, "monomials": monomials[..., table["order"]]}
+        if name.endswith(LOBES):
+            of = name.removesuffix(LOBES)
+            evaluated |= {name: coefficients, f"{of}monomials": monomials[..., table[f"{of}order"]]}
         elif smooth is not None:
             value = _polynomial(coefficients, monomials)
-            found[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
-    return found
+            evaluated[name] = torch.where(smooth, torch.exp(torch.where(smooth, value, 0.0)), value)
+    return evaluated

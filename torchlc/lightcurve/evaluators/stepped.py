@@ -53,10 +53,10 @@ class SteppedTables(Evaluator):
         effect = self.effect
         steps, column = effect.steps, self.assembly.geometry_columns[0]
         detail = shares or self.assembly.needs_shares
-        place = flat[:, column] / effect.quantities[0].high * steps
-        first = (place.detach().floor().long() - 1).clamp(0, steps - 3)
-        weights = cubic(place - first)
-        flux, light = torch.zeros_like(place[:, None]), torch.zeros_like(place[:, None, None])
+        position = flat[:, column] / effect.quantities[0].high * steps
+        first = (position.detach().floor().long() - 1).clamp(0, steps - 3)
+        weights = cubic(position - first)
+        flux, light = torch.zeros_like(position[:, None]), torch.zeros_like(position[:, None, None])
         known = readable(first)
         wanted = torch.unique(first[:, None] + torch.arange(4)).tolist() if known else range(steps + 1)
         for step in wanted:

@@ -27,6 +27,8 @@ INKS = {
 }
 """Colours of the figures that follow the page's light or dark dress."""
 PNG_DPI = 130
+PAGES = ("fit", "diagnosis")
+"""Whose result a figure may show."""
 FIGURES: Registry[type[ReportFigure]] = Registry("figure")
 """Every figure by its page and name."""
 
@@ -48,6 +50,8 @@ class ReportFigure(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "name" in cls.__dict__:
+            if cls.page not in PAGES:
+                raise TypeError(f"figure {cls.name!r}: page {cls.page!r}; expected one of {', '.join(PAGES)}")
             FIGURES.declared(cls, "name", f"{cls.page}/{cls.name}")
 
     def applies(self, result: Any) -> bool:

@@ -38,13 +38,13 @@ def demo(
         OutputDirectory(out, {*FIT_FILES, *DIAGNOSIS_FILES, *copies}, files) as directory,
         resources(directory.path),
     ):
-        found = diagnose(*files, quick=True, seed=seed, progress=progress)
+        diagnosis = diagnose(*files, quick=True, seed=seed, progress=progress)
         result = fit(
-            found.completed, files[1], steps=DEMO_STEPS, seed=seed, progress=progress, command=command
+            diagnosis.completed, files[1], steps=DEMO_STEPS, seed=seed, progress=progress, command=command
         )
         for file in files:
             directory.write(file.name, lambda partial, file=file: shutil.copyfile(file, partial))
         made = {"provenance": dict(result.provenance)}
-        directory.write_json("diagnosis.json", found.to_json() | made)
-        report.write_fit(result, directory, progress, context(found))
-    return found, result
+        directory.write_json("diagnosis.json", diagnosis.to_json() | made)
+        report.write_fit(result, directory, progress, context(diagnosis))
+    return diagnosis, result

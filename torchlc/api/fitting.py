@@ -75,12 +75,12 @@ def fit(
             _check_chain(directory, scene, rows, seed)
         watch.lap("load")
         allowed = Budget(budget)
-        found, warnings = _search(likelihood, rows, seed, allowed, progress)
+        fitted, warnings = _search(likelihood, rows, seed, allowed, progress)
         watch.lap("search")
         posterior = None
-        if found.model.names:
+        if fitted.model.names:
             posterior = sample(
-                found,
+                fitted,
                 walkers=walkers,
                 steps=steps,
                 seed=seed,
@@ -91,9 +91,9 @@ def fit(
                 write=write_whole if directory is None else directory.write_path,
             )
         watch.lap("sample")
-        remarks = _remarks(found, posterior, warnings, kept=directory is not None)
+        remarks = _remarks(fitted, posterior, warnings, kept=directory is not None)
         made = provenance(scene, rows, seed, command)
-        result = FitResult(found, posterior, watch.seconds(), remarks, seed, made)
+        result = FitResult(fitted, posterior, watch.seconds(), remarks, seed, made)
         if directory is not None:
             from torchlc.report import fit_page as report
 
@@ -118,17 +118,17 @@ def _check_chain(directory: OutputDirectory, scene: Scene, rows: Recording, seed
     directory.check(CHAIN_FILE)
 
 
-def _remarks(found: Fit, posterior: Posterior | None, of_search: Sequence[str], kept: bool) -> list[str]:
+def _remarks(fitted: Fit, posterior: Posterior | None, of_search: Sequence[str], kept: bool) -> list[str]:
     """What has to be said of a fit: of its model, its data, its search and its chain, which a run can go on with if it
     is ``kept`` in a directory."""
-    said = [*found.model.warnings, *found.warnings, *limits(found.model, found.theta), *of_search]
-    said += found.likelihood.remarks(found.theta)
+    said = [*fitted.model.warnings, *fitted.warnings, *limits(fitted.model, fitted.theta), *of_search]
+    said += fitted.likelihood.remarks(fitted.theta)
     if posterior is not None and not posterior.converged:
         more = "a longer --budget" if posterior.out_of_time else "more --steps"
         advice = f"run on with --resume and {more}" if kept else f"fit with {more.replace('--', '')}"
         said.append(f"the chain is short: {posterior.reason}: {advice}")
-    if not found.converged:
-        said.append(f"the search did not converge: {found.reason}")
+    if not fitted.converged:
+        said.append(f"the search did not converge: {fitted.reason}")
     return said
 
 
@@ -155,17 +155,17 @@ def _search(
     """The maximum a posteriori; with the noise that mends it added to the model where chi-square says that the quoted
     errors are too small.
     """
-    found = fit_map(likelihood, seed=seed, progress=progress, budget=budget.part(SEARCH_SHARE))
+    fitted = fit_map(likelihood, seed=seed, progress=progress, budget=budget.part(SEARCH_SHARE))
     effects = [effect.entry for effect in likelihood.model.effects]
-    widened = any(isinstance(one, NoiseKind) and one.widens for one in likelihood.model.effects)
+    widened = any(isinstance(effect, NoiseKind) and effect.widens for effect in likelihood.model.effects)
     # chi-square was still falling: it says nothing of the errors yet
-    cut = budget.bounded and not found.converged
-    doubtful = recording.error is not None and found.p_value < DOUBTFUL_P and not widened and not cut
+    cut = budget.bounded and not fitted.converged
+    doubtful = recording.error is not None and fitted.p_value < DOUBTFUL_P and not widened and not cut
     if not doubtful:
-        return found, []
-    said = f"chi2 is {against_freedom(found.chi2, found.dof)} (p = {found.p_value:.1g})"
+        return fitted, []
+    said = f"chi2 is {against_freedom(fitted.chi2, fitted.dof)} (p = {fitted.p_value:.1g})"
     if not likelihood.model.names:
-        return found, [f"{said}: the model as it stands does not fit within the errors"]
+        return fitted, [f"{said}: the model as it stands does not fit within the errors"]
     assembly = likelihood.model.assembly
     remedy = mending_kind().name
     mended = assemble(assembly.scene, recording, [*effects, remedy], base=assembly)
@@ -173,11 +173,11 @@ def _search(
     allowed = budget.part(SEARCH_SHARE)
     known = None
     if budget.bounded:  # there may be no time to come as far again
-        before = dict(zip(found.model.names, found.theta, strict=True))
+        before = dict(zip(fitted.model.names, fitted.theta, strict=True))
         start = model.parameter_set.start()
         known = torch.stack(
             [before.get(name, value) for name, value in zip(model.names, start, strict=True)]
         )[None]
-    found = fit_map(Likelihood(model), seed=seed, extra_starts=known, progress=progress, budget=allowed)
+    fitted = fit_map(Likelihood(model), seed=seed, extra_starts=known, progress=progress, budget=allowed)
     warning = f"{said}: a {remedy} was added to the errors; torchlc diagnose looks for what the model lacks"
-    return found, [warning]
+    return fitted, [warning]

@@ -102,8 +102,8 @@ def usable(scene: Scene, recording: Rows, *, use: str | None = None, columns: Co
     kept = recording.keep(above_horizon(track), "below the horizon")
     if len(kept) < MIN_ROWS:
         raise too_few_rows(kept.source, len(kept), kept.dropped, MIN_ROWS)
-    told = _told_of_day(recording, sun_elevation_deg(track))
-    return replace(kept, warnings=(*kept.warnings, told)) if told else kept
+    warning = _told_of_day(recording, sun_elevation_deg(track))
+    return replace(kept, warnings=(*kept.warnings, warning)) if warning else kept
 
 
 def _told_of_day(recording: Recording, sun_deg: np.ndarray | None) -> str:

@@ -46,9 +46,9 @@ def steps_of(
     if directory is None:
         return Steps()
     columns = {
-        one.name: value
-        for one in fields(rows)
-        if isinstance(value := getattr(rows, one.name), np.ndarray | tuple | str | bool)
+        field.name: value
+        for field in fields(rows)
+        if isinstance(value := getattr(rows, field.name), np.ndarray | tuple | str | bool)
     }
     first: Any = rows.time[0]
     content = [

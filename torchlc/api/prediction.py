@@ -73,10 +73,10 @@ def predict(
             orbiters, said = [predicting.orbiter_of(read, span)], []
         else:
             orbiters, said = predicting.orbiters_of(elements, span)
-        found = predicting.run(read, orbiters, span, wanted, posterior, progress)
+        prediction = predicting.run(read, orbiters, span, wanted, posterior, progress)
         digests = {file.name: sha256_of(file) for file in inputs if file.is_file()}
         made = made_with(digests, seed, command)
-        found = replace(found, warnings=[*said, *found.warnings], provenance=made)
+        prediction = replace(prediction, warnings=[*said, *prediction.warnings], provenance=made)
         if directory is not None:
-            found.write_into(directory)
-    return found
+            prediction.write_into(directory)
+    return prediction

@@ -49,10 +49,10 @@ def rotation(
     scene = read_scene(scene, trust)
     if not recordings:
         raise InputError(None, None, "no recording", "one or more")
-    each = [usable(scene, one, use=use, columns=columns) for one in recordings]
+    each = [usable(scene, recording, use=use, columns=columns) for recording in recordings]
     rows = usable(scene, joined(each))
     with ExitStack() as stack:
-        files = (Path(one) for one in recordings if not isinstance(one, Recording))
+        files = (Path(recording) for recording in recordings if not isinstance(recording, Recording))
         directory = held(stack, out, ROTATION_FILES, [*input_files(scene), *files])
         kept = steps_of(directory, scene, rows, repr((shortest, longest)))
         search = search_rotation(
@@ -66,9 +66,9 @@ def rotation(
         )
         made = provenance(scene, rows, seed, command)
         made["inputs"] |= {
-            f"recording {number}": provenance(scene, one, seed)["inputs"]["recording"]
-            for number, one in enumerate(each[1:], 2)
-            if one.source is not None and one.sha256 is not None
+            f"recording {number}": provenance(scene, recording, seed)["inputs"]["recording"]
+            for number, recording in enumerate(each[1:], 2)
+            if recording.source is not None and recording.sha256 is not None
         }
         result = RotationResult(search, seed, time.monotonic() - began, made)
         if directory is not None:

@@ -60,9 +60,9 @@ def stretches(recording: Recording) -> list[Stretch]:
     by_night = recording.kind == "mag"
     key = recording.night if by_night else recording.curve
     ids = recording.night_ids if by_night else recording.curve_ids
-    index = [(np.flatnonzero(key == one), ids[one]) for one in dict.fromkeys(key.tolist())]
+    index = [(np.flatnonzero(key == code), ids[code]) for code in dict.fromkeys(key.tolist())]
     seconds = [recording.seconds[rows] - recording.seconds[rows[0]] for rows, _ in index]
-    longest = max(float(one[-1]) for one in seconds)
+    longest = max(float(elapsed[-1]) for elapsed in seconds)
     unit, length = next((name, length) for name, length, least in UNITS if longest >= least)
     return [
         Stretch(rows, elapsed / length, unit, title)
@@ -203,11 +203,11 @@ def _label(
 
 def _pieces(recording: Recording, rows: np.ndarray) -> Iterator[np.ndarray]:
     """Places within ``rows`` that a line may join: one curve, no long gap."""
-    for one in np.unique(recording.curve[rows]):
-        place = np.flatnonzero(recording.curve[rows] == one)
-        step = np.diff(recording.seconds[rows][place])
+    for code in np.unique(recording.curve[rows]):
+        positions = np.flatnonzero(recording.curve[rows] == code)
+        step = np.diff(recording.seconds[rows][positions])
         longest = LONGEST_GAP * float(np.median(step)) if len(step) else 0.0
-        yield from np.split(place, np.flatnonzero(step > max(longest, SHORTEST_BREAK_S)) + 1)
+        yield from np.split(positions, np.flatnonzero(step > max(longest, SHORTEST_BREAK_S)) + 1)
 
 
 def _runs(marked: np.ndarray) -> Iterator[tuple[int, int]]:

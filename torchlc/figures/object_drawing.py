@@ -40,7 +40,7 @@ def good_camera(to_sun: np.ndarray, to_observer: np.ndarray) -> np.ndarray:
 def draw_object(model: LightCurve, view: View, row: int, axes: Axes) -> Axes:
     """The object in its body frame at ``row``, lit by the Sun, with arrows to Sun and observer."""
     mesh = posed_mesh(model, view, row)
-    to_sun, to_observer = (one[0, row].numpy() for one in (view.to_sun, view.to_observer))
+    to_sun, to_observer = (vector[0, row].numpy() for vector in (view.to_sun, view.to_observer))
     camera = good_camera(to_sun, to_observer)
     span = 2.7 * mesh.radius
     extent = (-span / 2, span / 2, -span / 2, span / 2)

@@ -96,10 +96,10 @@ def render(mesh: Mesh, camera: np.ndarray, to_sun: np.ndarray, pixels: int, span
     z = anchor[:, 2] - (facing[:, 0] * (x - anchor[:, 0]) + facing[:, 1] * (y - anchor[:, 1])) / facing[:, 2]
     world = np.stack([x, y, z], -1) @ camera
     cosine = normals[facet] @ to_sun
-    place = world @ sun_frame.T
-    cell = np.clip((place[:, :2] * cells + SHADOW_CELLS / 2).astype(int), 0, SHADOW_CELLS - 1)
+    seen_from_sun = world @ sun_frame.T
+    cell = np.clip((seen_from_sun[:, :2] * cells + SHADOW_CELLS / 2).astype(int), 0, SHADOW_CELLS - 1)
     bias = 3 / cells * (1 + np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 0.05))
-    lit = (cosine > 0) & (nearest_sun[cell[:, 1], cell[:, 0]] <= place[:, 2] + bias)
+    lit = (cosine > 0) & (nearest_sun[cell[:, 1], cell[:, 0]] <= seen_from_sun[:, 2] + bias)
     shade = AMBIENT * (0.6 + 0.4 * facing[:, 2]) + (1 - AMBIENT) * np.where(lit, cosine, 0.0)
     image = np.zeros((pixels, pixels, 4))
     image[rows, columns, :3] = np.clip(mesh.colours[facet] * shade[:, None], 0, 1)

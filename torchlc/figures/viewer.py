@@ -90,8 +90,10 @@ def nearest_glints(view: View, rows: np.ndarray) -> tuple[np.ndarray, list[str]]
     for patch in view.patches:
         directions = (to_sun, to_observer, half)
         if patch.pose is not None:
-            directions = tuple(torch.einsum("tij,ti->tj", patch.pose[0, index], one) for one in directions)
-        cos_i, cos_r = (one @ patch.normal.T for one in directions[:2])
+            directions = tuple(
+                torch.einsum("tij,ti->tj", patch.pose[0, index], direction) for direction in directions
+            )
+        cos_i, cos_r = (direction @ patch.normal.T for direction in directions[:2])
         angle = torch.rad2deg(angle_between(directions[2][:, None], patch.normal[None]))
         angle = torch.where((cos_i > 0) & (cos_r > 0), angle, math.inf)
         least = angle.min(1)
@@ -105,13 +107,13 @@ def simplified(triangles: np.ndarray, most: int) -> np.ndarray:
     """Triangles (N, 3, 3), corners merged on an ever coarser grid until there are at most that many."""
     cells = 256.0
     low, size = triangles.min((0, 1)), np.ptp(triangles.reshape(-1, 3), axis=0).max()
-    found = triangles
-    while len(found) > most:
+    merged = triangles
+    while len(merged) > most:
         corners = np.round((triangles - low) / size * cells)
         distinct = np.abs(np.diff(corners[:, [0, 1, 2, 0]], axis=1)).sum(-1).min(1) > 0
-        found = corners[distinct] / cells * size + low
+        merged = corners[distinct] / cells * size + low
         cells /= 1.25
-    return found
+    return merged
 
 
 def significant(values: np.ndarray) -> int:
@@ -124,4 +126,8 @@ def rounded(values: np.ndarray, digits: int) -> Any:
     """Nested lists without digits that nobody sees; None where JSON has no number."""
     plain = np.asarray(values, dtype=float).round(digits)
     listed = plain.tolist()
-    return listed if np.isfinite(plain).all() else [one if math.isfinite(one) else None for one in listed]
+    return (
+        listed
+        if np.isfinite(plain).all()
+        else [number if math.isfinite(number) else None for number in listed]
+    )

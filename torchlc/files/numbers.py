@@ -68,8 +68,8 @@ class Unknown:
 def _again(detail: ErrorDetails) -> InitErrorDetails:
     """A problem as it can be raised with others."""
     kind, context = detail["type"], detail.get("ctx", {})
-    own = kind in ("torchlc", "unknown_key")
-    problem = PydanticCustomError(kind, detail["msg"], context) if own else kind  # type: ignore[arg-type]
+    ours = kind in ("torchlc", "unknown_key")
+    problem = PydanticCustomError(kind, detail["msg"], context) if ours else kind  # type: ignore[arg-type]
     return InitErrorDetails(type=problem, loc=detail["loc"], input=detail["input"], ctx=context)
 
 
@@ -90,8 +90,8 @@ class Table(BaseModel):
         unknown = cls.unknown_keys(data) if isinstance(data, dict) else []
         if not unknown:
             return handler(data)
-        problems = [InitErrorDetails(type=one.problem(), input=None) for one in unknown]
-        strangers = {one.key for one in unknown}
+        problems = [InitErrorDetails(type=stranger.problem(), input=None) for stranger in unknown]
+        strangers = {stranger.key for stranger in unknown}
         try:
             handler({key: value for key, value in data.items() if str(key) not in strangers})
         except ValidationError as error:
@@ -191,7 +191,7 @@ def _starts(number: Free) -> list[tuple[str, float]]:
     """Where a number may start, by the key that says so."""
     return [
         ("value", number.value),
-        *((f'values."{name}"', one) for name, one in (number.values or {}).items()),
+        *((f'values."{name}"', value) for name, value in (number.values or {}).items()),
     ]
 
 

@@ -27,7 +27,7 @@ def readable_file(path: str | Path, expected: str) -> Path:
         if not path.exists():
             raise InputError(path, None, "no such file", expected)
         if path.is_dir():
-            inside = [one for one in (path / "scene.toml", path / "curve.ecsv") if one.is_file()]
+            inside = [file for file in (path / "scene.toml", path / "curve.ecsv") if file.is_file()]
             hint = f"Did you mean {inside[-1]}?" if len(inside) == 1 else ""
             raise InputError(path, None, "a folder", expected, hint)
         if not path.is_file():

@@ -46,7 +46,7 @@ class Steps:
         """The results of a stage, dataclasses of tensors, numbers and tuples: those known, or made now and kept."""
         if name not in self._known:
             made = list(make())
-            self._known[name] = [dict(vars(one)) for one in made]
+            self._known[name] = [dict(vars(result)) for result in made]
             if self._write is not None and time.monotonic() >= self._written + self._every_s:
                 self._written = time.monotonic()
                 # PyTorch's own writing to a file turns a full disk into a RuntimeError
@@ -54,4 +54,4 @@ class Steps:
                 torch.save({"key": self._key, "steps": self._known}, content)
                 self._write(lambda path: path.write_bytes(content.getbuffer()))
             return made
-        return [kind(**one) for one in self._known[name]]
+        return [kind(**fields) for fields in self._known[name]]

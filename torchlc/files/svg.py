@@ -57,8 +57,8 @@ def _spread(values: np.ndarray, length: float) -> np.ndarray:
 
 
 def _svg(content: Sequence[str], label: str) -> str:
-    told = html.escape(label, quote=True)
+    escaped = html.escape(label, quote=True)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" width="{WIDTH:g}" '
-        f'height="{HEIGHT:g}" role="img" aria-label="{told}"><title>{told}</title>{"".join(content)}</svg>'
+        f'height="{HEIGHT:g}" role="img" aria-label="{escaped}"><title>{escaped}</title>{"".join(content)}</svg>'
     )

@@ -160,13 +160,13 @@ class OutputDirectory:
         path = self.path / name
         check_replaceable(path, self._inputs)
         if os.path.lexists(path):
-            own, away = "a file that torchlc wrote, or none", "Move it away, or give another directory"
+            expected, away = "a file that torchlc wrote, or none", "Move it away, or give another directory"
             if name not in self._manifest:
                 hint = f"{away}; where an earlier version left it, which kept no manifest, remove it"
-                raise InputError(path, None, f"there, but not in {MANIFEST_NAME}", own, hint)
+                raise InputError(path, None, f"there, but not in {MANIFEST_NAME}", expected, hint)
             with resources(path):
                 if not self._is_own(name):
-                    raise InputError(path, None, "changed since torchlc wrote it", own, away)
+                    raise InputError(path, None, "changed since torchlc wrote it", expected, away)
 
     def _write_manifest(self) -> None:
         content = {"schema": MANIFEST_SCHEMA, "files": dict(sorted(self._manifest.items()))}
@@ -270,9 +270,9 @@ def read_manifest(folder: Path) -> dict[str, list[str]]:
 def without_nan(value: Any) -> Any:
     """The same structure with None for numbers that JSON does not have."""
     if isinstance(value, Mapping):
-        return {str(key): without_nan(one) for key, one in value.items()}
+        return {str(key): without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [without_nan(one) for one in value]
+        return [without_nan(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

@@ -146,16 +146,16 @@ def fit_table(
     generator = torch.Generator().manual_seed(seed)
     start = 2 * torch.randn(starts, len(names), generator=generator, dtype=torch.float64)
     edge = torch.full((len(names),), RAW_EDGE, dtype=torch.float64)
-    found = minimise(lambda raw: _robust(residual(raw)), start, -edge, edge, iterations=200)
-    best = int(found.cost.argmin())
-    raw, slope = found.y[best], found.jacobian[best]
+    solution = minimise(lambda raw: _robust(residual(raw)), start, -edge, edge, iterations=200)
+    best = int(solution.cost.argmin())
+    raw, slope = solution.y[best], solution.jacobian[best]
     left, values = residual(raw), natural(raw)
 
-    variance = found.cost[best] / max(len(left) - len(names), 1) * _correlation_length(left)
+    variance = solution.cost[best] / max(len(left) - len(names), 1) * _correlation_length(left)
     covariance = variance * torch.linalg.pinv(slope.T @ slope, hermitian=True)
     turn = torch.func.jacrev(lambda raw: torch.stack(list(natural(raw).values())))(raw)
     sd = (turn @ covariance @ turn.T).diagonal().clamp(min=0).sqrt()
-    settled = bool(found.converged[best])
+    settled = bool(solution.converged[best])
     at_bound = [name for name, number in zip(names, raw, strict=True) if abs(float(number)) > RAW_EDGE / 2]
     return ReflectanceFit(
         model=model,

@@ -90,10 +90,10 @@ def match(
     """
     names, draws = _coordinates(model, samples)
     known = _library() if library is None else library
-    found = [material for material in known.values() if material.model == model]
+    candidates = [material for material in known.values() if material.model == model]
     mean, covariance = draws.mean(0), np.cov(draws, rowvar=False).reshape(len(names), len(names))
     log_evidence, distances = [], []
-    for material in found:
+    for material in candidates:
         centre = np.array([coordinate(model, name, material.values[name]) for name in names])
         width = np.array([material.spread[name] for name in names])
         norm = np.log(width * math.sqrt(2 * math.pi)).sum()
@@ -106,10 +106,10 @@ def match(
     matches = [
         Match(name, float(share), distance)
         for name, share, distance in zip(
-            [*(material.name for material in found), OTHER], probability, [*distances, None], strict=True
+            [*(material.name for material in candidates), OTHER], probability, [*distances, None], strict=True
         )
     ]
-    return sorted(matches, key=lambda one: -one.probability)
+    return sorted(matches, key=lambda entry: -entry.probability)
 
 
 def coordinate(model: str, name: str, value: np.ndarray | float) -> np.ndarray:

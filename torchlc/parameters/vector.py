@@ -73,14 +73,20 @@ class ParameterSet:
         self._triangle = {(a, b): self._log_triangle(a, b) for a, b in self.pairs}
         self._fixed = {name: torch.tensor(value, dtype=dtype, device=device) for name, value in fixed.items()}
         priors = [entry.prior for entry in self.free]
-        self._bounds = self._row([one.low for one in priors]), self._row([one.high for one in priors])
-        self._logarithmic = torch.tensor([one.logarithmic for one in priors], dtype=torch.bool, device=device)
-        self._bent = [index for index, one in enumerate(priors) if one.isotropic or one.kind == "cauchy"]
-        self._centre = self._row([one.flat_centre if one.peaked else 0.0 for one in priors])
-        straight = [one.peaked and one.kind != "cauchy" for one in priors]
-        precision = [1 / one.sigma**2 if plain else 0.0 for one, plain in zip(priors, straight, strict=True)]
+        self._bounds = self._row([prior.low for prior in priors]), self._row([prior.high for prior in priors])
+        self._logarithmic = torch.tensor(
+            [prior.logarithmic for prior in priors], dtype=torch.bool, device=device
+        )
+        self._bent = [
+            index for index, prior in enumerate(priors) if prior.isotropic or prior.kind == "cauchy"
+        ]
+        self._centre = self._row([prior.flat_centre if prior.peaked else 0.0 for prior in priors])
+        straight = [prior.peaked and prior.kind != "cauchy" for prior in priors]
+        precision = [
+            1 / prior.sigma**2 if plain else 0.0 for prior, plain in zip(priors, straight, strict=True)
+        ]
         self._precision = self._row(precision)
-        self._constant = self._row([one.log_constant for one in priors])
+        self._constant = self._row([prior.log_constant for prior in priors])
 
     def _row(self, numbers: Sequence[float]) -> Tensor:
         return torch.tensor(numbers, dtype=self.dtype, device=self.device)
@@ -94,9 +100,9 @@ class ParameterSet:
 
     def values(self, theta: Tensor) -> dict[str, Tensor]:
         """Every number by its full name: free ones (...) from theta (..., P), fixed ones as scalars."""
-        found = {name: value.to(theta) for name, value in self._fixed.items()}
-        found.update(zip(self.names, self._columns(theta), strict=True))
-        return found
+        values = {name: value.to(theta) for name, value in self._fixed.items()}
+        values.update(zip(self.names, self._columns(theta), strict=True))
+        return values
 
     def _columns(self, theta: Tensor) -> tuple[Tensor, ...]:
         """The free parameters (...) of theta (..., P); ValueError if P is another."""

@@ -71,9 +71,11 @@ def described(
         "names": tuple(names),
         "delimiter": ",",
         "ecsv": False,
-        "units": {name: str(one.unit) for name, one in columns.items() if getattr(one, "unit", None)},
+        "units": {
+            name: str(column.unit) for name, column in columns.items() if getattr(column, "unit", None)
+        },
         "descriptions": {
-            name: str(getattr(one.info, "description", "") or "") for name, one in columns.items()
+            name: str(getattr(column.info, "description", "") or "") for name, column in columns.items()
         },
         "meta": meta,
         "rows": rows,

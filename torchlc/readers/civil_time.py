@@ -24,14 +24,14 @@ def to_utc(jd1: np.ndarray, jd2: np.ndarray, zone: str) -> tuple[np.ndarray, np.
     if match:
         minutes = int(match[1] + "1") * (int(match[2]) * 60 + int(match[3] or 0))
         return jd1, jd2 - minutes / 1440.0
-    place = zoneinfo.ZoneInfo(zone)
+    rules = zoneinfo.ZoneInfo(zone)
     finite = np.isfinite(jd1 + jd2)
     days = np.where(finite, (jd1 - JD_OF_1970) + jd2, 0.0)
     quarters, where = np.unique(np.floor(days * QUARTER_HOURS + 1e-6), return_inverse=True)
     offsets = np.empty(len(quarters))
     for index, quarter in enumerate(quarters):
         clock = datetime.datetime(1970, 1, 1) + datetime.timedelta(days=quarter / QUARTER_HOURS)
-        early, late = (clock.replace(tzinfo=place, fold=fold).utcoffset() for fold in (0, 1))
+        early, late = (clock.replace(tzinfo=rules, fold=fold).utcoffset() for fold in (0, 1))
         if early is None or early != late:
             row = int(np.flatnonzero(where == index)[0])
             expected = f"a time that the clocks of {zone} show once; give an offset such as time_zone=+02:00"

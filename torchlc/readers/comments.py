@@ -41,17 +41,17 @@ def metadata_of(comments: Sequence[str]) -> tuple[dict[str, str], list[str]]:
 def told_in(source: Path, meta: Mapping[str, str], given: Reading) -> Reading:
     """What ``meta`` says with keys of ``TOLD``, checked as if the user had typed it, with what the user says
     (``given``) in its place."""
-    told = Reading()
+    reading = Reading()
     for key in TOLD:
         if key not in meta or key in given.model_fields_set:
             continue
         text = SECONDS.sub(r"\1", meta[key]) if key in ("exptime", "longest_gap") else meta[key]
         try:
-            one = reading_of({key: text})
-            if one.columns:  # an exposure that is no number would name a column
+            added = reading_of({key: text})
+            if added.columns:  # an exposure that is no number would name a column
                 raise InputError(OPTION, key, repr(text[:40]), "a number of seconds")
         except InputError as error:
             hint = f"Correct the comment, or say {OPTION} {key}=..., which counts first; a comment of another name is only a remark"
             raise InputError(source, f"comment {key}", repr(meta[key][:40]), error.expected, hint) from None
-        told = told.with_given(one)
-    return told.with_given(given)
+        reading = reading.with_given(added)
+    return reading.with_given(given)

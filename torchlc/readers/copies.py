@@ -25,26 +25,26 @@ def copies(seconds: np.ndarray, observed: np.ndarray, curve: np.ndarray, ids: Se
     Rows are counted within each curve. A copy may be delayed, and may go on at its beginning where the other ends.
     """
     rows = [np.flatnonzero(curve == code) for code in range(len(ids))]
-    rows = [own for own in rows if len(own) >= FEWEST]
+    rows = [group for group in rows if len(group) >= FEWEST]
     if len(rows) < 2:
         return []
-    keys, owner, place = [], [], []
+    keys, owner, position = [], [], []
     weight = np.random.default_rng(SEED).integers(1, 2**63, WINDOW, dtype=np.uint64) | np.uint64(1)
-    for number, own in enumerate(rows):
-        values = observed[own] + 0.0
+    for number, indices in enumerate(rows):
+        values = observed[indices] + 0.0
         bits = np.lib.stride_tricks.sliding_window_view(values.view(np.uint64), WINDOW)
         moving = np.lib.stride_tricks.sliding_window_view(np.diff(values) != 0, WINDOW - 1).sum(-1) >= CHANGES
         mixed = bits ^ (bits >> np.uint64(29))
         keys.append((mixed * weight).sum(-1, dtype=np.uint64)[moving])
-        place.append(np.flatnonzero(moving))
-        owner.append(np.full(len(place[-1]), number))
-    key, owner, place = np.concatenate(keys), np.concatenate(owner), np.concatenate(place)
-    order = np.lexsort((place, owner, key))
-    key, owner, place = key[order], owner[order], place[order]
+        position.append(np.flatnonzero(moving))
+        owner.append(np.full(len(position[-1]), number))
+    key, owner, position = np.concatenate(keys), np.concatenate(owner), np.concatenate(position)
+    order = np.lexsort((position, owner, key))
+    key, owner, position = key[order], owner[order], position[order]
     twin = (key[1:] == key[:-1]) & (owner[1:] != owner[:-1])
     first, second = owner[:-1][twin], owner[1:][twin]
-    lag = place[1:][twin] - place[:-1][twin]
-    found = []
+    lag = position[1:][twin] - position[:-1][twin]
+    sentences = []
     for a, b in np.unique(np.stack([first, second], -1), axis=0):
         both = (first == a) & (second == b)
         windows = min(len(rows[a]), len(rows[b])) - WINDOW + 1
@@ -61,8 +61,8 @@ def copies(seconds: np.ndarray, observed: np.ndarray, curve: np.ndarray, ids: Se
             if main
             else "row by row"
         )
-        found.append(
+        sentences.append(
             f"curve {name} repeats curve {other} to the last digit ({what}; {equal} of {len(rows[b])} rows): one of the "
             "two is no measurement"
         )
-    return found
+    return sentences

@@ -82,15 +82,15 @@ def _offered(name: str, header: Header) -> dict[str, str]:
     """Our columns beside those of the file that look like them; empty for a role that none can have."""
     cells = first_row(header)
     left = {
-        other.removeprefix(DELIVERED): cells[place] if place < len(cells) else ""
-        for place, other in enumerate(header.names)
+        other.removeprefix(DELIVERED): cells[index] if index < len(cells) else ""
+        for index, other in enumerate(header.names)
         if other and other not in FALSE_FRIENDS and other not in ROLES
     }
     offered: dict[str, str] = {}
     if "time" not in header.names:
         called = [other for other in left if LIKE_TIME.search(other)]
         dated = [other for other, cell in left.items() if _is_instant(cell)]
-        for chosen in [*(one for one in dated if one in called), *dated, *called][:1]:
+        for chosen in [*(column for column in dated if column in called), *dated, *called][:1]:
             offered["time"] = chosen
             del left[chosen]
     if "mag" in header.names or "flux" in header.names:
@@ -146,13 +146,13 @@ def frame(header: Header, scene: Scene | None) -> str | None:
     said = str(header.meta.get("frame", "")).strip().lower()
     if not said or not any(f"{prefix}_x" in header.names for prefix in VECTORS.values()):
         return expected or "icrs"
-    found = "ecliptic" if said.startswith("ecliptic") else "icrs" if EQUATORIAL.match(said) else None
-    if found is None:
+    stated = "ecliptic" if said.startswith("ecliptic") else "icrs" if EQUATORIAL.match(said) else None
+    if stated is None:
         raise InputError(header.source, "metadata frame", repr(said[:40]), "icrs or ecliptic")
-    if expected and found != expected:
-        contradiction = f"{found}, but the scene says vectors = {expected!r}"
+    if expected and stated != expected:
+        contradiction = f"{stated}, but the scene says vectors = {expected!r}"
         raise InputError(header.source, "metadata frame", contradiction, "the same frame in both")
-    return found
+    return stated
 
 
 def light_time_corrected(header: Header) -> bool:
@@ -242,7 +242,7 @@ def _refuse_logarithms(header: Header, text: str | None) -> None:
         unit = u.Unit((text or "")[:60])
     except (ValueError, TypeError, OverflowError):
         return
-    if hasattr(unit, "function_unit") or any(unit == one for one in (u.mag, u.dex, u.dB)):
+    if hasattr(unit, "function_unit") or any(unit == logarithm for logarithm in (u.mag, u.dex, u.dB)):
         hint = "Name the columns mag and mag_err if they are magnitudes"
         raise InputError(header.source, "column flux", f"unit {text}", "a linear unit", hint)
 
@@ -339,14 +339,14 @@ def taken(
     renamed = any(header.theirs[name] != name for name in roles)
     if not renamed and not header.format and header.decimal == "." and not reading.model_fields_set:
         return []
-    told = []
+    texts = []
     triples = {f"{p}_x": [f"{p}_{axis}" for axis in "xyz"] for p in VECTORS.values()}
     beside = {name for names in triples.values() for name in names[1:]}
     for name in roles:
         if name in beside:
             continue
-        names = [one for one in triples.get(name, [name]) if one in roles]
-        text = f"{', '.join(header.theirs[one] for one in names)} as {', '.join(names)}"
+        names = [part for part in triples.get(name, [name]) if part in roles]
+        text = f"{', '.join(header.theirs[part] for part in names)} as {', '.join(names)}"
         if name == "time":
             scale = "civil time" if timing.zone else timing.scale.upper()
             form = FORMAT_WORDS.get(time_format) or LESS_A_DATE.sub(r"JD - \1", time_format)
@@ -354,7 +354,7 @@ def taken(
             if light_time_corrected(header):
                 moment += ", corrected for light time"
             text += f" ({form}, {scale}, {moment})"
-        told.append(text)
+        texts.append(text)
     form = f"read as {header.format}: " if header.format else "columns: "
     comma = "; decimal commas" if header.decimal == "," else ""
-    return [form + ", ".join(told) + comma]
+    return [form + ", ".join(texts) + comma]

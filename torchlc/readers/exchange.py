@@ -33,22 +33,24 @@ MAG_PER_LN = 2.5 / np.log(10)
 
 def carried(measurements: Measurements) -> dict[str, Any]:
     """Columns (T,) that a model needs to see the same geometry again: curve, band, exptime, places."""
-    found: dict[str, Any] = {"curve": Column(np.array(measurements.curve_ids, dtype=str)[measurements.curve])}
+    columns: dict[str, Any] = {
+        "curve": Column(np.array(measurements.curve_ids, dtype=str)[measurements.curve])
+    }
     if measurements.band is not None:
-        found["band"] = Column(measurements.band.astype(str))
+        columns["band"] = Column(measurements.band.astype(str))
     if measurements.object is not None:
-        found["object"] = Column(np.array(measurements.object_ids, dtype=str)[measurements.object])
+        columns["object"] = Column(np.array(measurements.object_ids, dtype=str)[measurements.object])
     for name in ("exptime", "alt", "az", "height"):
         values = getattr(measurements, name)
         if values is not None:
-            found[name] = Column(values, unit=declared.UNITS[name], format=".12g")
+            columns[name] = Column(values, unit=declared.UNITS[name], format=".12g")
     for attribute, prefix in VECTORS.items():
         vectors = getattr(measurements, attribute)
         if vectors is not None:
             for i, axis in enumerate("xyz"):
                 name = f"{prefix}_{axis}"
-                found[name] = Column(vectors[:, i], unit=declared.UNITS[name], format=".15g")
-    return found
+                columns[name] = Column(vectors[:, i], unit=declared.UNITS[name], format=".15g")
+    return columns
 
 
 def told(measurements: Measurements) -> dict[str, Any]:
@@ -96,7 +98,7 @@ def to_pandas(measurements: Measurements) -> pandas.DataFrame:
     time.precision = 9
     instants = pandas.to_datetime(np.asarray(time.value, dtype=str), utc=measurements.time.scale == "utc")
     return pandas.DataFrame(
-        {"time": instants, **{name: np.asarray(one) for name, one in _data(measurements).items()}}
+        {"time": instants, **{name: np.asarray(column) for name, column in _data(measurements).items()}}
     )
 
 

@@ -40,8 +40,8 @@ def medians(values: np.ndarray, curve: np.ndarray) -> np.ndarray:
     """The median (T,) of the finite values (T,) of each row's ``curve`` (T,); that of all rows in a curve without any."""
     finite = np.isfinite(values)
     result = np.full(len(values), np.median(values[finite]) if finite.any() else np.nan)
-    for one in np.unique(curve[finite]):
-        rows = curve == one
+    for code in np.unique(curve[finite]):
+        rows = curve == code
         result[rows] = np.median(values[rows & finite])
     return result
 
@@ -70,9 +70,9 @@ def local_nights(
     keys, night = np.unique(np.stack([noon, station], axis=-1), axis=0, return_inverse=True)
     several = len(np.unique(station)) > 1
     ids = []
-    for day, place in keys:
+    for day, index in keys:
         date = np.datetime64("2000-01-01") + np.timedelta64(int(day) - NOON_OF_2000_JAN_1, "D")
-        ids.append(f"{station_ids[place]} {date}" if several else str(date))
+        ids.append(f"{station_ids[index]} {date}" if several else str(date))
     return night.reshape(-1).astype(np.int64), tuple(ids)
 
 

@@ -26,25 +26,28 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         return first
     _check_alike(recordings)
     jd1, jd2 = (
-        np.concatenate([np.atleast_1d(getattr(one.time, part)) for one in recordings])
+        np.concatenate([np.atleast_1d(getattr(recording.time, part)) for recording in recordings])
         for part in ("jd1", "jd2")
     )
     order = np.lexsort((jd2, jd1))
     time: Any = Time(jd1, jd2, format="jd", scale=first.time.scale)[order]
 
     def together(name: str) -> np.ndarray:
-        return np.concatenate([np.asarray(getattr(one, name)) for one in recordings])[order]
+        return np.concatenate([np.asarray(getattr(recording, name)) for recording in recordings])[order]
 
     curve, curve_ids = _curves(recordings)
-    station, station_ids = _by_name([(one.station, one.station_ids) for one in recordings])
-    night, night_ids = _by_name([(one.night, one.night_ids) for one in recordings])
-    named = [(one.object, one.object_ids) for one in recordings if one.object is not None]
+    station, station_ids = _by_name([(recording.station, recording.station_ids) for recording in recordings])
+    night, night_ids = _by_name([(recording.night, recording.night_ids) for recording in recordings])
+    named = [
+        (recording.object, recording.object_ids) for recording in recordings if recording.object is not None
+    ]
     objects, object_ids = _by_name(named) if len(named) == len(recordings) else (None, ())
     having = {
-        name: sum(getattr(one, name) is not None for one in recordings) for name in ("object", *OPTIONAL)
+        name: sum(getattr(recording, name) is not None for recording in recordings)
+        for name in ("object", *OPTIONAL)
     }
     lacking = [name for name, count in having.items() if 0 < count < len(recordings)]
-    warnings = [text for one in recordings for text in one.warnings]
+    warnings = [text for recording in recordings for text in recording.warnings]
     if lacking:
         warnings.append(f"left out, because not every recording has it: {', '.join(lacking)}")
     columns = {name: together(name) if having[name] == len(recordings) else None for name in OPTIONAL}
@@ -52,7 +55,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         first,
         time=time,
         seconds=seconds_since(time, time[:1]),
-        first_time=min((one.first_time for one in recordings), key=_day),
+        first_time=min((recording.first_time for recording in recordings), key=_day),
         observed=together("observed"),
         error=None if first.error is None else together("error"),
         station=station[order],
@@ -64,7 +67,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         object=None if objects is None else objects[order],
         object_ids=object_ids,
         upper_limit=together("upper_limit"),
-        dropped=dict(sum((Counter(one.dropped) for one in recordings), Counter())),
+        dropped=dict(sum((Counter(recording.dropped) for recording in recordings), Counter())),
         place=None,
         dropped_at={},
         warnings=tuple(dict.fromkeys(warnings)),
@@ -91,9 +94,9 @@ def _curves(recordings: Sequence[Recording]) -> tuple[np.ndarray, tuple[str, ...
     """Codes of the curves, one after another, over names of which no two are the same."""
     names: list[str] = []
     codes: list[np.ndarray] = []
-    for one in recordings:
-        codes.append(one.curve + len(names))
-        names += [_free(name, names) for name in one.curve_ids]
+    for recording in recordings:
+        codes.append(recording.curve + len(names))
+        names += [_free(name, names) for name in recording.curve_ids]
     return np.concatenate(codes), tuple(names)
 
 
@@ -103,11 +106,11 @@ def _day(moment: Any) -> float:
 
 def _free(name: str, taken: Sequence[str]) -> str:
     """``name``, numbered if it is taken."""
-    number, found = 1, name
-    while found in taken:
+    number, free = 1, name
+    while free in taken:
         number += 1
-        found = f"{name} ({number})"
-    return found
+        free = f"{name} ({number})"
+    return free
 
 
 def _by_name(parts: Sequence[tuple[np.ndarray, Sequence[str]]]) -> tuple[np.ndarray, tuple[str, ...]]:

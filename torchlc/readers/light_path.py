@@ -29,14 +29,14 @@ def days_by_direction(
     """
     target = SkyCoord(direction[0], direction[1], unit=u.deg)
     if station is None:
-        place = EarthLocation.from_geocentric(0.0, 0.0, 0.0, unit=u.m)
+        location = EarthLocation.from_geocentric(0.0, 0.0, 0.0, unit=u.m)
     else:
-        place = EarthLocation.from_geodetic(station[1], station[0], station[2] * u.m)
+        location = EarthLocation.from_geodetic(station[1], station[0], station[2] * u.m)
     added: Any = np.zeros(len(time)) * u.day
     with BundledTables():
         for _ in range(3):  # each pass is some 1e-4 of the one before: 500 s, 0.05 s, 5 us
             moment: Any = time - added
-            added = moment.light_travel_time(target, kind=path, location=place)
+            added = moment.light_travel_time(target, kind=path, location=location)
     return np.asarray(added.to_value(u.day))
 
 
@@ -45,7 +45,7 @@ def days_by_vectors(
 ) -> np.ndarray:
     """The same from the vectors (T, 3), km, from the object to the ``sun`` and to the ``observer`` of each row."""
     towards = -observer / np.linalg.norm(observer, axis=-1, keepdims=True)
-    place = observer - sun
+    location = observer - sun
     if path == "barycentric":
         with BundledTables():
             centre: Any = get_body_barycentric("sun", cast(Time, time.tdb))
@@ -53,8 +53,8 @@ def days_by_vectors(
         if frame == "ecliptic":
             cosine, sine = np.cos(OBLIQUITY), np.sin(OBLIQUITY)
             solar = solar @ np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
-        place = place + solar
-    return np.sum(place * towards, axis=-1) / KM_PER_DAY
+        location = location + solar
+    return np.sum(location * towards, axis=-1) / KM_PER_DAY
 
 
 class BundledTables:

@@ -53,10 +53,10 @@ def error_markers(kind: str, columns: Mapping[str, np.ndarray]) -> tuple[np.ndar
         return none, none, ""
     missing = np.isin(error, MARKERS)
     far = np.abs(error) > BEYOND_MAG if kind == "mag" else none
-    told = np.isfinite(error)
-    if not told.any() or not (missing | far)[told].all():
+    given = np.isfinite(error)
+    if not given.any() or not (missing | far)[given].all():
         return missing, far, ""
-    absent = f"{name} is {error[told][0]:g} in all rows, a marker for a missing value: taken as absent"
+    absent = f"{name} is {error[given][0]:g} in all rows, a marker for a missing value: taken as absent"
     return missing, far, absent
 
 

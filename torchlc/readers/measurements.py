@@ -190,12 +190,12 @@ def left_out(measurements: Measurements) -> list[str]:
     """The warning that rows were dropped: how many, why, and where they stand; empty if none were."""
     if not measurements.dropped:
         return []
-    told = []
+    reasons = []
     for reason, count in measurements.dropped.items():
         where = places(measurements.dropped_at.get(reason, np.empty(0)), measurements.placed_by)
-        told.append(f"{count} {REASONS.get(reason, reason)}{where and f' ({where})'}")
+        reasons.append(f"{count} {REASONS.get(reason, reason)}{where and f' ({where})'}")
     total = sum(measurements.dropped.values())
-    return [f"{number_of(total, 'row')} {'is' if total == 1 else 'are'} left out: {', '.join(told)}"]
+    return [f"{number_of(total, 'row')} {'is' if total == 1 else 'are'} left out: {', '.join(reasons)}"]
 
 
 def place_of_row(measurements: Measurements, row: int) -> str | None:
@@ -209,9 +209,9 @@ def places(numbers: np.ndarray, what: str) -> str:
     if not len(numbers):
         return ""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1)[:MOST_RUNS] + 1)
-    told = [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:MOST_RUNS]]
-    told += [f"{len(run)} more" for run in runs[MOST_RUNS:]]
-    listed = f"{', '.join(told[:-1])} and {told[-1]}" if len(told) > 1 else told[0]
+    texts = [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:MOST_RUNS]]
+    texts += [f"{len(run)} more" for run in runs[MOST_RUNS:]]
+    listed = f"{', '.join(texts[:-1])} and {texts[-1]}" if len(texts) > 1 else texts[0]
     return f"{what}{'s' if len(numbers) > 1 else ''} {listed}"
 
 

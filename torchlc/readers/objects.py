@@ -18,13 +18,13 @@ def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> 
 
     ``wanted`` is a name or number of it, or a part of a name that only one object has.
     """
-    every = {frozenset(one) for one in names}
+    every = {frozenset(aliases) for aliases in names}
     if wanted is not None and wanted.strip() == ALL:
         return None
     if wanted is None:
         if len(every) <= 1:
             return None
-        listed = sorted(" ".join(sorted(one)) for one in every)
+        listed = sorted(" ".join(sorted(aliases)) for aliases in every)
         some = next(iter(sorted(min(every, key=sorted))), "")
         raise InputError(
             path,
@@ -34,14 +34,14 @@ def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> 
             f'Say which: --columns object="{some}", by its name, its number or a part of its name; object="*" takes all, for a fleet',
         )
     folded = wanted.strip().casefold()
-    exact = [one for one in every if folded in {name.casefold() for name in one}]
-    near = exact or [one for one in every if any(folded in name.casefold() for name in one)]
+    exact = [aliases for aliases in every if folded in {name.casefold() for name in aliases}]
+    near = exact or [aliases for aliases in every if any(folded in name.casefold() for name in aliases)]
     if len(near) != 1:
-        known = sorted(name for one in every for name in one)
+        known = sorted(name for aliases in every for name in aliases)
         found = (
             "no object"
             if not near
-            else f"{len(near)} objects ({', '.join(sorted(min(one) for one in near))[:200]})"
+            else f"{len(near)} objects ({', '.join(sorted(min(aliases) for aliases in near))[:200]})"
         )
         expected = f"one of {', '.join(known[:MOST_LISTED])}"[:300]
         raise InputError(

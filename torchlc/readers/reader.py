@@ -171,7 +171,7 @@ class _Reader:
         station, station_ids = station_numbers(self.header, self.scene, self.columns, self.labels, self.rows)
         curve, curve_ids = self._curves(station, station_ids)
         if self.scene is not None and self.scene.stations:
-            longitude = np.array([place.longitude for place in self.scene.stations])
+            longitude = np.array([site.longitude for site in self.scene.stations])
             night, night_ids = groups.local_nights(days, longitude, station, station_ids)
         else:
             night, night_ids = groups.nights_between_gaps(days)
@@ -266,8 +266,8 @@ class _Reader:
             return
         ids = self.labels["object"].ids
         if len(ids) > 1:
-            name = chosen_object(self.source, [{one or "unnamed"} for one in ids], wanted)
-            codes = [code for code, one in enumerate(ids) if (one or "unnamed") == name]
+            name = chosen_object(self.source, [{label or "unnamed"} for label in ids], wanted)
+            codes = [code for code, label in enumerate(ids) if (label or "unnamed") == name]
             self._keep(np.isin(self.columns["object"], codes), "of another object")
 
     def _take_limits(self) -> None:
@@ -391,7 +391,7 @@ class _Reader:
             )
         bands = self.labels["band"].ids if "band" in self.columns else ("",)
         band = self.columns.get("band", np.zeros(len(self.rows), dtype=np.int64))
-        pairs = [f"{place} {name}".strip() for place in station_ids for name in bands]
+        pairs = [f"{station_id} {name}".strip() for station_id in station_ids for name in bands]
         return groups.compact(station * len(bands) + band, pairs)
 
     def _curve_codes(self) -> np.ndarray:

@@ -34,17 +34,19 @@ class Recording(Measurements):
 
     def __repr__(self) -> str:
         first, last = (str(cast(Any, self.time[i]).isot)[:19] for i in (0, -1))
-        told = [f"{number_of(len(self), 'row')} of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
+        parts = [f"{number_of(len(self), 'row')} of {self.kind}, {first} to {last} {self.time.scale.upper()}"]
         for names, what in (
             (self.curve_ids, "curve"),
             (self.night_ids, "night"),
             (self.station_ids, "station"),
             *([(self.object_ids, "object")] if self.object is not None else []),
         ):
-            told.append(f"{number_of(len(names), what)}")
-        told.append("errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}")
-        told += [f"left out: {counted(self.dropped)}"] if self.dropped else []
-        return "\n".join([f"Recording: {', '.join(told)}", *(f"  ! {text}" for text in self.warnings)])
+            parts.append(f"{number_of(len(names), what)}")
+        parts.append(
+            "errors to be fitted" if self.error is None else f"errors of {np.median(self.error):.2g}"
+        )
+        parts += [f"left out: {counted(self.dropped)}"] if self.dropped else []
+        return "\n".join([f"Recording: {', '.join(parts)}", *(f"  ! {text}" for text in self.warnings)])
 
     def _repr_html_(self) -> str:
         hours = self.seconds / 3600.0

@@ -203,9 +203,9 @@ def _one_stamp(text: str) -> Stamp | None:
 def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> bool:
     """Do these look like the names of a recording's columns: one of times, and one of brightness?"""
     folded = {plain(name) for name in names}
-    own = {role: {plain(name) for name in columns.get(role, ())} for role in ("time", "mag", "flux")}
-    times = {"time", *STAMPS, *own["time"]}
-    lights = {"mag", "flux", *NAMES["mag"], *NAMES["flux"], *own["mag"], *own["flux"]}
+    special = {role: {plain(name) for name in columns.get(role, ())} for role in ("time", "mag", "flux")}
+    times = {"time", *STAMPS, *special["time"]}
+    lights = {"mag", "flux", *NAMES["mag"], *NAMES["flux"], *special["mag"], *special["flux"]}
     return bool(folded & times or any(map(stamp_named, names))) and bool(folded & lights)
 
 
@@ -220,9 +220,9 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role, text in reading.columns.items():
         taken[role] = _told(header, role, text)
     _check_apart(header, taken)
-    told = {place for places in taken.values() for place in places}
+    used = {column for places in taken.values() for column in places}
     for role in ROLES:
-        if role not in taken and role in header.names and header.names.index(role) not in told:
+        if role not in taken and role in header.names and header.names.index(role) not in used:
             taken[role] = (header.names.index(role),)
     for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "bad", "limiting_mag"):
         if role not in taken:
@@ -284,15 +284,15 @@ def _told(header: Header, role: str, text: str) -> tuple[int, ...]:
     return tuple(places)
 
 
-def _check_apart(header: Header, told: Mapping[str, tuple[int, ...]]) -> None:
+def _check_apart(header: Header, named: Mapping[str, tuple[int, ...]]) -> None:
     """InputError where the user tells one column to be two things."""
     roles: dict[int, list[str]] = {}
-    for role, places in told.items():
-        for place in dict.fromkeys(places):
-            roles.setdefault(place, []).append(role)
-    for place, both in roles.items():
+    for role, places in named.items():
+        for column in dict.fromkeys(places):
+            roles.setdefault(column, []).append(role)
+    for column, both in roles.items():
         if len(both) > 1:
-            found = f"{header.names[place][:60]!r} told as {' and as '.join(both)}"
+            found = f"{header.names[column][:60]!r} told as {' and as '.join(both)}"
             raise InputError(header.source, "columns", found, "one meaning for each column")
 
 
@@ -300,7 +300,7 @@ def _found(
     header: Header, role: str, names: Iterable[str], taken: Mapping[str, tuple[int, ...]]
 ) -> dict[str, tuple[int, ...]]:
     """The first of ``names`` that the header has and that is not taken yet; of two columns of one name the first."""
-    used = {place for places in taken.values() for place in places}
+    used = {column for places in taken.values() for column in places}
     free = {}
     for index, name in reversed(list(enumerate(header.names))):
         if index not in used and name:
@@ -320,7 +320,7 @@ def _parts_of_date(header: Header, taken: Mapping[str, tuple[int, ...]]) -> dict
     """Where year, month, day and the parts of the day stand in columns of their own, and nothing else is a time."""
     if "time" in taken:
         return {}
-    used = {place for places in taken.values() for place in places}
+    used = {column for places in taken.values() for column in places}
     folded = [plain(name) if index not in used else "" for index, name in enumerate(header.names)]
     places: list[int] = []
     for names in PARTS_OF_DATE:
@@ -331,7 +331,7 @@ def _parts_of_date(header: Header, taken: Mapping[str, tuple[int, ...]]) -> dict
     cells = first_row(header)
     if len(places) < 3 or not is_as_wide(cells, header.names):
         return {}
-    parts = [cells[place] for place in places]
+    parts = [cells[column] for column in places]
     if len(parts) == 3 and "." not in parts[2]:  # a date alone is no instant
         return {}
     return {"time": tuple(places)} if is_moment(moment_of(parts)) else {}
@@ -362,7 +362,7 @@ def _date_and_time(
 def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ...]]) -> Header:
     names = list(header.names)
     theirs = {
-        role: " + ".join(header.theirs.get(names[place], names[place]) for place in places)
+        role: " + ".join(header.theirs.get(names[column], names[column]) for column in places)
         for role, places in taken.items()
     }
     for index, name in enumerate(names):

@@ -106,7 +106,7 @@ def read_columns(
             first, *others = where[name]
             cells = [row[first] for row in rows]
             if others:
-                cells = [moment_of([row[place] for place in where[name]]) for row in rows]
+                cells = [moment_of([row[column] for column in where[name]]) for row in rows]
             pieces[name].append(read(header, name, cells, count))
         count += len(rows)
         if count > MAX_ROWS:

@@ -137,8 +137,8 @@ def count_of(time_format: str, scale: str) -> tuple[tuple[float, float], float]:
 
 def ways_to_say(header: Header, key: str, value: str) -> str:
     """Where a user says what a file does not."""
-    place = "in the metadata" if header.ecsv else "in a line above the header that begins with #"
-    return f"{key}: {value} {place}, or --columns {key}={value}"
+    where = "in the metadata" if header.ecsv else "in a line above the header that begins with #"
+    return f"{key}: {value} {where}, or --columns {key}={value}"
 
 
 def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing:
@@ -154,24 +154,24 @@ def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing
     form = reading.time_format or _time_format(header) or named
     scale, known = _scale(header, reading, form, stamp.scale)
     mark = reading.time_mark or stamp.mark or "mid"
-    told = Timing(scale, form, mark, header.notes, reading.time_zone, stamp.light_path)
-    told = _as_stated(header, reading, told, scale if known else None)
+    draft = Timing(scale, form, mark, header.notes, reading.time_zone, stamp.light_path)
+    draft = _as_stated(header, reading, draft, scale if known else None)
     _check_brackets(header, reading)
-    light_path = _light_path(header, reading, told.light_path, located)
-    mark = "mid" if told.mark == "middle" else told.mark
-    notes = [*told.notes, *_notes_of_remarks(header, reading, told.scale, mark)]
+    light_path = _light_path(header, reading, draft.light_path, located)
+    mark = "mid" if draft.mark == "middle" else draft.mark
+    notes = [*draft.notes, *_notes_of_remarks(header, reading, draft.scale, mark)]
     _check_movable(header, reading, mark)
     if mark != "mid" and not any("half of exptime" in note for note in notes):
         notes.append(
             f"times are those of the {mark} of exposures: half of exptime is {_moved(mark)} every time"
         )
-    if reading.time_zone and told.scale != "utc":
+    if reading.time_zone and draft.scale != "utc":
         raise InputError(
-            header.source, "time_zone", f"beside the time scale {told.scale}", "UTC with a zone, or a scale"
+            header.source, "time_zone", f"beside the time scale {draft.scale}", "UTC with a zone, or a scale"
         )
     if reading.time_zone:
         notes.append(f"the times are civil time of the zone {reading.time_zone}, and converted to UTC")
-    return replace(told, mark=mark, notes=tuple(notes), light_path=light_path)
+    return replace(draft, mark=mark, notes=tuple(notes), light_path=light_path)
 
 
 def _scale(header: Header, reading: Reading, form: str, stamped: str | None) -> tuple[str, bool]:
@@ -198,11 +198,11 @@ def _scale(header: Header, reading: Reading, form: str, stamped: str | None) -> 
     return SCALES[scale], bool(given or stamped)
 
 
-def _as_stated(header: Header, reading: Reading, told: Timing, given: str | None) -> Timing:
+def _as_stated(header: Header, reading: Reading, draft: Timing, given: str | None) -> Timing:
     """The timing after what descriptions and metadata state of scale, mark and way of light; ``given`` is the scale that is told
     elsewhere."""
-    scale, mark, light_path, notes = told.scale, told.mark, told.light_path, list(told.notes)
-    settled = reading.time_scale is not None or told.format in OWN_SCALES
+    scale, mark, light_path, notes = draft.scale, draft.mark, draft.light_path, list(draft.notes)
+    settled = reading.time_scale is not None or draft.format in OWN_SCALES
     for place, text in _statements(header, reading):
         said = f"{place} says {text[:60]!r}"
         if AT_THE_SUN.search(text):
@@ -219,7 +219,7 @@ def _as_stated(header: Header, reading: Reading, told: Timing, given: str | None
             else:
                 mark = name
                 notes.append(f"{said}: half of exptime is {_moved(name)} every time")
-    return replace(told, scale=scale, mark=mark, light_path=light_path, notes=tuple(notes))
+    return replace(draft, scale=scale, mark=mark, light_path=light_path, notes=tuple(notes))
 
 
 def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -> list[str]:
@@ -229,9 +229,9 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
     for text in _remarks(header):
         named = {SCALES.get(name.lower(), "other") for name in ON_A_CLOCK.findall(text)}
         named |= {name for name, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
-        found = {
+        options = {
             "time_zone=+02:00": OF_ANOTHER_CLOCK.search(text) and not _has_offset(header),
-            "time_mark=start": any(one.search(text) for one in MARKS.values()),
+            "time_mark=start": any(pattern.search(text) for pattern in MARKS.values()),
             f"light_path={'barycentric' if BARYCENTRE.search(text) else 'heliocentric'}": AT_THE_SUN.search(
                 text
             ),
@@ -240,7 +240,7 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
         }
         open_ = [
             option
-            for option, seen in found.items()
+            for option, seen in options.items()
             if seen and getattr(reading, option.partition("=")[0]) is None
         ]
         if open_:
@@ -355,7 +355,7 @@ def _remarks(header: Header) -> list[str]:
 def _first_time(header: Header) -> str:
     """The text of the first time; "" where there is none."""
     cells, places = first_row(header), header.places("time")
-    return "" if max(places) >= len(cells) else moment_of([cells[place] for place in places])
+    return "" if max(places) >= len(cells) else moment_of([cells[column] for column in places])
 
 
 def _has_offset(header: Header) -> bool:

@@ -77,13 +77,14 @@ def render_fit(
             warnings=with_titles(result),
             rows=[_row(result, name, row) for name, row in result.parameters().items()],
             many=MANY_ROWS,
-            matches=[(material, _match_words(found)) for material, found in result.materials().items()],
+            matches=[(material, _match_words(matches)) for material, matches in result.materials().items()],
             viewer=viewer_data(result.model, result.view, result.prediction),
             chain_words=_chain_words(result),
             sampled=result.posterior is not None,
             pictures=by_section(result, drawn, SECTIONS),
             effects=[
-                (f"{one.name}: {one.title}", first_sentence(type(one))) for one in _distinct_effects(result)
+                (f"{effect.name}: {effect.title}", first_sentence(type(effect)))
+                for effect in _distinct_effects(result)
             ],
             facts=_facts(result),
             made={"inputs": {}, "versions": {}, "command": None, "seed": result.seed}
@@ -134,13 +135,13 @@ def substances(result: FitResult) -> list[tuple[str, str]]:
             by_owner.setdefault(free.origin.owner, []).append(f"{titled(free)} {value}")
         else:
             others.append((titled_with_owner(free), value))
-    found = []
+    described = []
     matches = result.materials()
     for owner, values in by_owner.items():
-        likely = [one for one in matches.get(owner, []) if one["probability"] >= GOOD_MATCH]
+        likely = [match for match in matches.get(owner, []) if match["probability"] >= GOOD_MATCH]
         like = f"; most like {_match_words(likely)}" if likely and likely[0]["name"] != OTHER else ""
-        found.append((owner, ", ".join(values) + like))
-    return [*found, *others]
+        described.append((owner, ", ".join(values) + like))
+    return [*described, *others]
 
 
 def _quality(result: FitResult) -> str:
@@ -149,14 +150,18 @@ def _quality(result: FitResult) -> str:
     size = f"{result.rms_mag:.3f} mag" if magnitudes else f"{100 * result.rms_relative:.2g} % of the flux"
     if recording.error is None:
         judged = "the recording quotes no errors, so its noise was fitted and chi-square judges nothing"
-    elif not (widening := [one for one in result.model.effects if isinstance(one, NoiseKind) and one.widens]):
+    elif not (
+        widening := [
+            effect for effect in result.model.effects if isinstance(effect, NoiseKind) and effect.widens
+        ]
+    ):
         judged = f"chi-square is {against_freedom(result.fit.chi2, result.fit.dof, 0)}"
         verdict = "as the errors allow" if result.fit.p_value > 0.01 else "more than the errors allow"
         judged += f", {verdict}" if result.fit.dof > 0 else ": it judges nothing"
-    elif {one.name for one in widening} <= {
+    elif {effect.name for effect in widening} <= {
         Entry.parse(entry).name for entry in result.model.scene.model.effects or ()
     }:
-        judged = f"the scene's {' and '.join(one.name for one in widening)} is part of the errors"
+        judged = f"the scene's {' and '.join(effect.name for effect in widening)} is part of the errors"
     else:
         quoted = recording.error if magnitudes else 100 * recording.error / np.abs(recording.observed)
         return (
@@ -179,11 +184,11 @@ def _trust(result: FitResult) -> str:
     return f"The result is not final: {result.reason}."
 
 
-def _match_words(found: list[dict[str, Any]]) -> str:
-    named = [one for one in found if one["probability"] >= GOOD_MATCH][:4]
+def _match_words(matches: list[dict[str, Any]]) -> str:
+    named = [match for match in matches if match["probability"] >= GOOD_MATCH][:4]
     return ", ".join(
-        f"{'none of the library' if one['name'] == OTHER else one['name']} ({100 * one['probability']:.0f} %)"
-        for one in named
+        f"{'none of the library' if match['name'] == OTHER else match['name']} ({100 * match['probability']:.0f} %)"
+        for match in named
     )
 
 
@@ -223,7 +228,7 @@ def _distinct_effects(result: FitResult) -> list[Any]:
 
 def _row(result: FitResult, name: str, row: dict[str, Any]) -> dict[str, Any]:
     """A parameter as the table shows it."""
-    entry = next((one for one in result.model.parameter_set.free if one.name == name), None)
+    entry = next((free for free in result.model.parameter_set.free if free.name == name), None)
     return {
         "name": name,
         "title": None if entry is None else meaning(entry),

@@ -68,10 +68,14 @@ def _paragraphs(effects: Sequence[dict[str, Any]]) -> list[str]:
         target = f" [{effect['per']}]" if effect["per"] else ""
         usual = " (in every model unless its scene lists effects)" if effect["default"] else ""
         lines.append(f"{effect['name']}{target}{usual}: {effect['title']}. {effect['sentence']}")
-        for one in effect["parameters"]:
-            low, high = (("" if bound is None else f"{bound:g}") for bound in (one["low"], one["high"]))
-            unit = f" {one['unit']}" if one["unit"] else ""
-            lines.append(f"    {one['name']}{unit} ({low} .. {high}, {_prior(one)}): {one['meaning']}")
+        for parameter in effect["parameters"]:
+            low, high = (
+                ("" if bound is None else f"{bound:g}") for bound in (parameter["low"], parameter["high"])
+            )
+            unit = f" {parameter['unit']}" if parameter["unit"] else ""
+            lines.append(
+                f"    {parameter['name']}{unit} ({low} .. {high}, {_prior(parameter)}): {parameter['meaning']}"
+            )
     return lines
 
 
@@ -83,9 +87,13 @@ def materials_listing() -> list[dict[str, Any]]:
 def materials_lines() -> list[str]:
     """The known materials as text."""
     lines = []
-    for one in load_library().values():
-        values = ", ".join(f"{name} = {value:g}" for name, value in one.values.items())
-        lines += [f"{one.name} ({one.model}): {values}", f"    {one.meaning}", f"    {one.source}"]
+    for material in load_library().values():
+        values = ", ".join(f"{name} = {value:g}" for name, value in material.values.items())
+        lines += [
+            f"{material.name} ({material.model}): {values}",
+            f"    {material.meaning}",
+            f"    {material.source}",
+        ]
     return lines
 
 
@@ -94,12 +102,12 @@ def matches_of(directory: Path) -> dict[str, list[dict[str, Any]]]:
     path = directory / "fit.json" if directory.is_dir() else directory
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        found = content["materials"]
+        matches = content["materials"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             path, None, f"no fit in it ({type(error).__name__})", "the directory of a finished fit"
         ) from None
-    return found
+    return matches
 
 
 def matches_lines(found: dict[str, list[dict[str, Any]]]) -> list[str]:
@@ -107,10 +115,10 @@ def matches_lines(found: dict[str, list[dict[str, Any]]]) -> list[str]:
     lines = []
     for material, matches in found.items():
         lines.append(material)
-        for one in matches:
-            if one["probability"] >= LEAST_PROBABILITY:
-                away = "" if one["distance"] is None else f"  {one['distance']:.1f} sigma away"
-                lines.append(f"    {one['name']:20} {100 * one['probability']:5.1f} %{away}")
+        for match in matches:
+            if match["probability"] >= LEAST_PROBABILITY:
+                away = "" if match["distance"] is None else f"  {match['distance']:.1f} sigma away"
+                lines.append(f"    {match['name']:20} {100 * match['probability']:5.1f} %{away}")
     return lines
 
 

@@ -31,7 +31,7 @@ def titled_with_owner(free: Free) -> str:
     """What a free parameter is and whose, its full name beside it: "length along its x axis, body (body.size_x)"."""
     words, of = meaning(free), free.origin
     named = [of.owner] if of.role in ("materials", "components") else [of.target] if of.target else []
-    of_which = "".join(f", {one}" for one in (*named, of.member) if one)
+    of_which = "".join(f", {name}" for name in (*named, of.member) if name)
     return f"{words}{of_which} ({free.name})" if words else free.name
 
 

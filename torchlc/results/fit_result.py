@@ -123,9 +123,9 @@ class FitResult:
     def shares(self) -> np.ndarray:
         """Share of each component in each row's light, (C, T); 0 in rows without light."""
         with torch.no_grad():
-            found = self.model.brightness(self.fit.theta, shares=True).shares
-        assert found is not None  # asked for
-        return found.numpy()
+            shares = self.model.brightness(self.fit.theta, shares=True).shares
+        assert shares is not None  # asked for
+        return shares.numpy()
 
     @cached_property
     def band(self) -> np.ndarray | None:
@@ -140,11 +140,11 @@ class FitResult:
     def error(self) -> np.ndarray:
         """Standard deviation of each row, (T,): as recorded, or as fitted."""
         with torch.no_grad():
-            found = self.likelihood.residuals(self.fit.theta)
+            residuals = self.likelihood.residuals(self.fit.theta)
             if self.likelihood.fitted_errors:
-                return self.likelihood.fitted_levels(found.delta)[self.likelihood.curve].numpy()
-            sigma = self.model.noise(self.fit.theta).sigma(found.sigma, found.scale)
-            return sigma.expand(found.delta.shape).numpy()
+                return self.likelihood.fitted_levels(residuals.delta)[self.likelihood.curve].numpy()
+            sigma = self.model.noise(self.fit.theta).sigma(residuals.sigma, residuals.scale)
+            return sigma.expand(residuals.delta.shape).numpy()
 
     @property
     def comparison(self) -> Comparison:
@@ -212,8 +212,8 @@ class FitResult:
         lit = self.shares.sum(0) > 0
         mean = self.shares[:, lit].mean(1) if lit.any() else np.zeros(len(self.shares))
         return {
-            name: {"mean_share": float(one)}
-            for name, one in zip(self.model.assembly.components, mean, strict=True)
+            name: {"mean_share": float(share)}
+            for name, share in zip(self.model.assembly.components, mean, strict=True)
         }
 
     def materials(self) -> dict[str, list[dict[str, Any]]]:
@@ -224,12 +224,12 @@ class FitResult:
         for free, column in zip(self.model.parameter_set.free, self.posterior.flat.numpy().T, strict=True):
             if free.origin.role == "materials":
                 draws.setdefault(free.origin.owner, {})[free.origin.quantity] = column
-        found = {}
+        matches = {}
         for name, material in self.model.scene.materials.items():
-            own = draws.get(name)
-            if own:
-                found[name] = [vars(one) for one in match(own, model=material.model)]
-        return found
+            samples = draws.get(name)
+            if samples:
+                matches[name] = [vars(candidate) for candidate in match(samples, model=material.model)]
+        return matches
 
     def modes(self) -> list[dict[str, Any]]:
         """Distinct minima: chi-square (with the priors' rows) and parameters of each, best first."""

@@ -19,12 +19,12 @@ NOISE_DRAWS = 400
 
 def parameter_values(fit: Fit, posterior: Posterior, insight: Insight) -> dict[str, dict[str, Any]]:
     """Everything known of each free parameter."""
-    found: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, Any]] = {}
     draws = posterior.flat
     quantiles = torch.quantile(thinned(draws, 100_000), draws.new_tensor([0.05, 0.5, 0.95]), dim=0)
     rhat, ess = posterior.rhat, posterior.ess
     for i, entry in enumerate(fit.model.parameter_set.free):
-        found[entry.name] = {
+        values[entry.name] = {
             "map": float(fit.theta[i]),
             "median": float(quantiles[1, i]),
             "sd": float(draws[:, i].std()),
@@ -35,7 +35,7 @@ def parameter_values(fit: Fit, posterior: Posterior, insight: Insight) -> dict[s
             "unit": entry.unit,
             "informed": insight.informed[entry.name],
         }
-    return found
+    return values
 
 
 def noise_levels(fit: Fit, posterior: Posterior | None, seed: int) -> dict[str, dict[str, Any]]:

@@ -89,7 +89,7 @@ class RotationResult:
             "inertia_xyz": None if moments is None else list(moments),
             "inertia_ratios": None
             if moments is None
-            else [one / max(moments) for one in sorted(moments)[:2]],
+            else [moment / max(moments) for moment in sorted(moments)[:2]],
             "inertia_sd": [sd[f"inertia_{axis}"] for axis in "xy"] if moments else None,
             "chi2": mode.chi2,
             "above_best": mode.above,
@@ -103,7 +103,7 @@ class RotationResult:
             "probability": mode.probability,
             "turns_between_passes": list(mode.counts),
             "counts_possible": mode.possible,
-            "counts_likely": [_told_count(one) for one in mode.likely],
+            "counts_likely": [_told_count(count) for count in mode.likely],
             "mirror": mode.mirror,
         }
 
@@ -119,14 +119,14 @@ class RotationResult:
         frame = frame_of(torch.tensor(_unit(*equatorial(mode)), dtype=torch.float64))
         x, y, _ = (unit(rows.to_sun + rows.to_observer) @ frame.T).unbind(-1)
         azimuth = torch.atan2(y, x)
-        found: list[float | None] = []
+        turns: list[float | None] = []
         for number, (period, _) in enumerate(mode.periods):
             here = rows.of(number)
             moved = np.unwrap(azimuth[here].numpy()) / (2 * math.pi)
             seconds = (rows.seconds[here] - rows.middle[number]).numpy()
             along = float(seconds @ (moved - moved.mean()) / max(seconds @ seconds, 1e-12))
-            found.append(1 / abs(1 / period - along))
-        return found
+            turns.append(1 / abs(1 / period - along))
+        return turns
 
     def to_json(self) -> dict[str, Any]:
         search = self.search
@@ -154,9 +154,9 @@ class RotationResult:
         from astropy.table import Table
 
         names = ("period_s", "period_sd_s", "rev_per_hour", "phase_deg", "chi2", "probability")
-        told = [self.told(mode) for mode in self.search.modes]
-        table = Table({name: [one[name] for one in told] for name in names})
-        table["ra_deg"], table["dec_deg"] = (np.array([one["pole_icrs"][k] for one in told]) for k in (0, 1))
+        rows = [self.told(mode) for mode in self.search.modes]
+        table = Table({name: [row[name] for row in rows] for name in names})
+        table["ra_deg"], table["dec_deg"] = (np.array([row["pole_icrs"][k] for row in rows]) for k in (0, 1))
         return table
 
     def lines(self) -> list[str]:
@@ -170,35 +170,35 @@ class RotationResult:
     def _mode_lines(self, modes: Sequence[RotationMode]) -> list[str]:
         lines = []
         for number, mode in enumerate(modes):
-            one = self.told(mode)
-            (ra, dec), (lon, lat) = one["pole_icrs"], one["pole_ecliptic_j2000"]
-            rate = one["period_rate_ms_per_day"]
+            row = self.told(mode)
+            (ra, dec), (lon, lat) = row["pole_icrs"], row["pole_ecliptic_j2000"]
+            rate = row["period_rate_ms_per_day"]
             parts = [
-                f"pole RA {ra:.2f} Dec {dec:+.2f} (ecliptic {lon:.2f} {lat:+.2f}) +- {rounded(one['pole_sd_deg'], 2)} deg",
-                f"turn in {one['period_s']:.8g} +- {rounded(one['period_sd_s'], 1)} s ({one['rev_per_hour']:.6g} rev/h)",
-                f"phase {one['phase_deg']:.1f} deg at {one['epoch']}",
+                f"pole RA {ra:.2f} Dec {dec:+.2f} (ecliptic {lon:.2f} {lat:+.2f}) +- {rounded(row['pole_sd_deg'], 2)} deg",
+                f"turn in {row['period_s']:.8g} +- {rounded(row['period_sd_s'], 1)} s ({row['rev_per_hour']:.6g} rev/h)",
+                f"phase {row['phase_deg']:.1f} deg at {row['epoch']}",
             ]
-            if one["periods_s"] is not None:
-                first, second = one["inertia_ratios"]
+            if row["periods_s"] is not None:
+                first, second = row["inertia_ratios"]
                 parts[1] = (
-                    f"long axis about it in {one['period_s']:.8g} +- {rounded(one['period_sd_s'], 1)} s ({one['rev_per_hour']:.6g} rev/h), "
-                    f"short axis in {one['periods_s']['precession_short']:.6g} s, the body's own turn {one['periods_s']['rotation']:.6g} s"
+                    f"long axis about it in {row['period_s']:.8g} +- {rounded(row['period_sd_s'], 1)} s ({row['rev_per_hour']:.6g} rev/h), "
+                    f"short axis in {row['periods_s']['precession_short']:.6g} s, the body's own turn {row['periods_s']['rotation']:.6g} s"
                 )
                 parts.append(
-                    f"{one['axis_mode']}-axis mode, nutation {one['nutation_deg']:.2f} deg, "
+                    f"{row['axis_mode']}-axis mode, nutation {row['nutation_deg']:.2f} deg, "
                     f"moments of inertia {first:.3f} : {second:.3f} : 1"
                 )
-            if rate is not None and one["period_rate_sd_ms_per_day"] is not None:
-                sd = one["period_rate_sd_ms_per_day"]
+            if rate is not None and row["period_rate_sd_ms_per_day"] is not None:
+                sd = row["period_rate_sd_ms_per_day"]
                 parts.append(
                     f"period grows by {rate:.4g} +- {rounded(sd, 1)} ms a day"
                     if rate
                     else f"a change of the period by {rounded(sd, 1)} ms a day would not show"
                 )
-            if one["tilt_deg"] is not None:
-                parts.append(f"tilt {', '.join(f'{x:.2f}' for x in one['tilt_deg'])} deg")
-            if any(one["turns_between_passes"]):
-                turns = ", ".join(f"{count:+g}" for count in one["turns_between_passes"])
+            if row["tilt_deg"] is not None:
+                parts.append(f"tilt {', '.join(f'{x:.2f}' for x in row['tilt_deg'])} deg")
+            if any(row["turns_between_passes"]):
+                turns = ", ".join(f"{count:+g}" for count in row["turns_between_passes"])
                 parts.append(f"turns between passes {turns} against mode 1")
             if mode.possible > 1 and mode.periods:
                 each = ", ".join(f"{period:.6g} +- {rounded(sd_, 1)}" for period, sd_ in mode.periods)
@@ -211,7 +211,7 @@ class RotationResult:
                     + ", ".join(
                         (f"{night['period_s']:.7g} s " if "period" in mode.apart else "")
                         + f"{night['phase_deg']:.1f} +- {rounded(night['phase_sd_deg'], 1)} deg in {night['night']}"
-                        for night in one["nights"]
+                        for night in row["nights"]
                     )
                 ]
             if mode.mirror:
@@ -229,13 +229,13 @@ class RotationResult:
     def _scene(self, mode: RotationMode) -> Scene:
         scene, numbers = mode.scene, mode.numbers
         names = LightCurve(scene, self.search.recording).names
-        found = dict(zip(names, mode.theta.tolist(), strict=True))
+        fitted = dict(zip(names, mode.theta.tolist(), strict=True))
         attitude: dict[str, Any] = {}
         for key in scene.attitude.model_fields_set:
             attitude[key] = getattr(scene.attitude, key)
         attitude["pole"] = tuple(
-            _at(one, numbers[key])
-            for one, key in zip(attitude["pole"], ("pole_lon", "pole_lat"), strict=True)
+            _at(given, numbers[key])
+            for given, key in zip(attitude["pole"], ("pole_lon", "pole_lat"), strict=True)
         )
         for key in ("period", "phase", "period_rate", "nutation", "polhode_phase"):
             if key in attitude:
@@ -243,18 +243,19 @@ class RotationResult:
         attitude["period"] = _wider(attitude["period"], WITHIN_SD * mode.sd.get("period", 0.0))
         if "inertia" in attitude:
             attitude["inertia"] = tuple(
-                _at(one, numbers[f"inertia_{axis}"])
-                for one, axis in zip(attitude["inertia"], "xy", strict=True)
+                _at(given, numbers[f"inertia_{axis}"])
+                for given, axis in zip(attitude["inertia"], "xy", strict=True)
             )
         if "tilt" in attitude:
             attitude["tilt"] = tuple(
-                _at(one, numbers[f"tilt_{axis}"]) for one, axis in zip(attitude["tilt"], "xyz", strict=True)
+                _at(given, numbers[f"tilt_{axis}"])
+                for given, axis in zip(attitude["tilt"], "xyz", strict=True)
             )
         materials = {
             name: material.model_copy(
                 update={
                     "parameters": {
-                        key: _at(value, found.get(f"{name}.{key}", math.nan))
+                        key: _at(value, fitted.get(f"{name}.{key}", math.nan))
                         for key, value in material.parameters.items()
                     }
                 }
@@ -304,7 +305,7 @@ class RotationResult:
             )
             phase = (since / (3600 * period) + start / 360) % 1.0
         if best.tumbling:  # no phase of one turn folds it
-            first = np.array([seconds[number == one].min() for one in range(rows.passes)])
+            first = np.array([seconds[number == index].min() for index in range(rows.passes)])
             phase, meaning = (
                 (seconds - first[number]) / best.period_s,
                 "turns of the long axis since the first row",

@@ -117,8 +117,8 @@ class SimulatedCurve:
                 "brightest": brightest if any_light else None,
                 "faintest_mag": mag[seen].max() if any_light else None,
                 "components": {
-                    name: {"mean_share": np.nanmean(one) if any_light else None}
-                    for name, one in self.shares.items()
+                    name: {"mean_share": np.nanmean(share) if any_light else None}
+                    for name, share in self.shares.items()
                 },
                 **({} if recorded is None or not any_light else {"recorded": recorded}),
                 "warnings": list(self.warnings),
@@ -143,14 +143,14 @@ class SimulatedCurve:
         said = self.to_json()
         if said["brightest"] is None:
             return f"{self.name}: {number_of(said['rows'], 'row')}, no light in any"
-        told = f"{self.name}: {number_of(said['rows'], 'row')}, {self._range(said)}"
+        text = f"{self.name}: {number_of(said['rows'], 'row')}, {self._range(said)}"
         if "recorded" in said:
             fainter = said["recorded"]["fainter_mag"]
-            told += (
+            text += (
                 f"; recorded {self._range(said['recorded'])}, at the median {abs(fainter):.2f} mag "
                 f"{'fainter' if fainter > 0 else 'brighter'}"
             )
-        return told
+        return text
 
     def _range(self, said: Mapping[str, Any]) -> str:
         when, brightest = said["brightest"]["time"][:19], said["brightest"]["mag"]
@@ -239,14 +239,14 @@ def _geometry(model: LightCurve, theta: Tensor) -> dict[str, np.ndarray | None]:
                 if effect.opaque_air:
                     air = model.assembly.own(effect, model.values(theta))[effect.opaque_air]
             eclipse = 1.0 - sunlit_fraction(state.position[0], state.sun[0], air)
-        found = {
+        columns = {
             "range_km": track.range_km,
             "phase_angle_deg": track.phase_angle_deg,
             "elevation_deg": track.elevation_deg,
             "airmass": track.airmass,
             "eclipse_fraction": eclipse,
         }
-    return {name: None if values is None else values.numpy() for name, values in found.items()}
+    return {name: None if values is None else values.numpy() for name, values in columns.items()}
 
 
 def _errors(model: LightCurve, theta: Tensor, sigma: float, seed: int) -> np.ndarray:

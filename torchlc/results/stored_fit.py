@@ -87,8 +87,8 @@ class StoredFit:
         ]
         width = max((len(name) for name, _ in rows), default=0)
         head = f"StoredFit: {self.directory}: {number_of(content['rows'], 'row')}, chi2 {against_freedom(content['chi2'], content['dof'])}, {state}"
-        told = [f"  {name:{width}}  {text}" for name, text in rows]
-        return "\n".join([head, *told, *(f"  ! {text}" for text in self.warnings)])
+        lines = [f"  {name:{width}}  {text}" for name, text in rows]
+        return "\n".join([head, *lines, *(f"  ! {text}" for text in self.warnings)])
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
@@ -125,7 +125,7 @@ def _draws(path: Path) -> dict[str, np.ndarray]:
     arviz = arviz_library()
     try:
         data = arviz.from_netcdf(str(path), engine="h5netcdf")
-        found = {
+        draws = {
             str(variable.attrs.get("parameter", name)): np.asarray(variable.values, dtype=float)
             for name, variable in data["posterior"].data_vars.items()
         }
@@ -133,6 +133,6 @@ def _draws(path: Path) -> dict[str, np.ndarray]:
         raise InputError(
             path, None, f"cannot be read: {error}"[:200], "a posterior.nc that torchlc wrote"
         ) from None
-    if any(not math.prod(values.shape) for values in found.values()):
+    if any(not math.prod(values.shape) for values in draws.values()):
         raise InputError(path, None, "no draws", "a posterior.nc that torchlc wrote")
-    return found
+    return draws

@@ -80,7 +80,7 @@ def numbered_components(scene: Tables) -> Tables:
         return scene
     pairs = zip(scene.components, renamed, strict=True)
     return scene.model_copy(
-        update={"components": [one.model_copy(update={"name": new}) for one, new in pairs]}
+        update={"components": [component.model_copy(update={"name": new}) for component, new in pairs]}
     )
 
 

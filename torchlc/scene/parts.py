@@ -94,7 +94,7 @@ class Orbit(Table):
     @model_validator(mode="after")
     def _exactly_one(self) -> Orbit:
         given = (self.tle, self.tle_file, self.oem_file, self.vectors)
-        count = sum(one is not None for one in given) + self.altaz
+        count = sum(value is not None for value in given) + self.altaz
         if count != 1:
             raise problem(
                 "none of them" if count == 0 else "more than one",
@@ -183,9 +183,9 @@ class Attitude(Table):
         if "period_rate" in self.model_fields_set:
             numbers["period_rate"] = self.period_rate
         if self.inertia is not None:
-            numbers |= {f"inertia_{axis}": one for axis, one in zip("xy", self.inertia, strict=True)}
+            numbers |= {f"inertia_{axis}": moment for axis, moment in zip("xy", self.inertia, strict=True)}
         if self.tilt is not None:
-            numbers |= {f"tilt_{axis}": one for axis, one in zip("xyz", self.tilt, strict=True)}
+            numbers |= {f"tilt_{axis}": angle for axis, angle in zip("xyz", self.tilt, strict=True)}
         return numbers
 
     @property
@@ -205,8 +205,8 @@ class Attitude(Table):
         if inertia is None:
             return None
         ends = []
-        for one in inertia:
-            low, high = (one.low, one.high) if isinstance(one, Free) else (one, one)
+        for moment in inertia:
+            low, high = (moment.low, moment.high) if isinstance(moment, Free) else (moment, moment)
             if low is None or high is None:
                 raise problem("no bounds", "low and high: moments of inertia of a body have them")
             ends.append((low, high))

@@ -50,8 +50,8 @@ class SceneTables(Table):
             f"  orbit       {orbit}",
             f"  stations    {', '.join(station.id for station in self.stations) or 'none'}",
             f"  attitude    {self.attitude.mode}",
-            f"  components  {', '.join(f'{one.name} ({one.shape})' for one in self.components)}",
-            f"  materials   {', '.join(f'{name} ({one.model})' for name, one in self.materials.items())}",
+            f"  components  {', '.join(f'{component.name} ({component.shape})' for component in self.components)}",
+            f"  materials   {', '.join(f'{name} ({material.model})' for name, material in self.materials.items())}",
             f"  effects     {effects}",
             f"  free        {', '.join(free) or 'nothing'}",
         ]
@@ -93,7 +93,7 @@ class SceneTables(Table):
                 if facing > 0:
                     placed = corners @ ASIDE.T
                     drawn.append((float(placed[:, 2].mean()), placed[:, :2], index, float(facing)))
-        drawn.sort(key=lambda one: one[0])
+        drawn.sort(key=lambda polygon: polygon[0])
         _, shapes, colours, shades = zip(*drawn, strict=True) if drawn else ((), (), (), ())
         return polygons(shapes, colours, shades, f"{self.name}: {', '.join(part.name for part in parts)}")
 

@@ -100,11 +100,11 @@ def read_elements(path: str | Path) -> list[Elements]:
 
 def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | None) -> list[Elements]:
     """The sets of the object of that number, name or part of a name; InputError where that is not one object."""
-    objects = {one.lines[0][2:7]: one for one in sets}
+    objects = {elements.lines[0][2:7]: elements for elements in sets}
     if wanted is None:
         if len(objects) == 1:
             return list(sets)
-        some = min(objects.values(), key=lambda one: one.lines[0][2:7])
+        some = min(objects.values(), key=lambda elements: elements.lines[0][2:7])
         hint = f"Say which: --object {some.number}, by its number, its name or a part of its name"
         raise InputError(
             path,
@@ -117,14 +117,17 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
     digits = sought.lstrip("0") or "0"
     chosen = [
         number
-        for number, one in objects.items()
-        if digits in (one.number.casefold(), one.whole_number) or sought == (one.name or "").casefold()
+        for number, elements in objects.items()
+        if digits in (elements.number.casefold(), elements.whole_number)
+        or sought == (elements.name or "").casefold()
     ]
-    named = {one.lines[0][2:7] for one in sets if sought and sought in (one.name or "").casefold()}
+    named = {
+        elements.lines[0][2:7] for elements in sets if sought and sought in (elements.name or "").casefold()
+    }
     chosen = chosen or sorted(named)
     if not chosen:
-        names = [one.name for one in objects.values() if one.name]
-        known = [*names, *(one.number for one in objects.values())]
+        names = [elements.name for elements in objects.values() if elements.name]
+        known = [*names, *(elements.number for elements in objects.values())]
         raise InputError(
             path,
             "--object",
@@ -137,18 +140,18 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
         raise InputError(
             path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}"
         )
-    return [one for one in sets if one.lines[0][2:7] == chosen[0]]
+    return [elements for elements in sets if elements.lines[0][2:7] == chosen[0]]
 
 
 def _listed(objects: Iterable[Elements]) -> str:
     """Number and name of objects, in order of their numbers."""
-    ordered = sorted(objects, key=lambda one: one.lines[0][2:7])
+    ordered = sorted(objects, key=lambda elements: elements.lines[0][2:7])
     more = (
         f" and {len(ordered) - MOST_LISTED} more: a part of a name finds them"
         if len(ordered) > MOST_LISTED
         else ""
     )
-    return ", ".join(one.label for one in ordered[:MOST_LISTED]) + more
+    return ", ".join(elements.label for elements in ordered[:MOST_LISTED]) + more
 
 
 def read_catalogue(path: str | Path) -> list[Elements]:
@@ -156,10 +159,10 @@ def read_catalogue(path: str | Path) -> list[Elements]:
 
     InputError where one of them is not right: no set is passed over.
     """
-    found, wrong = sound_sets(path)
+    sets, wrong = sound_sets(path)
     if wrong:
         raise wrong[0]
-    return found
+    return sets
 
 
 def passed_over(wrong: Sequence[InputError]) -> list[str]:
@@ -183,7 +186,7 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
     texts = re.split(r"\r\n|\r|\n", decoded)
     lines = [(number, text.lstrip("\ufeff \t").rstrip()) for number, text in enumerate(texts, 1)]
     lines = [(number, text) for number, text in lines if text and not text.startswith("#")]
-    found: list[Elements] = []
+    sets: list[Elements] = []
     wrong: list[InputError] = []
     lacking, whole, k = None, False, 0
     while k < len(lines):
@@ -193,8 +196,8 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
             k += 1
         elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
             lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
-            told = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
-            place, said = f"line {number}", f"{line[:90]!r}{told}"
+            fault = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
+            place, said = f"line {number}", f"{line[:90]!r}{fault}"
             lacking = lacking or f"{place}: {said}"
             wrong.append(InputError(path, place, said, "both lines of each set, one below the other"))
             k += 1
@@ -203,15 +206,15 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
             above = lines[k - 1][1] if k else ""
             name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
             try:
-                found.append(Elements(name, _checked(path, (number, line), following)))
+                sets.append(Elements(name, _checked(path, (number, line), following)))
             except InputError as error:
                 wrong.append(error)
             k += 2
     if not whole:
         raise InputError(path, None, "no two-line elements", "lines that begin with '1 ' and '2 '", lacking)
-    if not found:
+    if not sets:
         raise wrong[0]
-    return found, wrong
+    return sets, wrong
 
 
 def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tuple[str, str]:
@@ -238,7 +241,7 @@ def nearest(sets: Sequence[Elements], jd: np.ndarray) -> np.ndarray:
     """Index (T,) of the set with its epoch nearest to each Julian date (T,), UTC; of equally near ones the
     earlier, of sets of one epoch the last on file, which corrects those before.
     """
-    last = {one.epoch: k for k, one in enumerate(sets)}
+    last = {elements.epoch: k for k, elements in enumerate(sets)}
     epochs = np.array(sorted(last))
     order = np.array([last[epoch] for epoch in epochs])
     return order[np.searchsorted((epochs[1:] + epochs[:-1]) / 2, jd)]

@@ -81,23 +81,23 @@ class Box(Part):
         axis, sign = "XYZ".index(tone.side[1]), 1.0 if tone.side[0] == "+" else -1.0
         border = sign * (0.5 - tone.share)
         pieces = []
-        for place, face in enumerate(self.faces):
+        for index, face in enumerate(self.faces):
             other = special.get(face, tone.material)
-            ahead = sign * self._normal[place, axis]
+            ahead = sign * self._normal[index, axis]
             if ahead or face in special:
                 pieces.append(
-                    (place, 1.0, self._vertices[place], other if ahead > 0 else self.materials[place])
+                    (index, 1.0, self._vertices[index], other if ahead > 0 else self.materials[index])
                 )
                 continue
             for share, end, material in (
-                (1 - tone.share, -0.5 * sign, self.materials[place]),
+                (1 - tone.share, -0.5 * sign, self.materials[index]),
                 (tone.share, 0.5 * sign, other),
             ):
-                vertices = self._vertices[place].copy()
+                vertices = self._vertices[index].copy()
                 vertices[:, axis] = np.where(vertices[:, axis] * end > 0, end, border)
-                pieces.append((place, share, vertices, material))
-        places = [place for place, *_ in pieces]
-        self.faces = tuple(self.faces[place] for place in places)
+                pieces.append((index, share, vertices, material))
+        places = [face_index for face_index, *_ in pieces]
+        self.faces = tuple(self.faces[face_index] for face_index in places)
         self.materials = tuple(material for *_, material in pieces)
         self._normal, self._u = self._normal[places], self._u[places]
         self._share = np.array([share for _, share, *_ in pieces])

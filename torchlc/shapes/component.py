@@ -56,7 +56,7 @@ class Component(Table):
 def _may_be_free(annotation: Any) -> bool:
     """Whether a value of this type may be a free number by itself."""
     return annotation is Free or any(
-        _may_be_free(one) for one in get_args(annotation) if not _is_tuple(annotation)
+        _may_be_free(argument) for argument in get_args(annotation) if not _is_tuple(annotation)
     )
 
 

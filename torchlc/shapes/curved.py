@@ -110,7 +110,7 @@ class Band:
         """Points for directions (..., 3) that broadcast."""
         to_sun, to_observer = torch.broadcast_tensors(to_sun, to_observer)
         sun, observer = _projected(to_sun, self.frame), _projected(to_observer, self.frame)
-        bisector = [one + other for one, other in zip(sun, observer, strict=True)]
+        bisector = [part + other for part, other in zip(sun, observer, strict=True)]
         x, y, level = _level(bisector[0], bisector[1])
         ends, sides = [], []
         for direction in (sun, observer):
@@ -149,7 +149,7 @@ class Band:
                 torch.minimum(middle + half, other + other_half),
             )
             arcs.append(evenly(low, high, BEHIND))
-        offset, width = (torch.cat(one, -1) for one in zip(*arcs, strict=True))
+        offset, width = (torch.cat(pieces, -1) for pieces in zip(*arcs, strict=True))
         cos_i, cos_r = (
             size[..., None] * torch.cos(offset - azimuth[..., None]) + rise[..., None]
             for azimuth, size, rise in sides
@@ -178,17 +178,17 @@ class Band:
         self, x: Tensor, y: Tensor, sun: list[Tensor], observer: list[Tensor], low: Tensor, high: Tensor
     ) -> Tensor:
         """Azimuth (...) from the direction (x, y) at which n.s = n.o; of two the one between limits, or the nearer."""
-        first, second, axial = (one - other for one, other in zip(sun, observer, strict=True))
+        first, second, axial = (part - other for part, other in zip(sun, observer, strict=True))
         ahead, across, size = _level(x * first + y * second, x * second - y * first)
         size = size / torch.sqrt(x * x + y * y)
         half = torch.acos((-self.rise * axial / (self.level * size)).clamp(-1 + TINY, 1 - TINY))
         middle = torch.atan2(across, ahead)
-        one, other = (
+        left, right = (
             torch.remainder(end + math.pi, 2 * math.pi) - math.pi for end in (middle - half, middle + half)
         )
-        first_within, second_within = (((end > low) & (end < high)) for end in (one, other))
-        nearer = torch.where(first_within == second_within, one.abs() < other.abs(), first_within)
-        return torch.where(nearer, one, other)
+        first_within, second_within = (((end > low) & (end < high)) for end in (left, right))
+        nearer = torch.where(first_within == second_within, left.abs() < right.abs(), first_within)
+        return torch.where(nearer, left, right)
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,8 @@ class Dome:
         of Sun and observer, stand for both."""
         to_sun, to_observer = torch.broadcast_tensors(to_sun, to_observer)
         both, apart = (
-            dot(one, one).clamp(min=PARALLEL).sqrt() for one in (to_sun + to_observer, to_observer - to_sun)
+            dot(vector, vector).clamp(min=PARALLEL).sqrt()
+            for vector in (to_sun + to_observer, to_observer - to_sun)
         )
         half = (to_sun + to_observer) / both[..., None]
         if self.rim is None:
@@ -240,7 +241,7 @@ class Dome:
         n = level * torch.cos(longitude), level * torch.sin(longitude), torch.sin(latitude)
         a, h = _parts(self.frame[2], basis), _parts(half, basis)
         cos_half = _scalar(n, h)
-        tangent = tuple(one - cos_half * other for one, other in zip(h, n, strict=True))
+        tangent = tuple(part - cos_half * other for part, other in zip(h, n, strict=True))
         cross = n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0]
         per_tilt = both[..., None] / _scalar(cross, cross).clamp(min=PARALLEL).sqrt()
         area = self.scale * width * level
@@ -274,8 +275,8 @@ class Dome:
         lower = torch.full_like(longitude, -0.5 * math.pi)
         upper = -lower
         for direction, cosine in ((axis, rim), (to_sun, 0.0 * rim), (to_observer, 0.0 * rim)):
-            one, other, third = _parts(direction, basis)
-            along, third, size = _level(one * torch.cos(longitude) + other * torch.sin(longitude), third)
+            x, y, third = _parts(direction, basis)
+            along, third, size = _level(x * torch.cos(longitude) + y * torch.sin(longitude), third)
             reach = torch.acos((cosine / size).clamp(-1 + TINY, 1 - TINY))
             middle = torch.atan2(third, along)
             lower, upper = torch.maximum(lower, middle - reach), torch.minimum(upper, middle + reach)
@@ -325,9 +326,9 @@ def graded(low: Tensor, high: Tensor, count: int, *, kink: Tensor | None = None)
     steps = [torch.asinh(cut / NEAREST)[..., None] for cut in cuts]
     places, weights = [], []
     for number, points in enumerate(counts):
-        place, weight = _even_rule(points, low)
+        share, weight = _even_rule(points, low)
         span = steps[number + 1] - steps[number]
-        step = steps[number] + span * place
+        step = steps[number] + span * share
         places.append(NEAREST * torch.sinh(step))
         weights.append(NEAREST * torch.cosh(step) * span * weight)
     return turned[..., None] * torch.cat(places, -1), torch.cat(weights, -1)
@@ -336,9 +337,9 @@ def graded(low: Tensor, high: Tensor, count: int, *, kink: Tensor | None = None)
 def evenly(low: Tensor, high: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Legendre places (..., count) between limits (...) and their weights."""
     nodes, weights = _gauss(count)
-    place, weight = (torch.as_tensor(one).to(low) for one in (0.5 * (nodes + 1), 0.5 * weights))
+    share, weight = (torch.as_tensor(values).to(low) for values in (0.5 * (nodes + 1), 0.5 * weights))
     span = (torch.maximum(low, high) - low)[..., None]
-    return low[..., None] + span * place, span * weight
+    return low[..., None] + span * share, span * weight
 
 
 @cache
@@ -350,9 +351,9 @@ def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
 def _even_rule(count: int, like: Tensor) -> tuple[Tensor, Tensor]:
     """Places (count,) in 0 to 1 and weights of the mapped Gauss-Legendre rule."""
     x, w = _gauss(count)
-    place = np.arcsin(EVENNESS * x) / math.asin(EVENNESS)
+    share = np.arcsin(EVENNESS * x) / math.asin(EVENNESS)
     weight = w * EVENNESS / np.sqrt(1 - (EVENNESS * x) ** 2) / math.asin(EVENNESS)
-    return torch.as_tensor(0.5 * (place + 1)).to(like), torch.as_tensor(0.5 * weight).to(like)
+    return torch.as_tensor(0.5 * (share + 1)).to(like), torch.as_tensor(0.5 * weight).to(like)
 
 
 def _projected(direction: Tensor, frame: Tensor) -> list[Tensor]:

@@ -31,11 +31,11 @@ class Sector(Table):
 
 def _are_apart(sectors: tuple[Sector, ...]) -> tuple[Sector, ...]:
     """Sectors that do not overlap."""
-    ordered = sorted(sectors, key=lambda one: one.start % 360.0)
-    for one, after in zip(ordered, [*ordered[1:], ordered[0]] if ordered else [], strict=True):
-        room = 360.0 if one is after else (after.start - one.start) % 360.0
-        if one.width > room + NARROWEST_DEG:
-            found = f"{one.width:g} deg from {one.start:g}, and another from {after.start:g}"
+    ordered = sorted(sectors, key=lambda sector: sector.start % 360.0)
+    for sector, after in zip(ordered, [*ordered[1:], ordered[0]] if ordered else [], strict=True):
+        room = 360.0 if sector is after else (after.start - sector.start) % 360.0
+        if sector.width > room + NARROWEST_DEG:
+            found = f"{sector.width:g} deg from {sector.start:g}, and another from {after.start:g}"
             raise problem(found, "sectors that do not overlap")
     return sectors
 
@@ -50,7 +50,7 @@ class CylinderKeys(RoundKeys):
     def materials(self) -> list[tuple[str, str]]:
         return [
             *super().materials(),
-            *((f"sectors[{k}].material", one.material) for k, one in enumerate(self.sectors)),
+            *((f"sectors[{k}].material", sector.material) for k, sector in enumerate(self.sectors)),
         ]
 
 
@@ -137,7 +137,7 @@ class Cylinder(Cone):
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Azimuths, rad, at which facets of the side begin and end (F,)."""
         steps = [start + width * np.arange(count + 1) / count for start, width, count in self._arcs.values()]
-        return np.concatenate([one[:-1] for one in steps]), np.concatenate([one[1:] for one in steps])
+        return np.concatenate([edges[:-1] for edges in steps]), np.concatenate([edges[1:] for edges in steps])
 
     def _towards(self, azimuth: np.ndarray) -> np.ndarray:
         return np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1) @ self._frame[:2]
@@ -146,18 +146,18 @@ class Cylinder(Cone):
 def _pieces(sectors: tuple[Sector, ...], rest: str) -> list[tuple[float, float, str]]:
     """All the way round as arcs of at most half a turn: start and width, rad, and material of each, in the order of azimuth from
     that of the first sector."""
-    ordered = sorted(sectors, key=lambda one: one.start % 360.0)
-    found: list[tuple[float, float, str]] = []
-    for one, after in zip(ordered, [*ordered[1:], ordered[0]], strict=True):
-        room = 360.0 if one is after else (after.start - one.start) % 360.0
-        width = min(one.width, room)
-        arcs = [(one.start, width, one.material), (one.start + width, room - width, rest)]
+    ordered = sorted(sectors, key=lambda sector: sector.start % 360.0)
+    pieces: list[tuple[float, float, str]] = []
+    for sector, after in zip(ordered, [*ordered[1:], ordered[0]], strict=True):
+        room = 360.0 if sector is after else (after.start - sector.start) % 360.0
+        width = min(sector.width, room)
+        arcs = [(sector.start, width, sector.material), (sector.start + width, room - width, rest)]
         for start, wide, material in arcs:
             if wide < NARROWEST_DEG:
                 continue
             halves = 1 + (wide > 180.0)
-            found += [
+            pieces += [
                 (math.radians(start + k * wide / halves), math.radians(wide / halves), material)
                 for k in range(halves)
             ]
-    return found
+    return pieces

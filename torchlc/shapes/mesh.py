@@ -222,13 +222,13 @@ def _cut(mesh: Faces, path: Path, place: str) -> tuple[Faces, list[str]]:
             cut.append(face)
             continue
         try:
-            found, bend = triangles(mesh.corners[face])
+            pieces, bend = triangles(mesh.corners[face])
         except CrossingError:
-            told = f"face {number_of_face}, of {len(face)} corners, has an outline that crosses itself"
+            fault = f"face {number_of_face}, of {len(face)} corners, has an outline that crosses itself"
             hint = "Put its corners in the order of its outline, or cut it into triangles."
-            raise InputError(path, place, told, "faces that do not", hint) from None
+            raise InputError(path, place, fault, "faces that do not", hint) from None
         bent += bend > FLAT
-        cut += [[face[i] for i in three] for three in found] or [[face[0], face[0], face[0]]]
+        cut += [[face[i] for i in three] for three in pieces] or [[face[0], face[0], face[0]]]
     warnings = []
     if again:
         warnings.append(f"{path.name}: {number_of(again, 'face')} there twice, counted once")
@@ -248,12 +248,12 @@ def _faults_of_edges(edges: np.ndarray, name: str) -> list[str]:
     """Of the edges (3 a face, two corners each) of a mesh that is not closed: what is wrong, in words."""
     faces_at = np.unique(edges, axis=0, return_counts=True)[1]
     holes, crowded = np.count_nonzero(faces_at % 2), np.count_nonzero(faces_at > 2)
-    told = []
+    faults = []
     if holes:
-        told.append(f"{name}: the mesh has holes ({holes} open edges); light can pass through them")
+        faults.append(f"{name}: the mesh has holes ({holes} open edges); light can pass through them")
     if crowded:
-        told.append(
+        faults.append(
             f"{name}: more than two faces meet at {crowded} edges; faces that lie on one another, or inside another body, "
             "count each for itself unless one hides the other (self_shadowing)"
         )
-    return told
+    return faults

@@ -248,7 +248,7 @@ def _ply_header(text: str, refuse: Refuse) -> tuple[str, list[tuple[str, int, Pr
                 pass
             case _:
                 raise refuse(f"{line[:60]!r}", "a line of a PLY header", at=f"line {number}")
-    known = {name: {one for one, _, _ in properties} for name, _, properties in elements}
+    known = {name: {key for key, _, _ in properties} for name, _, properties in elements}
     if (
         not kind
         or not {"x", "y", "z"} <= known.get("vertex", set())

@@ -61,10 +61,10 @@ class Hull:
         longest = max(map(len, loops))
         padded = [[*loop, *[loop[-1]] * (longest - len(loop))] for loop in loops]
         sides = [(forwards[a, b], forwards[b, a]) for a, b in edges]
-        place = {frozenset(edge): index for index, edge in enumerate(edges)}
+        numbers = {frozenset(edge): index for index, edge in enumerate(edges)}
         around = [
             # a corner that only pads a loop is followed by no edge, and never asked for it
-            [place.get(frozenset(edge), 0) for edge in zip(loop, [*loop[1:], loop[0]], strict=True)]
+            [numbers.get(frozenset(edge), 0) for edge in zip(loop, [*loop[1:], loop[0]], strict=True)]
             for loop in padded
         ]
         return cls(np.array(padded), np.array(edges), np.array(sides), np.array(around))

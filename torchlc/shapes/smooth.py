@@ -82,12 +82,12 @@ class Patches:
 
     def find(self, coordinate: Tensor, azimuth: Tensor) -> Tensor:
         """Which patch points (...) lie in; the outermost ring for a coordinate beyond it."""
-        starts, place = np.unique(self.edges[:, 0], return_index=True)
+        starts, first = np.unique(self.edges[:, 0], return_index=True)
         ring = torch.bucketize(coordinate, like(starts[1:], coordinate))
-        count = torch.as_tensor(np.diff([*place, len(self.polar)]), device=ring.device)[ring]
+        count = torch.as_tensor(np.diff([*first, len(self.polar)]), device=ring.device)[ring]
         turn = azimuth / (2 * math.pi)
         number = ((turn - turn.floor()) * count).long().clamp(max=count - 1)
-        return torch.as_tensor(place, device=ring.device)[ring] + number
+        return torch.as_tensor(first, device=ring.device)[ring] + number
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinate and azimuth (F, 4) of the corners, counter-clockwise about (coordinate, azimuth)."""

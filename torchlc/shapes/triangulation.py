@@ -41,17 +41,17 @@ def triangles(corners: np.ndarray) -> tuple[list[tuple[int, int, int]], float]:
     u = np.cross(first, normal)
     u /= np.linalg.norm(u)
     flat = np.stack([corners @ u, corners @ np.cross(normal, u)], -1)
-    left, found = list(range(len(corners))), []
+    left, pieces = list(range(len(corners))), []
     while len(left) > 3:
         ear = next((k for k in range(len(left)) if _is_ear(flat, left, k)), None)
         if ear is None:
             break
-        found.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
+        pieces.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
         left.pop(ear)
-    found += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
-    if any(_cross(flat[b] - flat[a], flat[c] - flat[b]) < -BACKWARDS * size**2 for a, b, c in found):
+    pieces += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
+    if any(_cross(flat[b] - flat[a], flat[c] - flat[b]) < -BACKWARDS * size**2 for a, b, c in pieces):
         raise CrossingError
-    return found, bend
+    return pieces, bend
 
 
 def _wide(corners: np.ndarray, size: float) -> bool:
@@ -64,7 +64,9 @@ def _is_ear(flat: np.ndarray, left: Sequence[int], k: int) -> bool:
     a, b, c = (flat[left[i % len(left)]] for i in (k - 1, k, k + 1))
     if not _cross(b - a, c - b) > 0:
         return False
-    others = flat[[one for one in left if not any(np.array_equal(flat[one], corner) for corner in (a, b, c))]]
+    others = flat[
+        [index for index in left if not any(np.array_equal(flat[index], corner) for corner in (a, b, c))]
+    ]
     if not len(others):
         return True
     inside = np.ones(len(others), dtype=bool)

@@ -68,12 +68,12 @@ def orientation(time: Time) -> Orientation:
     Vallado et al. (2006), AIAA 2006-6753, and in astropy. Rows of one instant, as of many objects, share the work.
     """
     instants, row = _distinct(time)
-    found = _orientation(instants)
+    distinct = _orientation(instants)
     return replace(
-        found,
-        gcrs_from_itrs=found.gcrs_from_itrs[row],
-        gcrs_from_teme=found.gcrs_from_teme[row],
-        axis=found.axis[row],
+        distinct,
+        gcrs_from_itrs=distinct.gcrs_from_itrs[row],
+        gcrs_from_teme=distinct.gcrs_from_teme[row],
+        axis=distinct.axis[row],
     )
 
 

@@ -76,15 +76,15 @@ class Segment:
         nodes = min(NODES, len(self.seconds))
         first = np.searchsorted(self.seconds, seconds) - nodes // 2
         first = np.clip(first, 0, len(self.seconds) - nodes)
-        found = np.empty((len(seconds), 3))
-        for one in np.unique(first):
-            rows, window = first == one, slice(one, one + nodes)
+        positions = np.empty((len(seconds), 3))
+        for start in np.unique(first):
+            rows, window = first == start, slice(start, start + nodes)
             middle = self.seconds[window].mean()
             values = np.empty((2 * nodes, 3))
             values[::2], values[1::2] = self.position[window], self.velocity[window]
             polynomial = KroghInterpolator(np.repeat(self.seconds[window] - middle, 2), values)
-            found[rows] = polynomial(seconds[rows] - middle)
-        return found
+            positions[rows] = polynomial(seconds[rows] - middle)
+        return positions
 
 
 class Ephemeris:
@@ -97,8 +97,8 @@ class Ephemeris:
         self.path = path
         self._origin: Any = time[0]
         self._segments = _segments(path, time)
-        position = np.concatenate([one.position for one in self._segments])
-        velocity = np.concatenate([one.velocity for one in self._segments])
+        position = np.concatenate([segment.position for segment in self._segments])
+        velocity = np.concatenate([segment.velocity for segment in self._segments])
         inverse = inverse_semi_major_axis(torch.from_numpy(position), torch.from_numpy(velocity)).numpy()
         if not (inverse > 0).all():
             raise InputError(path, None, "states that are not of an orbit about the Earth", "km and km/s")
@@ -130,14 +130,14 @@ class Ephemeris:
         """
         seconds = _elapsed(time, self._origin)
         covered = np.zeros(len(seconds), dtype=bool)
-        for one in self._segments:
-            covered |= (seconds >= one.start) & (seconds <= one.stop)
+        for segment in self._segments:
+            covered |= (seconds >= segment.start) & (seconds <= segment.stop)
         if not covered.all():
             moments = cast(Any, time.utc).isot
             found = f"no state at {moments[np.flatnonzero(~covered)[0]]} UTC"
             raise InputError(self.path, None, found, "an ephemeris of the time of the recording")
-        for one in self._segments:
-            turn, gap = one.turn_between(seconds)
+        for segment in self._segments:
+            turn, gap = segment.turn_between(seconds)
             if turn > LONGEST_TURN:
                 found = f"states {gap / 60:.0f} minutes apart, {turn / (2 * np.pi):.2f} revolutions"
                 expected = f"at most {LONGEST_TURN / (2 * np.pi):.2f} of a revolution from state to state"
@@ -145,7 +145,7 @@ class Ephemeris:
 
 
 def _segments(path: Path, time: Time) -> list[Segment]:
-    found = []
+    segments = []
     for meta, lines in _blocks(path):
         scale = SCALES.get(meta.get("TIME_SYSTEM", "").upper())
         if scale is None:
@@ -171,10 +171,10 @@ def _segments(path: Path, time: Time) -> list[Segment]:
         if len(near) >= 2:
             position, velocity = _in_gcrs(path, meta, cast(Time, times[near]), states[near])
             kept = seconds[near]
-            found.append(Segment(kept, position, velocity, max(span[0], kept[0]), min(span[1], kept[-1])))
-    if not found:
+            segments.append(Segment(kept, position, velocity, max(span[0], kept[0]), min(span[1], kept[-1])))
+    if not segments:
         raise InputError(path, None, "no states near the recording", "an ephemeris of its time")
-    return found
+    return segments
 
 
 def _blocks(path: Path) -> Iterator[tuple[Mapping[str, str], list[tuple[int, list[str]]]]]:
@@ -182,7 +182,7 @@ def _blocks(path: Path) -> Iterator[tuple[Mapping[str, str], list[tuple[int, lis
     readable_file(path, EXPECTED)
     meta: dict[str, str] = {}
     lines: list[tuple[int, list[str]]] = []
-    total, place = 0, "header"
+    total, section = 0, "header"
     with path.open(encoding=wide_encoding_of(path) or "utf-8", errors="replace") as stream:
         for number, line in enumerate(stream, 1):
             text = line.strip()
@@ -191,18 +191,18 @@ def _blocks(path: Path) -> Iterator[tuple[Mapping[str, str], list[tuple[int, lis
             if (
                 not text
                 or text.startswith("COMMENT")
-                or (place == "covariance" and text != "COVARIANCE_STOP")
+                or (section == "covariance" and text != "COVARIANCE_STOP")
             ):
                 continue
             if text == "META_START":
                 if lines:
                     yield meta, lines
-                meta, lines, place = {}, [], "meta"
+                meta, lines, section = {}, [], "meta"
             elif text in ("META_STOP", "COVARIANCE_STOP"):
-                place = "data"
+                section = "data"
             elif text == "COVARIANCE_START":
-                place = "covariance"
-            elif place in ("header", "meta"):
+                section = "covariance"
+            elif section in ("header", "meta"):
                 key, equals, value = text.partition("=")
                 if not equals:
                     raise InputError(path, f"line {number}", repr(text[:40]), "KEYWORD = value")

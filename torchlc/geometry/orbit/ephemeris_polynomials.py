@@ -59,8 +59,8 @@ def piecewise(
     step = min(sources[k].step_s for k in used)
     reach = REACH_S + exposure_s + REACH_REVOLUTIONS * 2 * np.pi / min(sources[k].mean_motion for k in used)
     width = int(np.ceil(reach / step)) + 1
-    place = seconds / step
-    cell = np.floor(place).astype(np.int64)
+    steps = seconds / step
+    cell = np.floor(steps).astype(np.int64)
     origin: Any = time[0]
     index, coefficients, stored = np.empty_like(cell), [], 0
     for k in used:
@@ -75,7 +75,7 @@ def piecewise(
     return Piecewise(
         torch.from_numpy(np.concatenate(coefficients)),
         torch.from_numpy(index),
-        torch.from_numpy(place - cell),
+        torch.from_numpy(steps - cell),
         torch.from_numpy(turn),
         step_s=step,
         first=-width,

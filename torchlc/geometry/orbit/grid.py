@@ -34,7 +34,7 @@ def observation_grid(
         )
     if not (np.isfinite(hours) and hours > 0 and np.isfinite(cadence_s) and cadence_s > 0):
         raise InputError(None, "--hours, --cadence", f"{hours:g} h every {cadence_s:g} s", "numbers > 0")
-    ids = tuple(place.id for place in scene.stations)
+    ids = tuple(site.id for site in scene.stations)
     if station is not None and station not in ids:
         raise InputError(None, "--station", repr(station), f"one of {', '.join(ids) or 'none in the scene'}")
     chosen = np.arange(len(ids)) if station is None else np.array([ids.index(station)])
@@ -50,7 +50,7 @@ def observation_grid(
     elapsed = np.repeat(np.arange(count) * float(cadence_s), chosen.size)
     time = in_scale(after(first, elapsed), "utc")
     places = np.tile(chosen, count)
-    longitudes = np.array([place.longitude for place in scene.stations])
+    longitudes = np.array([site.longitude for site in scene.stations])
     night, night_ids = local_nights(np.add(*julian_dates(time, "utc")), longitudes, places, ids)
     curve, curve_ids = compact(places, ids)
     return Recording(

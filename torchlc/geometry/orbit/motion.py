@@ -153,9 +153,9 @@ class Piecewise(Motion):
         self.step_s, self.first, self.last = step_s, first, last
 
     def forward(self, offset: Tensor) -> tuple[Tensor, Tensor]:
-        place = self.start + offset / self.step_s
-        whole = torch.floor(place.detach()).clamp(self.first, self.last)
-        fraction = place - whole
+        steps = self.start + offset / self.step_s
+        whole = torch.floor(steps.detach()).clamp(self.first, self.last)
+        fraction = steps - whole
         index = self.cell + whole.long()
         position = self.coefficients[..., -1].mT[:, index]
         velocity = torch.zeros_like(position)
@@ -164,6 +164,7 @@ class Piecewise(Motion):
             position = torch.addcmul(self.coefficients[..., k].mT[:, index], position, fraction)
         turn = self.rotation.movedim((-2, -1), (0, 1)).unflatten(-1, (*(1,) * (index.ndim - 1), -1))
         position, velocity = (
-            (turn * one).sum(1).movedim(0, -1).contiguous() for one in (position, velocity / self.step_s)
+            (turn * vector).sum(1).movedim(0, -1).contiguous()
+            for vector in (position, velocity / self.step_s)
         )
         return position, velocity

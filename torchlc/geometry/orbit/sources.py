@@ -94,12 +94,12 @@ def _sources(scene: Scene, recording: Recording) -> tuple[list[Source], np.ndarr
 
 def _nearest_told(path: Path, used: list[Elements], count: int, middle: np.ndarray) -> str:
     """Which element sets of a file are taken: for each night the nearest to its middle (Julian dates)."""
-    epochs = np.array([one.epoch for one in used])
+    epochs = np.array([elements.epoch for elements in used])
     away = np.abs(middle[:, None] - epochs).min(-1).max()
-    told = ", ".join(str(Time(epoch, format="jd", scale="utc").isot)[:16] for epoch in np.sort(epochs)[:3])
+    listed = ", ".join(str(Time(epoch, format="jd", scale="utc").isot)[:16] for epoch in np.sort(epochs)[:3])
     more = f" and {len(used) - 3} more" if len(used) > 3 else ""
     return (
-        f"{path.name}: of {count} element sets the nearest to each night is taken: {told}{more} (at most "
+        f"{path.name}: of {count} element sets the nearest to each night is taken: {listed}{more} (at most "
         f"{away:.1f} days from the middle of the night)"
     )
 
@@ -172,9 +172,9 @@ def _geocentric_track(
 ) -> Track:
     """Two-body motion from each row; where only positions are known, from the rate between rows."""
     rate, everywhere = _rates(recording, position) if velocity is None else (velocity, True)
-    place, moving = torch.from_numpy(position), torch.from_numpy(rate)
-    bound = everywhere and bool((inverse_semi_major_axis(place, moving) > 0).all())
-    object_ = TwoBody(place, moving) if bound else Straight(place, moving)
+    start, moving = torch.from_numpy(position), torch.from_numpy(rate)
+    bound = everywhere and bool((inverse_semi_major_axis(start, moving) > 0).all())
+    object_ = TwoBody(start, moving) if bound else Straight(start, moving)
     frame = earth.orientation(recording.time)
     observer_motion, zenith = _observer(recording, position + observer, frame)
     _, sun_rate = earth.sun_of_earth(recording.time)

@@ -317,7 +317,9 @@ def epochs_seconds(scene: Scene, recording: Recording, key: str) -> list[float]:
     first: Any = recording.time[0]
     several = given if isinstance(given, tuple) else (given,)
     try:
-        moments = [recording.first_time if one is None else instant(one, first.scale) for one in several]
+        moments = [
+            recording.first_time if epoch is None else instant(epoch, first.scale) for epoch in several
+        ]
     except UnreadableTime as error:
         raise InputError(scene.source, f"attitude.{key}", repr(error.found), error.expected) from None
     epochs = sorted(float(seconds_since(moment, first)) for moment in moments)

@@ -120,7 +120,7 @@ class _Way:
 def _way(moments: Tensor, nutation: Tensor) -> _Way:
     ordered, order = torch.sort(moments, dim=-1)
     small, middle, large = (ordered / ordered[..., 2:]).unbind(-1)
-    small, middle, large = (one[..., None] for one in (small, middle, large))
+    small, middle, large = (moment[..., None] for moment in (small, middle, large))
     sine, cosine = torch.sin(nutation), torch.cos(nutation)
     inverse = sine**2 / small + cosine**2 / large  # 2 T / L^2
     sam = inverse * middle < 1
@@ -204,13 +204,13 @@ def _means(m: Tensor) -> list[tuple[Tensor, Tensor]]:
     """Arithmetic means a and half differences c of the arithmetic-geometric mean of 1 and sqrt(1 - m), from the second
     step on; the last is the mean itself, pi / (2 K)."""
     a, b = torch.ones_like(m), torch.sqrt(1 - m)
-    found = []
+    means = []
     for _ in range(MEANS):
         a, b, c = (a + b) / 2, torch.sqrt(a * b), (a - b) / 2
-        found.append((a, c))
+        means.append((a, c))
         if not transformed() and readable(c) and bool((c.abs() < NEGLIGIBLE).all()):
             break
-    return found
+    return means
 
 
 def _elliptic(means: list[tuple[Tensor, Tensor]], m: Tensor, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 def formats() -> list[type[Format]]:
     """Every format in the order in which a file is offered to them."""
     latest_first = [*FORMATS.values()][::-1]
-    return sorted(latest_first, key=lambda one: one.order)
+    return sorted(latest_first, key=lambda form: form.order)
 
 
 def read_header(path: Path, reading: Reading | None = None, scene: Scene | None = None) -> Header:
     """What a file says before its rows, in the first format that recognises it, with its columns under our names."""
     reading = Reading() if reading is None else reading
     head = read_head(path, reading, scene)
-    form = next(one for one in formats() if one.recognises(head))
+    form = next(candidate for candidate in formats() if candidate.recognises(head))
     header = assigned(form.read(head), reading, form.columns)
     if encoding_of(path) == "cp1252":
-        told = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
-        header = replace(header, notes=(told, *header.notes))
+        note = "the file is not UTF-8 text and was read as Windows-1252 (Latin-1): check names with accents"
+        header = replace(header, notes=(note, *header.notes))
     return header
 
 

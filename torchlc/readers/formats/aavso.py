@@ -127,12 +127,12 @@ class AavsoDownload(NamedTable):
     @classmethod
     def read(cls, head: Head) -> Header:
         header = super().read(head)
-        place = header.names.index("Magnitude")
+        index = header.names.index("Magnitude")
 
         def rows() -> Iterator[Row]:
             for number, cells in lines_as_cells(header):
-                if place < len(cells) and cells[place].lstrip().startswith("<"):
-                    cells[place] = f">{cells[place].lstrip()[1:]}"
+                if index < len(cells) and cells[index].lstrip().startswith("<"):
+                    cells[index] = f">{cells[index].lstrip()[1:]}"
                 yield number, cells
 
         return replace(header, rows=rows)

@@ -197,13 +197,13 @@ class _Block:
 
     def notes(self, path: Path, relative: bool) -> list[str]:
         """What has to be told of how its rows were read."""
-        told, place = [], f"the session of line {self.line}"
+        notes, place = [], f"the session of line {self.line}"
         if relative and not self.differential and not self.reduced:
-            told.append(f"{place} is calibrated, but others are not: all are read as relative flux")
+            notes.append(f"{place} is calibrated, but others are not: all are read as relative flux")
         if self.differential:
-            told.append(f"{place} holds differential magnitudes, read as relative flux")
+            notes.append(f"{place} holds differential magnitudes, read as relative flux")
         elif self.relative:
-            told.append(
+            notes.append(
                 f"{place} is reduced to unit distances by amounts that it does not tell, and is read as relative flux"
             )
         elif not relative and self.correction(path):
@@ -212,14 +212,14 @@ class _Block:
                 for key in ("MAGADJUST", "UCORMAG")
                 if key in self.said and (key != "UCORMAG" or self.reduced)
             )
-            told.append(f"{place}: {self.correction(path):+g} mag are added ({names})")
+            notes.append(f"{place}: {self.correction(path):+g} mag are added ({names})")
         if self.half_exposure_days(path):
-            told.append(
+            notes.append(
                 f"{place}: dates of the {self.word('EXPJD').lower()} of exposures are moved to their middle"
             )
         if self.word("LTCAPP") in ("NONE", "FALSE") and self.word("LTCTYPE") not in NOT_APPLIED:
-            told.append(f"{place}: LTCAPP says that light time is not corrected, whatever LTCTYPE says")
-        return told
+            notes.append(f"{place}: LTCAPP says that light time is not corrected, whatever LTCTYPE says")
+        return notes
 
 
 def _few(notes: list[str]) -> tuple[str, ...]:

@@ -40,17 +40,17 @@ class Atlas(Format):
                     continue
                 cells = [cell.strip() for cell in line.split(delimiter)]
                 check_width(path, f"line {number}", cells, names)
-                date, mag, error, band = (cells[place] for place in places)
+                date, mag, error, band = (cells[index] for index in places)
                 if checked_decimal(mag, path, f"line {number}, m") < 0:
                     mag, error = "" if faintest is None else f">{cells[faintest]}", ""
                 yield number, [date, mag, error, band, *([] if flag is None else [cells[flag]])]
 
         columns = ("time", "mag", "mag_err", "band", *([] if flag is None else ["err"]))
         header = Header(path, columns, ",", ecsv=False, meta={"time_format": "mjd"}, rows=rows)
-        told = Reading(time_mark="start", exptime=EXPOSURE_S)
+        reading = Reading(time_mark="start", exptime=EXPOSURE_S)
         theirs = {"time": "MJD", "mag": "m", "mag_err": "dm", "band": "F"}
         notes = (f"MJD of ATLAS is the start of exposures of {EXPOSURE_S:g} s",)
-        return replace(header, format=cls.name, theirs=theirs, told=told, notes=notes)
+        return replace(header, format=cls.name, theirs=theirs, told=reading, notes=notes)
 
 
 def _names(head: Head) -> list[str]:

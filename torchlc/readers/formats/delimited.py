@@ -80,8 +80,8 @@ def table_header(head: Head) -> Header:
     given = head.reading
     head = replace(head, reading=told_in(head.path, _above_all(head), given))
     wanted: dict[str, list[str]] = {}
-    for one in FORMATS.values():
-        for role, names in one.columns.items():
+    for form in FORMATS.values():
+        for role, names in form.columns.items():
             wanted.setdefault(role, []).extend(names)
     header = (
         _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
@@ -94,18 +94,20 @@ def table_header(head: Head) -> Header:
     ruled = len(rows) > 2 and _is_ruler(rows[1][1])  # VizieR writes names, units and a line of dashes
     below = 1 + ruled
     if len(rows) > below and _is_line_of_units(rows[0][1]) and not _is_line_of_units(rows[below][1]):
-        told = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
-        header = replace(header, skip=rows[below - 1][0], notes=(*header.notes, told))
+        note = f"line {rows[0][0]}, below the names, is taken for their units and left: {', '.join(rows[0][1])[:60]}"
+        header = replace(header, skip=rows[below - 1][0], notes=(*header.notes, note))
         rows = rows[below:]
     meta, others = metadata_of([text.lstrip("#%;").removeprefix(" ") for text in above])
-    told = told_in(head.path, meta, given)
+    reading = told_in(head.path, meta, given)
     taken = [f"{key}: {meta[key]}" for key in TOLD if key in meta and key not in given.model_fields_set]
     if taken:
         header = replace(
             header, notes=(*header.notes, f"taken from comments of the file: {', '.join(taken)}")
         )
     meta = {key: value for key, value in meta.items() if key not in TOLD}
-    return replace(header, meta=meta, comments=tuple(others), told=told, decimal=_decimal(head, header, rows))
+    return replace(
+        header, meta=meta, comments=tuple(others), told=reading, decimal=_decimal(head, header, rows)
+    )
 
 
 def _above_all(head: Head) -> dict[str, str]:
@@ -128,7 +130,7 @@ def _header(head: Head, names: Sequence[str], delimiter: str, skip: int) -> Head
 
 def _by_names(head: Head, wanted: dict[str, list[str]]) -> Header | None:
     """The first line that is no comment and holds names that a recording's columns have, or that the user told."""
-    told = {part.strip() for text in head.reading.columns.values() for part in (text, *text.split("+"))}
+    named = {part.strip() for text in head.reading.columns.values() for part in (text, *text.split("+"))}
     for number, text in head.lines:
         if not text.strip() or text[0] in MARKS:
             continue
@@ -136,7 +138,7 @@ def _by_names(head: Head, wanted: dict[str, list[str]]) -> Header | None:
             names = cells_of(text, delimiter)
             if text[0] in _marks(delimiter) or len(names) < 2:
                 continue
-            if known_names(names, wanted) or len(told & set(names)) > 1:
+            if known_names(names, wanted) or len(named & set(names)) > 1:
                 return _header(head, names, delimiter, number)
     return None
 
@@ -180,7 +182,7 @@ def _without_names(head: Head) -> Header | None:
             continue
         header = _header(head, (), delimiter, number - 1)
         width = max(len(without_blank_end(row)) for _, row in _sample(head, header))
-        header = replace(header, names=tuple(str(place) for place in range(1, width + 1)))
+        header = replace(header, names=tuple(str(column) for column in range(1, width + 1)))
         if "time" in head.reading.columns:
             return header
         return _guessed(head, header)
@@ -191,14 +193,14 @@ def _is_row(cells: Sequence[str], time: str) -> bool:
     """Do cells hold an instant and numbers, as no line of names does? ``time`` is what the user says of its columns."""
     places = [int(part) - 1 for part in time.split("+") if re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII)]
     if places and len(places) == time.count("+") + 1 and max(places) < len(cells):
-        moment = moment_of([cells[place] for place in places])
+        moment = moment_of([cells[index] for index in places])
     elif are_apart(cells[0], cells[1]):
         places, moment = [0, 1], moment_of(cells[:2])
     else:
         places, moment = [0], cells[0]
         if not NUMBER.fullmatch(cells[1]):
             return False
-    others = [cell for place, cell in enumerate(cells) if place not in places]
+    others = [cell for index, cell in enumerate(cells) if index not in places]
     return bool(NUMBER.fullmatch(moment) or is_moment(moment)) and any(map(NUMBER.fullmatch, others))
 
 
@@ -210,14 +212,14 @@ def _guessed(head: Head, header: Header) -> Header:
         WITH_POINT.fullmatch(cell) for cells in rows for cell in cells
     )
 
-    def numbers(place: int) -> list[float]:
-        found = []
+    def numbers(column: int) -> list[float]:
+        values = []
         for cells in rows:
-            text = cells[place].lstrip("<>= ")
+            text = cells[column].lstrip("<>= ")
             text = text.replace(",", ".", 1) if comma else text
             if NUMBER.fullmatch(text) and "," not in text:
-                found.append(float(text))
-        return found
+                values.append(float(text))
+        return values
 
     first, second = rows[0][0], numbers(1)
     dated = is_moment(first)
@@ -232,10 +234,10 @@ def _guessed(head: Head, header: Header) -> Header:
         or not sure
         or not all(PLAIN_MAGNITUDES[0] <= mag <= PLAIN_MAGNITUDES[1] for mag in sure)
     ):
-        told = "time=1+2,mag=3,mag_err=4" if apart else "time=1,mag=2,mag_err=3"
-        ways = [told]
+        choice = "time=1+2,mag=3,mag_err=4" if apart else "time=1,mag=2,mag_err=3"
+        ways = [choice]
         if not dated and JULIAN_DATE.fullmatch(first):
-            ways = [f"{told},time_format={form}" for form in ("jd-2400000", "mjd", "jd")]
+            ways = [f"{choice},time_format={form}" for form in ("jd-2400000", "mjd", "jd")]
         raise InputError(
             head.path,
             "header",
@@ -253,10 +255,10 @@ def _guessed(head: Head, header: Header) -> Header:
             and max(marked) < LARGEST_PLAIN_ERROR
         ):
             names[2] = "mag_err"
-    told = f"the file has no names of columns: taken as {', '.join(f'{k + 1} {name}' for k, name in enumerate(names) if not name.isdigit())}"
+    note = f"the file has no names of columns: taken as {', '.join(f'{k + 1} {name}' for k, name in enumerate(names) if not name.isdigit())}"
     left = [name for name in names if name.isdigit()]
-    told += f"; left: {', '.join(left)}" if left else ""
-    return replace(header, names=tuple(names), notes=(told,))
+    note += f"; left: {', '.join(left)}" if left else ""
+    return replace(header, names=tuple(names), notes=(note,))
 
 
 def _by_first_line(head: Head) -> Header:

@@ -29,7 +29,7 @@ class MiniMegaTortora(Format):
     def read(cls, head: Head) -> Header:
         path, names = head.path, _names(head)
         split = "Time" in names
-        place = {name: names.index(name) for name in (*MMT, "Date", "Track") if name in names}
+        index = {name: names.index(name) for name in (*MMT, "Date", "Track") if name in names}
 
         def rows() -> Iterator[Row]:
             for number, line in enumerate(lines_of(path), 1):
@@ -37,11 +37,11 @@ class MiniMegaTortora(Format):
                     continue
                 cells = line.split() if split else next(csv.reader([line.strip()]))
                 check_width(path, f"line {number}", cells, names)
-                date = "T".join(cells[:2]) if split else cells[place["Date"]]
-                track = f"track {cells[place['Track']]} " if "Track" in place else ""
-                band = cells[place["Filter"]]
-                curve = f"{track}channel {cells[place['Channel']]}"
-                yield number, [date, cells[place["Mag"]], "clear" if band == "Clear" else band, curve]
+                date = "T".join(cells[:2]) if split else cells[index["Date"]]
+                track = f"track {cells[index['Track']]} " if "Track" in index else ""
+                band = cells[index["Filter"]]
+                curve = f"{track}channel {cells[index['Channel']]}"
+                yield number, [date, cells[index["Mag"]], "clear" if band == "Clear" else band, curve]
 
         about = dict(line.split(": ", 1) for line in head.comments if ": " in line)
         meta = {"object": about["satellite"]} if "satellite" in about else {}
@@ -57,7 +57,7 @@ class MiniMegaTortora(Format):
                 "time": "Date and Time" if split else "Date",
                 "mag": "Mag",
                 "band": "Filter",
-                "curve": "Track and Channel" if "Track" in place else "Channel",
+                "curve": "Track and Channel" if "Track" in index else "Channel",
             },
             skips_non_detections=True,
         )

@@ -24,9 +24,9 @@ class Photutils(NamedTable):
     def read(cls, head: Head) -> Header:
         header = super().read(head)
         if "id" in header.names:
-            place = header.names.index("id")
+            index = header.names.index("id")
             rows = [cells_of(text, header.delimiter) for number, text in head.lines if number > header.skip]
-            sources = [cells[place] for cells in rows if is_as_wide(cells, header.names)]
+            sources = [cells[index] for cells in rows if is_as_wide(cells, header.names)]
             if len(set(sources)) > 1 and len(set(sources)) < len(sources):
                 listed = ", ".join(sorted(set(sources))[:8])
                 hint = "Write the rows of the object alone into a file"

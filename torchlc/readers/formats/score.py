@@ -108,7 +108,9 @@ def _station(head: Head, line: int, place: tuple[str, ...]) -> str:
         east = (station.longitude - longitude + 180.0) % 360.0 - 180.0
         if abs(station.latitude - latitude) < NEAR_DEG and abs(east) < NEAR_DEG:
             return station.id
-    known = ", ".join(f"{one.id} at {one.latitude:g}, {one.longitude:g}" for one in head.scene.stations[:5])
+    known = ", ".join(
+        f"{site.id} at {site.latitude:g}, {site.longitude:g}" for site in head.scene.stations[:5]
+    )
     raise InputError(
         head.path,
         f"line {line}",

@@ -1,7 +1,7 @@
 """``python -m benchmarks [SECTION ...]``: torchlc and its peers side by side, as ratios.
 
 Every section runs in a process of its own, one thread unless it says otherwise. Sections: call, threads,
-compiled, effects, geometry, memory, mesh, start, posterior, free.
+compiled, effects, geometry, memory, mesh, start, posterior, whole, free.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ SECTIONS = (
     "mesh",
     "start",
     "posterior",
+    "whole",
     "free",
 )
 
@@ -37,6 +38,8 @@ def run(name: str) -> None:
     warnings.filterwarnings("ignore", module="arviz")
     if name == "posterior":
         from benchmarks.posterior import posterior as section
+    elif name == "whole":
+        from benchmarks.posterior import whole as section
     elif name == "free":
         from benchmarks.free import free as section
     else:

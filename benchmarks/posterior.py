@@ -16,6 +16,7 @@ import arviz
 import emcee
 import numpy as np
 
+import torchlc
 from benchmarks.cases import WALKERS, object_1
 from benchmarks.numpy_reference import Prepared
 from benchmarks.timing import Result
@@ -26,6 +27,9 @@ from torchlc.inference.posterior_draws import Posterior
 from torchlc.inference.sampler import sample
 
 NUTS = "benchmarks.nuts"
+DEMO = Path(torchlc.__file__).parent / "demo"
+SIZES = "[{ value = 1.72, sigma = 0.1, prior = 'normal', low = 1.0, high = 3.0 }, { value = 6.6, sigma = 0.4, prior = 'normal', low = 4.0, high = 9.0 }]"
+"""Of a wing, within some 6 %."""
 FLAT = 400
 """Steps of the run whose likelihood costs nothing."""
 
@@ -42,6 +46,23 @@ class Watch:
             return self.inner(*arguments, **keywords)
         finally:
             self.seconds += time.process_time() - start
+
+
+def whole() -> Iterator[Result]:
+    """CPU seconds of whole answers: a fit, and a diagnosis of the demonstration as it is and with its sizes free."""
+    start = time.process_time()
+    found = sample(fit_map(object_1()), walkers=WALKERS)
+    seconds = time.process_time() - start
+    yield Result("fit of Object 1, 64 walkers, to 50 autocorrelation times", seconds, "at most 8", " s")
+    yield Result("effective draws a CPU second", _least_effective(found.theta.numpy(), found.names) / seconds)
+    exact, recording = torchlc.load(DEMO / "scene.toml", DEMO / "recording.ecsv")
+    nominal = torchlc.Scene.from_toml(exact.to_toml().replace("[1.72, 6.6]", SIZES))
+    for what, scene, bar in (("as it is", exact, 10), ("with sizes free", nominal, 40)):
+        start = time.process_time()
+        told = torchlc.diagnose(scene, recording)
+        seconds = time.process_time() - start
+        print(f"  {told.lines()[0]}")
+        yield Result(f"diagnosis of the demonstration, {what}", seconds, f"at most {bar}", " s")
 
 
 def posterior() -> Iterator[Result]:

@@ -85,8 +85,8 @@ def test_a_round_ends_where_the_foremost_leaves_nothing(ball, nothing_left) -> N
 @pytest.mark.long
 @pytest.mark.parametrize("nothing_left", [True, False])
 def test_as_long_as_structure_is_left_every_effect_is_refitted(ball, nothing_left) -> None:
-    """A step of 0.3 mag gains thousands; what others promise is far less, and is a bound only beside what leaves nothing."""
-    search = searched(stepped(ball, 0.3, 0.0))
+    """A step of 0.06 mag gains about what its probe promises; what others promise is less, and is a bound only beside what leaves nothing."""
+    search = searched(stepped(ball, 0.06, 0.0))
     search.bench.entries = search.bench.candidates(None)
     assert len(search.bench.entries) > GROWN
     search.singles(search.bench.entries, lambda at: 0.5 if nothing_left and at.hypothesis.added else 0.001)

@@ -75,10 +75,11 @@ class NormalDispersion(Effect):
         variance = deviation**2
 
         def scattered(material: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-            wide, some = model.broadened(material, variance), {**material, **_with_lobe(model, material)}
-            left = model.lobe_variance(some) / model.lobe_variance(model.broadened(some, variance))
+            narrow = {**material, **_with_lobe(model, material)}
+            wide = model.broadened(narrow, variance)
+            left = model.lobe_variance(narrow) / model.lobe_variance(wide)
             lobe, diffuse = reflect({**wide, "tilt_deviation": deviation, "tilt_share": 1 - left})
-            return per_epoch(left * peak(model, material) / peak(model, wide)) * lobe, diffuse
+            return per_epoch(left * peak(model, narrow) / peak(model, wide)) * lobe, diffuse
 
         return scattered
 

@@ -36,7 +36,7 @@ examples: .venv/develop
 verdicts: .venv/develop
 	$(BIN)/python examples/calibration/make_injections.py out/cases --seed 7 --subset
 	rm -f out/verdicts.jsonl
-	$(BIN)/python examples/calibration/verdicts.py out/cases out/verdicts.jsonl --quick --least 0.9
+	$(BIN)/python examples/calibration/verdicts.py out/cases out/verdicts.jsonl --least 0.85
 
 docs: .venv/develop
 	$(BIN)/sphinx-build -W --keep-going -q -j 2 docs docs/_build/html

@@ -123,14 +123,10 @@ def kind(name: str) -> str:
 
 
 SUBSET = (
-    "control_geo", "control_meo", "control_box", "control_wing", "control_leo", "panel_offset-large",
-    "self_shadowing-large", "exposure_smearing-large", "earth_shadow-as_is", "finite_sun-large",
-    "appendage-large", "lobe_tail-large", "attitude_offset-large", "spin_rate_offset-large",
-    "background-large", "zero_point_step-large", "two-self_shadowing-zero_point_step", "jitter-large",
-    "outliers-large", "wobble-large",
-    "attitude_jump-as_is", "wing_split-as_is", "outside-flash",
+    "control_geo", "control_leo", "panel_offset-large", "earth_shadow-as_is", "appendage-large",
+    "attitude_offset-large", "two-self_shadowing-zero_point_step", "outliers-large", "outside-flash",
 )  # fmt: skip
-"""Some twenty of them, one of nearly every kind, for a run of minutes."""
+"""One of nearly every kind of answer, for a run of minutes."""
 
 
 Composed = tuple[Setup, Concealed, dict[str, Any]]  # and what the answer says of it

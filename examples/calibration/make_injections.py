@@ -230,7 +230,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--subset", action="store_true", help="some twenty cases, one of nearly every kind")
+    parser.add_argument("--subset", action="store_true", help="a few cases, one of nearly every kind")
     parser.add_argument(
         "--from-priors", action="store_true", help="surfaces drawn from their priors in the scene"
     )

@@ -21,7 +21,7 @@ from torchlc.diagnosis.fits import REACH, STARTS
 from torchlc.diagnosis.growth import GROWN, JOINT, Growth
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis, carried, effect_columns
 from torchlc.diagnosis.joint import joint_sets
-from torchlc.diagnosis.promises import DEAR_FIT_S, NEAR, refit_seconds
+from torchlc.diagnosis.promises import DEAR_FIT_S, NEAR, first_steps_seconds, refit_seconds
 from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted
 from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, likeliest, material_starts
@@ -53,7 +53,7 @@ class Search(Growth):
         those that promise least, and they set the mark that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6
+        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6 or 0.8
         self.settled = self.clean(left) and self.as_quoted
         slow = {
             entry: refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) >= DEAR_FIT_S
@@ -64,14 +64,15 @@ class Search(Growth):
         first = sorted(self.probes, key=lambda entry: -self.probes[entry].score)[:GROWN]
         clean: dict[Hypothesis, bool] = {}
         for number, entry in enumerate(order):
-            if not self.clock.left(0.6):
+            if self.foremost not in clean:
+                clean[self.foremost] = self.clean(left)
+            # as long as structure is left, what comes next has nothing to begin from
+            if not self.clock.left(0.6 if clean[self.foremost] else 0.8):
                 break
             probe = self.probes[entry]
             if not probe.visible:
                 self.invisible.add(entry)
                 continue
-            if self.foremost not in clean:
-                clean[self.foremost] = self.clean(left)
             # as long as structure is left the light is not near what probes were made beside, and their promise is no bound
             asked = entry in first or not clean[self.foremost] or self.within_reach(entry, at, probe)
             if asked and self.affordable(entry, at, probe):
@@ -171,9 +172,11 @@ class Search(Growth):
             at = self.visited[hypothesis]
             if hypothesis in self.begun_afresh or at.posterior.dear or not self.clock.left(0.8):
                 continue
-            self.begun_afresh.add(hypothesis)
             generator = torch.Generator().manual_seed(hypothesis.seed + self.seed)
             starts = material_starts(at.posterior, at.theta, STARTS, generator)
+            if not self.clock.affords(first_steps_seconds(at.posterior, starts)):
+                continue
+            self.begun_afresh.add(hypothesis)
             # each point that is followed further takes geometries of its own
             most = MOST_MINIMA // 2 if at.posterior.slow else MOST_MINIMA
             self.refit(hypothesis, torch.cat([at.theta[None], starts]), at, most=most)
@@ -274,7 +277,8 @@ class Search(Growth):
     def laws(self, entries: Sequence[str], clean: bool) -> None:
         """The scene's own model under other laws of reflection. Where one describes the rows better than the scene's own, it grows by what
         its probes promise, unless the foremost is ``clean`` and far ahead of it; and unless that is clean its effects are refitted under the
-        other law: beside the wrong law others lead."""
+        other law: beside the wrong law others lead. A leader of several numbers is not enough of an answer to a law far ahead of the scene's
+        own: it may have bent to what the law and an effect of one number do."""
         self.alternatives(self.bench.laws, [()])
         null = Hypothesis().under(*self.robust)
         others = [replace(null, law=law) for law in self.bench.laws]
@@ -293,9 +297,11 @@ class Search(Growth):
                 if hypothesis.noise == self.robust and hypothesis.added
             ]
             self.alternatives(better, list(dict.fromkeys(leaders))[:2])
-        # a clean leader beside the wrong law may have bent to it: near is what FEW_EFFECTS would bring as far
         best = replace(null, law=better[0])
-        if not clean or self.log_odds(best) > self.mark - FEW_EFFECTS * REACH:
+        # near is what FEW_EFFECTS would bring as far
+        near = self.log_odds(best) > self.mark - FEW_EFFECTS * REACH
+        bent = self.numbers(self.foremost) > 1 and self.log_odds(best) > self.log_odds(null) + REACH
+        if not clean or near or bent:
             self.take(self.promising(best, entries, GROWN, anew=True))
 
     def alternatives(self, laws: Iterable[str], sets: Sequence[tuple[str, ...]]) -> None:

@@ -309,6 +309,11 @@ def _each_moved(entry: str, offsets: Tensor) -> Tensor:
     return offsets + torch.diag(offsets.new_tensor(steps)).repeat_interleave(many, 1)
 
 
+def many_lights(entry: str) -> bool:
+    """Whether an effect brings light from many directions, or between facets: its tables take as long as the probes of twenty others."""
+    return effect_class(entry).stage in ("light", "scatter")
+
+
 def scanned_column(entry: str) -> int | None:
     """Which of an effect's own parameters has to be tried at every row, if one has."""
     cls = effect_class(entry)

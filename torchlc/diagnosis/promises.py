@@ -7,20 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
 from torchlc.diagnosis.fits import REACH, Fits
 from torchlc.diagnosis.hypotheses import FEW_EFFECTS, Hypothesis
 from torchlc.diagnosis.probes import (
     Probe,
     least_seconds,
+    many_lights,
     probe,
     rescored,
     seconds_a_geometry,
     turns,
 )
 from torchlc.inference.density import Fitted, Linear, Posterior
-from torchlc.inference.posterior import LONGEST, fit
+from torchlc.inference.posterior import FIRST_STEPS, LONGEST, fit
 from torchlc.stages.entry import Entry
+from torchlc.tensors.work import Work
 
 NEAR = 6.0
 """Log odds below the leader within which evidence is integrated, and a set told under every noise: one in 400."""
@@ -38,6 +41,8 @@ SLOW_FIT_S = 0.5
 LONG_FIT_S = 30.0
 """CPU seconds of a refit beside a leader that leaves nothing beyond which it is made only of what its linear form puts first: there is
 nothing more to describe, and a dozen candidates that come near by chance would take a quarter of an hour."""
+COUNTED = 8
+"""Starts on which it is counted what all of them take."""
 DEAR_FIT_S = 2.0
 """CPU seconds of a refit beyond which it is made only of what its linear form says is within reach; and of a probe, beyond which that of
 the first round serves for all sets."""
@@ -66,14 +71,15 @@ class Promises(Fits):
         self, at: Fitted, entries: Sequence[str], share: float = 0.8, anew: bool = True
     ) -> dict[str, Probe]:
         """Probes of candidates beside a fit, as long as less than a share of the budget is spent: first those that leave the geometry as
-        it is. Those that take long are made once, beside the scene's own model. Others are made ``anew``, what the last probe promises
+        it is, and last those of light from many directions. Those that take long are made once, beside the scene's own model. Others are made ``anew``, what the last probe promises
         most first, as long as all together take PROBING_S; those of dear geometries otherwise are held against this fit as they were
         made last."""
         held = {entry: rescored(*self.latest[entry], at) for entry in entries if entry in self.latest}
         alone = {entry: self.posterior(Hypothesis((entry,), self.robust)) for entry in entries}
 
-        def place(entry: str) -> tuple[bool, float, bool]:
-            return entry in held, -held[entry].score if entry in held else 0.0, turns(alone[entry], entry)
+        def place(entry: str) -> tuple[bool, float, bool, bool]:
+            promised = held[entry].score if entry in held else 0.0
+            return entry in held, -promised, many_lights(entry), turns(alone[entry], entry)
 
         probes = {}
         spent = 0.0
@@ -212,3 +218,14 @@ def refit_seconds(posterior: Posterior, each: float | None = None) -> float:
     colours = posterior.colours()
     slopes = len(posterior.physical) if colours is None else len(colours.groups)
     return (posterior.seconds_each if each is None else each) * (1 + slopes) * DEAR_STEPS
+
+
+def first_steps_seconds(posterior: Posterior, starts: Tensor) -> float:
+    """CPU seconds of the first steps from natural values (S, P), counted on COUNTED of them: light between facets takes a hundred times as
+    long as that of the Sun alone, wherever the geometry is known."""
+    g = posterior.coordinates(starts[:COUNTED])
+    with torch.no_grad():
+        posterior.residuals(g[:1])  # what all have in common is made here
+        with Work() as counted:
+            posterior.residuals(g)
+    return counted.seconds * len(starts) / len(g) * FIRST_STEPS * (1 + len(posterior.physical))

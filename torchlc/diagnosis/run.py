@@ -30,6 +30,7 @@ from torchlc.scene import Scene
 QUICK_S = 20.0
 MOST_ALONE_S = 25.0
 """CPU seconds of an effect's probe or refit beyond which it waits for a budget: a search makes some tens of either."""
+NONE_TO_SPARE = "want of rows: there are no more of them than free numbers"
 DEAR = "each of its geometries costs a pass over the whole mesh; --budget SECONDS has it asked as far as there is time"
 
 
@@ -67,7 +68,10 @@ def diagnose(
     search.null()
     coordinate_values = coordinates(search.best().model, search.best().theta)
     try:
-        _explore(search, coordinate_values)
+        if search.best().likelihood.degrees_of_freedom > 0:
+            _explore(search, coordinate_values)
+        else:  # nothing can be told, whatever is tried
+            search.unexamined.update(dict.fromkeys(bench.entries, NONE_TO_SPARE))
     except KeyboardInterrupt:
         clock.stopped = True
     search.tell_unexamined()

@@ -75,8 +75,12 @@ def odds(content: Mapping[str, Any]) -> str:
     """The probabilities of every kind of answer in one sentence."""
     p = content["probabilities"]
     answers = [("nothing missing", p["nothing_missing"]), ("noise alone", p["noise"])]
+    late = {Entry.parse(left_out["effect"]).name for left_out in content["unexamined"]}
+    late -= {row["effect"] for row in content["candidates"] if row["delta_log_evidence"] is not None}
     answers += [
-        (with_title(name), share) for name, share in list(p["effects"].items())[:MOST_PARTS] if share >= 0.005
+        (with_title(name) + (", which was not examined," if name in late else ""), share)
+        for name, share in list(p["effects"].items())[:MOST_PARTS]
+        if share >= 0.005
     ]
     laws = p["other_laws"]
     answers += [
@@ -85,10 +89,7 @@ def odds(content: Mapping[str, Any]) -> str:
     answers.append(("something that is not in the library", p["not_in_library"] - sum(laws.values())))
     if p["not_examined"] >= 0.005:
         answers.append(("an effect that was not examined", p["not_examined"]))
-    among = ", among what was examined" if content["unexamined"] else ""
-    return (
-        f"Probabilities{among}: " + ", ".join(f"{name} {probability(share)}" for name, share in answers) + "."
-    )
+    return "Probabilities: " + ", ".join(f"{name} {probability(share)}" for name, share in answers) + "."
 
 
 def unexamined(reasons: Mapping[str, str]) -> list[str]:
@@ -142,7 +143,7 @@ def shape(content: Mapping[str, Any]) -> str:
 def lines(content: Mapping[str, Any], added: Mapping[str, str], completed: Sequence[str]) -> list[str]:
     """What a terminal shows, from the content of diagnosis.json: the verdict, what was found, the materials before and
     after, what to do next; ``completed`` is the list of effects to fit with."""
-    output = [headline(content), odds(content)]
+    output = _answer(content)
     output += [sentence for sentence in (bad_rows(content), shape(content)) if sentence]
     output += [f"  {name} = {value}" for name, value in added.items()]
     if content["named"]:
@@ -163,7 +164,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     of diagnosis.json.
     """
     named, gains = content["named"], content["improvement"]
-    paragraphs = [headline(content), odds(content)]
+    paragraphs = _answer(content)
     if content["verdict"] == "missing_physics":
         proof = (
             f"With it in the model the residuals fall from {gains['rms_before']:.3f} to "
@@ -193,6 +194,13 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
     paragraphs.append(f"What is left: {content['remaining']['note']}.")
     paragraphs.append(f"What to do next: {_advice(content)}.")
     return paragraphs
+
+
+def _answer(content: Mapping[str, Any]) -> list[str]:
+    """The verdict, and the probabilities of all answers unless the data say nothing of them."""
+    if content["verdict"] == "adequate" and content["doubt"]:
+        return [headline(content)]
+    return [headline(content), odds(content)]
 
 
 def _next_steps(content: Mapping[str, Any]) -> list[str]:

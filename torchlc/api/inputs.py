@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from torchlc.effects import names as effect_names
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit import above_horizon, make_track, observation_grid, sun_elevation_deg
 from torchlc.readers import Recording, recording_of, too_few_rows
 from torchlc.scene import Scene, load_scene
@@ -83,12 +83,14 @@ def grid_or(
     """The rows of a recording, or of a grid of times."""
     if recording is None:
         if start is None or hours is None or cadence is None:
-            raise InputError(
-                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
+            found = (
+                f"no recording, and not all of {option('start')}, {option('hours')} and {option('cadence')}"
             )
+            raise InputError(None, None, found, "one or the other")
         return observation_grid(scene, start, hours, cadence)
     if start is not None or hours is not None or cadence is not None:
-        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
+        found = f"a recording and {option('start')}, {option('hours')} or {option('cadence')}"
+        raise InputError(None, None, found, "one or the other")
     return recording_of(recording, scene, columns=columns)
 
 

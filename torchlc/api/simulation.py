@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from torchlc.api.inputs import Columns, Rows, grid_or, read_scene
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.column_limits import LIMITS
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene
@@ -42,7 +42,7 @@ def simulate(
     rows = grid_or(scene, recording, start, hours, cadence, columns)
     low, high = LIMITS["mag_err"]
     if noise is not None and not low <= noise <= high:
-        raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
+        raise InputError(None, option("noise"), f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
     return simulated_curve(scene, rows, noise, seed)
 
 

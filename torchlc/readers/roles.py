@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import astropy.units as u
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.table import Header, first_row, is_as_wide
 from torchlc.scene.problems import with_others
-from torchlc.scene.reading import OPTION, SETTINGS, Reading
+from torchlc.scene.reading import SETTINGS, Reading
 from torchlc.suggest import did_you_mean
 
 VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
@@ -52,6 +52,7 @@ class Stamp:
 
 _JD, _MJD = Stamp("jd"), Stamp("mjd")
 STAMPS: dict[str, Stamp] = {
+    "time": Stamp(),
     **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
     **dict.fromkeys(("jdmid", "midjd", "jdutcmid", "jdmobs"), Stamp("jd", mark="mid")),
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
@@ -197,7 +198,17 @@ def _one_stamp(text: str) -> Stamp | None:
         half = (less[3] or "").startswith(".5")
         zero = f"{less[2]}.5" if half else less[2]
         return replace(whole, format="mjd" if zero == "2400000.5" else f"jd-{zero}")
-    return Stamp() if letters == "time" else STAMPS.get(plain(text))
+    name = plain(text)
+    return STAMPS.get(name) or _beside_time(name)
+
+
+def _beside_time(name: str) -> Stamp | None:
+    """What a name says that puts the word time beside a scale or a format: time_tdb, TDB time, time MJD."""
+    rest = name.removeprefix("time") if name.startswith("time") else name.removesuffix("time")
+    if rest in ("tdb", "tt", "tai"):
+        return Stamp(scale=rest)
+    stamp = STAMPS.get(rest, Stamp())
+    return stamp if rest != name and stamp.format else None
 
 
 def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> bool:
@@ -255,7 +266,7 @@ def _check_roles(unknown: Sequence[str]) -> None:
     known = list(dict.fromkeys((*plain_roles, *SETTINGS)))
     more = [(repr(role[:40]), did_you_mean(role, known)) for role in unknown[1:]]
     hint = with_others(did_you_mean(unknown[0], known), more)
-    raise InputError(OPTION, None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
+    raise InputError(option("columns"), None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
 
 
 def _told(header: Header, role: str, text: str) -> tuple[int, ...]:

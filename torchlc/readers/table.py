@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.encodings import wide_encoding_of
 from torchlc.readers.dates import moment_of
@@ -290,7 +290,7 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
                 hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
                 if hint and OF_DECIMAL_COMMAS.fullmatch(text) and not header.ecsv and header.rows is None:
-                    hint = f"{hint.rstrip('.')}, or say --columns decimal=comma"
+                    hint = f"{hint.rstrip('.')}, or say {option('columns', 'decimal=comma')}"
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan

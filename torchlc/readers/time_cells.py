@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import advice, decimal
 from torchlc.readers.civil_time import to_utc
 from torchlc.readers.dates import WHICH_ORDER, Calendar
@@ -114,14 +114,16 @@ class TimeReader:
             number = decimal(found)
         except ValueError:
             if expected == WHICH_ORDER:
-                return "Say --columns date_order=day-first, or --columns date_order=month-first"
+                orders = (option("columns", f"date_order={order}") for order in ("day-first", "month-first"))
+                return f"Say {', or '.join(orders)}"
             return advice(found)
         if self.header.decimal == "." and "," in found:
-            return "Write decimals with a point, or say --columns decimal=comma"
+            return f"Write decimals with a point, or say {option('columns', 'decimal=comma')}"
         if self.format == "jd" and REDUCED[0] < number < REDUCED[1]:
             reduced = ways_to_say(self.header, "time_format", "jd-2400000")
             mjd = ways_to_say(self.header, "time_format", "mjd")
-            days = ". For the days of a spreadsheet, since 1899-12-30, say --columns time_format=jd-2415018.5"
+            spreadsheet = option("columns", "time_format=jd-2415018.5")
+            days = f". For the days of a spreadsheet, since 1899-12-30, say {spreadsheet}"
             return (
                 f"If it is JD - 2400000, say {reduced}. If it is JD - 2400000.5, say {mjd}"
                 f"{days if number < SPREADSHEET_TO else ''}"
@@ -134,8 +136,8 @@ class TimeReader:
         if self.format == "jd" and 0 <= number < REDUCED[0]:
             return (
                 f"Days since another date: {ways_to_say(self.header, 'time_format', 'jd-2450000')}; jd-2457000 "
-                "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: --columns "
-                '"time_format=seconds since 2020-10-17T16:31:00", with minutes, hours and days likewise'
+                "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: "
+                f"{option('columns', 'time_format=seconds since 2020-10-17T16:31:00')}, with minutes, hours and days likewise"
             )
         if self.format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
             return f"A whole Julian date: {ways_to_say(self.header, 'time_format', 'jd')}"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import decimal
 from torchlc.files.encodings import wide_encoding
 from torchlc.files.numbers import problem
@@ -95,17 +95,28 @@ class Elements:
 
 def read_elements(path: str | Path) -> list[Elements]:
     """Every two-line element set of a file, as :func:`read_catalogue` has it, all of one object."""
-    return sets_of_object(path, read_catalogue(path), None)
+    return sets_of_object(
+        path,
+        read_catalogue(path),
+        None,
+        "Keep the lines of the object alone in the file; torchlc init --object picks them",
+    )
 
 
-def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | None) -> list[Elements]:
-    """The sets of the object of that number, name or part of a name; InputError where that is not one object."""
+def sets_of_object(
+    path: str | Path, sets: Sequence[Elements], wanted: str | None, advice: str | None = None
+) -> list[Elements]:
+    """The sets of the object of that number, name or part of a name; InputError where that is not one object, with
+    ``advice`` where the reader cannot say which."""
     objects = {elements.lines[0][2:7]: elements for elements in sets}
     if wanted is None:
         if len(objects) == 1:
             return list(sets)
         some = min(objects.values(), key=lambda elements: elements.lines[0][2:7])
-        hint = f"Say which: --object {some.number}, by its number, its name or a part of its name"
+        hint = (
+            advice
+            or f"Say which: {option('object', some.number)}, by its number, its name or a part of its name"
+        )
         raise InputError(
             path,
             None,
@@ -130,7 +141,7 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
         known = [*names, *(elements.number for elements in objects.values())]
         raise InputError(
             path,
-            "--object",
+            option("object"),
             f"no object {wanted[:60]!r}",
             f"one of {_listed(objects.values())}",
             did_you_mean(wanted, known),
@@ -138,7 +149,11 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
     if len(chosen) > 1:
         found = f"{len(chosen)} objects for {wanted[:60]!r} ({_listed(objects[number] for number in chosen)})"
         raise InputError(
-            path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}"
+            path,
+            option("object"),
+            found,
+            "one",
+            f"Say its number, as in {option('object', objects[chosen[0]].number)}",
         )
     return [elements for elements in sets if elements.lines[0][2:7] == chosen[0]]
 

@@ -221,3 +221,36 @@ def test_signs_of_an_upper_limit(read, cell: str):
     recording = read(f"JD,Mag,Err\n2459140.125,14.908,0.03\n2459140.135,{cell},\n")
     assert recording.upper_limit.tolist() == [False, True] and recording.observed.tolist() == [14.908, 18.5]
     assert read(f"2459140.125,14.908\n2459140.135,{cell}\n").upper_limit.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("name", ["± mag", "mag ±", "+/- V mag", "±"])
+def test_a_sign_of_an_error_makes_no_magnitude(read, name: str):
+    holds(read(table(f"Time (UTC),V mag,{name}")))
+
+
+@pytest.mark.parametrize("cell", ["Mean", ""])
+def test_a_line_without_a_time_may_go_or_begin_with_a_mark(read, cell: str):
+    text = table("JD,mag,mag_err")
+    with pytest.raises(InputError, match="may go or begin with #"):
+        read(f"{text}{cell},9.0,0.02\n")
+    holds(read(f"{text}#{cell},9.0,0.02\n"))
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_row_whose_time_is_not_a_number_is_counted_wherever_it_stands(read, first: bool):
+    names, rows = table("JD,mag,mag_err").split("\n", 1)
+    row = "nan,9.0,0.02\n"
+    recording = read(f"{names}\n{row}{rows}" if first else f"{names}\n{rows}{row}")
+    holds(recording)
+    assert recording.dropped == {"non-finite": 1}
+
+
+def test_a_remark_below_the_names_may_go_or_begin_with_a_mark(read):
+    """C-Munipack writes one below the names of its columns."""
+    with pytest.raises(InputError, match="may go or begin with #"):
+        read("JD V-C s1\nAperture: 2, JD: geocentric\n2461115.36 0.5 0.03\n", columns="mag=V-C")
+
+
+def test_a_year_with_decimals_is_not_taken_for_days_in_silence(read):
+    with pytest.raises(InputError, match="If it is a year with decimals, write dates"):
+        read("time,mag\n2026.20,9.0\n")

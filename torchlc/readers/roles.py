@@ -119,7 +119,7 @@ ERRORS = (
 ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf", "std", "stddev", "standarddeviation", "magnitudeerror", "magnitudeuncertainty", "magerrmag")  # fmt: skip
 """Names of errors of whatever brightness there is."""
 SIGNS = ("\N{PLUS-MINUS SIGN}", "+/-", "+-")
-"""Names of errors without a letter."""
+"""What stands for an error in a name, alone or beside that of its quantity."""
 ERROR_WORD = re.compile(r"error|err|uncertainty|uncert|unc|sigma|sig|std|rms")
 """What stands anywhere in the name of an error, as in Source_AMag_Err_T2."""
 CLOCK = (
@@ -165,8 +165,9 @@ def without_brackets(name: str) -> tuple[str, str]:
 
 
 def plain(name: str) -> str:
-    """A name's letters and digits, lower case, without what stands in brackets at its end."""
-    return re.sub(r"[\W_]+", "", without_brackets(name)[0].lower())
+    """A name's letters and digits, lower case, without what stands in brackets at its end; "± mag" and "mag +/-" as magerr."""
+    text = without_brackets(name)[0].lower()
+    return re.sub(r"[\W_]+", "", text) + ("err" if any(sign in text for sign in SIGNS) else "")
 
 
 LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)

@@ -14,6 +14,7 @@ from sgp4.io import compute_checksum
 
 import torchlc
 from tests.good_input import BODY, MESH_SCENE, SCENE, TETRAHEDRON
+from tests.test_orbit_files import GEO_1, GEO_2
 from torchlc.api import simulate
 from torchlc.errors import InputError
 from torchlc.files.numbers import CONTROLS
@@ -399,3 +400,22 @@ def test_a_known_slip_of_toml_is_told_with_what_to_write(line: str, hint: str):
 def test_a_list_that_is_not_closed_is_no_decimal_comma():
     with pytest.raises(InputError, match=r"unclosed array; expected TOML$"):
         Scene.from_toml("a = [1,2")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "elements.txt",
+            f"GEO\n{GEO_1}\n{GEO_2}\n",
+            r"two-line elements; expected a scene in TOML\. torchlc init",
+        ),
+        ("night.csv", "time,mag\n2459164.3,12.1\n", r"no scene; .* given first, then the recording"),
+    ],
+)
+def test_another_file_in_the_place_of_the_scene_is_told_by_its_kind(
+    tmp_path: Path, name: str, text: str, message: str
+):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_scene(tmp_path / name)

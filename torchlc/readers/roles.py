@@ -100,9 +100,9 @@ STAMPS: dict[str, Stamp] = {
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
         "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
-        "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags", "v", "cv", "clear",
+        "sourceamag", "sourceamagt1", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags", "v", "cv", "clear",
     ),
-    "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
+    "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum", "relfluxt1"),
     "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),

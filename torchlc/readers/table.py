@@ -122,6 +122,11 @@ def first_row(header: Header) -> list[str]:
     return next(lines_as_cells(header) if header.rows is None else header.rows(), (0, []))[1]
 
 
+def without_row(header: Header) -> str:
+    """What to do about a row that holds no measurement."""
+    return NO_ROW if header.rows is None else "Leave out the row"
+
+
 def row_place(index: int, column: str) -> str:
     """How an error names a cell: rows count from 1 below the header."""
     return f"row {index + 1}, column {column}"
@@ -290,7 +295,7 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             text = cell.strip()
             if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
                 hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
-                hint = hint or (None if re.search(r"\d", text) else NO_ROW)
+                hint = hint or (None if re.search(r"\d", text) else without_row(header))
                 if hint and OF_DECIMAL_COMMAS.fullmatch(text) and not header.ecsv and header.rows is None:
                     hint = f"{hint.rstrip('.')}, or say {option('columns', 'decimal=comma')}"
                 place = row_place(start + index, name)

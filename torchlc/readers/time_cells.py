@@ -12,7 +12,7 @@ from torchlc.errors import InputError, option
 from torchlc.files.decimals import advice, decimal
 from torchlc.readers.civil_time import to_utc
 from torchlc.readers.dates import WHICH_ORDER, Calendar
-from torchlc.readers.table import BLANK, NO_ROW, Header, read_numbers, row_place, with_point
+from torchlc.readers.table import BLANK, Header, read_numbers, row_place, with_point, without_row
 from torchlc.readers.timing import FORMAT_WORDS, Timing, count_of, ways_to_say
 from torchlc.scene.timestamps import (
     ISO,
@@ -120,9 +120,9 @@ class TimeReader:
             if expected == WHICH_ORDER:
                 orders = (option("columns", f"date_order={order}") for order in ("day-first", "month-first"))
                 return f"Say {', or '.join(orders)}"
-            return advice(found) or (None if re.search(r"\d", found) else NO_ROW)
+            return advice(found) or (None if re.search(r"\d", found) else without_row(self.header))
         if not math.isfinite(number):
-            return NO_ROW
+            return without_row(self.header)
         if self.header.decimal == "." and "," in found:
             return f"Write decimals with a point, or say {option('columns', 'decimal=comma')}"
         if self.format == "jd" and REDUCED[0] < number < REDUCED[1]:

@@ -130,6 +130,8 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
         return Reading()
     if isinstance(given, Reading):
         return given
+    if not isinstance(given, (str, Mapping)):
+        raise InputError(None, option("columns"), type(given).__name__, "a text or a mapping of names")
     pairs = _pairs(given) if isinstance(given, str) else dict(given)
     table: dict[str, Any] = {key: value for key, value in pairs.items() if key in Reading.model_fields}
     columns = {

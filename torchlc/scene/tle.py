@@ -207,9 +207,9 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
     while k < len(lines):
         number, line = lines[k]
         following = lines[k + 1] if k + 1 < len(lines) else (number, "")
-        if not _is_elements(line):
+        if not is_elements(line):
             k += 1
-        elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
+        elif not (line.startswith("1 ") and following[1].startswith("2 ") and is_elements(following[1])):
             lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
             fault = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
             place, said = f"line {number}", f"{line[:90]!r}{fault}"
@@ -219,7 +219,7 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
         else:
             whole = True
             above = lines[k - 1][1] if k else ""
-            name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
+            name = None if is_elements(above) else above.removeprefix("0 ").strip() or None
             try:
                 sets.append(Elements(name, _checked(path, (number, line), following)))
             except InputError as error:
@@ -242,7 +242,7 @@ def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tup
         raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
 
 
-def _is_elements(line: str) -> bool:
+def is_elements(line: str) -> bool:
     """Does it hold a line of elements, whole or not, and in whatever wrapping? Names are shorter."""
     return len(line) > LONGEST_NAME and LIKE_ELEMENTS.search(line) is not None
 

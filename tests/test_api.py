@@ -135,7 +135,7 @@ def test_fit_json_is_what_formats_says(result: FitResult, out: Path):
     assert content["error_source"] == "recording"
     assert sum(one["mean_share"] for one in content["components"].values()) == pytest.approx(1.0)
     assert sum(one["probability"] for one in content["materials"]["panel"]) == pytest.approx(1.0)
-    assert content["samples"] == len(result.posterior.flat)  # type: ignore[union-attr]
+    assert content["samples"] == len(result.posterior.flat)
     assert content["provenance"]["inputs"]["scene"]["sha256"]
 
 
@@ -249,7 +249,7 @@ def test_rows_below_the_horizon_are_dropped_and_counted(case: tuple[Path, Path],
             break
     else:
         pytest.skip("the orbit is too still")
-    recording = torchlc.api.usable(torchlc.load(scene), case[1])  # type: ignore[attr-defined]
+    recording = torchlc.api.usable(torchlc.load(scene), case[1])
     assert recording.dropped == {"below the horizon": below} and len(recording) == 49 - below
 
 
@@ -335,7 +335,7 @@ def test_impossible_options_are_refused_before_anything_is_written(
 ):
     out = None if "resume" in options else tmp_path / "out"
     with pytest.raises(InputError, match=message):
-        torchlc.fit(*case, out=out, **options)  # type: ignore[arg-type]
+        torchlc.fit(*case, out=out, **options)
     assert not any(tmp_path.iterdir())
 
 
@@ -352,7 +352,7 @@ def test_impossible_options_are_refused_before_anything_is_written(
 )
 def test_impossible_grids_are_refused(case: tuple[Path, Path], arguments: dict[str, object], message: str):
     with pytest.raises(InputError, match=message):
-        torchlc.simulate(case[0], **arguments)  # type: ignore[arg-type]
+        torchlc.simulate(case[0], **arguments)
 
 
 def test_values_are_stated_with_the_digits_their_uncertainty_bears():
@@ -419,12 +419,12 @@ def test_what_holds_no_instant_or_amount_is_refused(case: tuple[Path, Path], sai
 
 def test_what_is_no_scene_recording_or_result_is_refused_in_words(case: tuple[Path, Path], tmp_path: Path):
     with pytest.raises(InputError, match="scene: NoneType; expected a path or a Scene"):
-        torchlc.load(None)  # type: ignore[call-overload]
+        torchlc.load(None)
     with pytest.raises(InputError, match="columns: int; expected a text or a mapping"):
-        torchlc.load(*case, columns=5)  # type: ignore[call-overload]
+        torchlc.load(*case, columns=5)
     with pytest.raises(InputError, match="a Scene and a Recording, as torchlc"):
-        torchlc.LightCurve(*case)  # type: ignore[arg-type]
+        torchlc.LightCurve(*case)
     with pytest.raises(InputError, match="result: Scene; expected what fit or diagnose returns"):
-        torchlc.write_report(torchlc.load(case[0]), tmp_path / "page.html")  # type: ignore[arg-type]
+        torchlc.write_report(torchlc.load(case[0]), tmp_path / "page.html")
     with pytest.raises(InputError, match="effects: unknown effect 'foo'"):
         torchlc.diagnose(*case, effects="jitter,foo")

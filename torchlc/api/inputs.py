@@ -9,7 +9,7 @@ from datetime import UTC, date, datetime
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast, overload
+from typing import Any, overload
 
 import numpy as np
 from astropy.time import Time, TimeBase
@@ -82,12 +82,14 @@ def read_scene(scene: str | Path | Scene, trust: bool) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
 
 
-def moment(value: Moment | None, argument: str = "start") -> str | float | None:
+def moment(value: Any, argument: str = "start") -> str | float | None:
     """An instant as ISO UTC or a Julian date: a date alone is its 0 h, a naive datetime is in UTC."""
     if isinstance(value, TimeBase):
         if not value.isscalar:
             raise InputError(None, argument, f"{len(value)} times", "one time")
-        return str(cast(Any, value).utc.replicate(format="isot").to_value("isot", subfmt="date_hms"))
+        value = value.utc.copy(format="isot")
+        value.precision = 9
+        return str(value.value)
     if isinstance(value, datetime):
         value = value if value.tzinfo is None else value.astimezone(UTC)
         return value.replace(tzinfo=None).isoformat(timespec="microseconds")

@@ -120,7 +120,7 @@ def load_scene(
 
 def _check_kind(path: Path, text: str) -> None:
     """InputError where the file is plainly another one that torchlc takes."""
-    if any(map(is_elements, text.splitlines())) and "[orbit]" not in text:
+    if any(line.startswith(("1 ", "2 ")) and is_elements(line) for line in text.splitlines()):
         hint = "torchlc init my.toml --tle FILE makes a scene of them"
         raise InputError(path, None, "two-line elements", "a scene in TOML", hint)
     if path.suffix.lower() in OF_TABLES and "torchlc-scene" not in text:

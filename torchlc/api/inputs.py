@@ -87,18 +87,20 @@ def moment(value: Any, argument: str = "start") -> str | float | None:
     if isinstance(value, TimeBase):
         if not value.isscalar:
             raise InputError(None, argument, f"{len(value)} times", "one time")
-        value = value.utc.copy(format="isot")
-        value.precision = 9
-        return str(value.value)
+        return str(Time(value.utc, format="isot", precision=9).value)
     if isinstance(value, datetime):
         value = value if value.tzinfo is None else value.astimezone(UTC)
         return value.replace(tzinfo=None).isoformat(timespec="microseconds")
-    if isinstance(value, (date, np.datetime64)):
-        value = str(np.datetime64(value, "D" if isinstance(value, date) else "us"))
+    if isinstance(value, date):
+        value = value.isoformat()
+    if isinstance(value, np.datetime64):
+        value = str(value.astype("datetime64[us]"))
     if isinstance(value, str):
         return f"{value}T00:00:00" if DATE.fullmatch(value) else value
-    if value is None or isinstance(value, Real):
-        return value
+    if value is None:
+        return None
+    if isinstance(value, Real):
+        return float(value)
     raise InputError(None, argument, type(value).__name__, "ISO UTC, a Julian date, a Time or a datetime")
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
+import astropy.units as u
 import numpy as np
 import pytest
 import torch
 from astropy.table import Table
+from astropy.time import Time
 
 import torchlc
 from tests.small_case import write_case
@@ -132,7 +135,7 @@ def test_fit_json_is_what_formats_says(result: FitResult, out: Path):
     assert content["error_source"] == "recording"
     assert sum(one["mean_share"] for one in content["components"].values()) == pytest.approx(1.0)
     assert sum(one["probability"] for one in content["materials"]["panel"]) == pytest.approx(1.0)
-    assert content["samples"] == len(result.posterior.flat)  # type: ignore[union-attr]
+    assert content["samples"] == len(result.posterior.flat)
     assert content["provenance"]["inputs"]["scene"]["sha256"]
 
 
@@ -246,7 +249,7 @@ def test_rows_below_the_horizon_are_dropped_and_counted(case: tuple[Path, Path],
             break
     else:
         pytest.skip("the orbit is too still")
-    recording = torchlc.api.usable(torchlc.load(scene), case[1])  # type: ignore[attr-defined]
+    recording = torchlc.api.usable(torchlc.load(scene), case[1])
     assert recording.dropped == {"below the horizon": below} and len(recording) == 49 - below
 
 
@@ -321,10 +324,10 @@ def test_a_prior_that_the_data_contradict_is_told(case: tuple[Path, Path], tmp_p
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"steps": 0}, "--steps"),
-        ({"walkers": 6}, "--walkers: 6; expected at least 10 for 4 free parameters"),
-        ({"resume": True}, "--resume"),
-        ({"use": "counts"}, "--use"),
+        ({"steps": 0}, "steps: 0"),
+        ({"walkers": 6}, "walkers: 6; expected at least 10 for 4 free parameters"),
+        ({"resume": True}, "resume: no output"),
+        ({"use": "counts"}, "use: .counts"),
     ],
 )
 def test_impossible_options_are_refused_before_anything_is_written(
@@ -332,24 +335,24 @@ def test_impossible_options_are_refused_before_anything_is_written(
 ):
     out = None if "resume" in options else tmp_path / "out"
     with pytest.raises(InputError, match=message):
-        torchlc.fit(*case, out=out, **options)  # type: ignore[arg-type]
+        torchlc.fit(*case, out=out, **options)
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "not all of --start"),
-        ({"start": "2020-10-17T15:00", "hours": 1.0}, "not all of --start"),
-        ({"start": "yesterday", "hours": 1.0, "cadence": 60.0}, "--start"),
-        ({"start": "2020-10-17T15:00", "hours": -1.0, "cadence": 60.0}, "--hours"),
-        ({"start": "2020-10-17T15:00", "hours": 1.0, "cadence": 60.0, "noise": -0.1}, "--noise"),
-        ({"start": "2020-10-17T15:00", "hours": 1e9, "cadence": 0.001}, "--cadence"),
+        ({}, "not all of start"),
+        ({"start": "2020-10-17T15:00", "hours": 1.0}, "not all of start"),
+        ({"start": "yesterday", "hours": 1.0, "cadence": 60.0}, "start: "),
+        ({"start": "2020-10-17T15:00", "hours": -1.0, "cadence": 60.0}, "hours, cadence"),
+        ({"start": "2020-10-17T15:00", "hours": 1.0, "cadence": 60.0, "noise": -0.1}, "noise"),
+        ({"start": "2020-10-17T15:00", "hours": 1e9, "cadence": 0.001}, "cadence"),
     ],
 )
 def test_impossible_grids_are_refused(case: tuple[Path, Path], arguments: dict[str, object], message: str):
     with pytest.raises(InputError, match=message):
-        torchlc.simulate(case[0], **arguments)  # type: ignore[arg-type]
+        torchlc.simulate(case[0], **arguments)
 
 
 def test_values_are_stated_with_the_digits_their_uncertainty_bears():
@@ -380,3 +383,48 @@ def test_a_recording_of_one_row_is_told_in_the_singular(case: tuple[Path, Path])
     assert "1 row of mag" in repr(one)
     with pytest.raises(InputError, match=r"^1 measured row; expected at least \d+ to find a period"):
         find_period(one)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "2020-10-17",
+        Time("2020-10-17", scale="utc"),
+        Time("2020-10-17", scale="utc").tdb,
+        datetime(2020, 10, 17),
+        datetime(2020, 10, 17, 8, tzinfo=timezone(timedelta(hours=8))),
+        np.datetime64("2020-10-17"),
+        2459139.5,
+    ],
+)
+def test_a_start_is_whatever_holds_an_instant(case: tuple[Path, Path], start):
+    curve = torchlc.simulate(case[0], start=start, hours=60 * u.min, cadence=0.5 * u.h)
+    assert abs((curve.recording.time[0] - Time("2020-10-17", scale="utc")).to_value(u.s)) < 1e-4
+    assert curve.recording.seconds.tolist() == [0.0, 1800.0, 3600.0]
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"start": Time(["2020-10-17", "2020-10-18"])}, "start: 2 times; expected one time"),
+        ({"start": [2020, 10, 17]}, "start: list; expected ISO UTC, a Julian date, a Time or a datetime"),
+        ({"start": "2020-10-17", "hours": 3 * u.m}, "hours: 3.0 m; expected one quantity in h"),
+    ],
+)
+def test_what_holds_no_instant_or_amount_is_refused(case: tuple[Path, Path], said: dict, message: str):
+    with pytest.raises(InputError) as caught:
+        torchlc.simulate(case[0], **({"hours": 1, "cadence": 600} | said))
+    assert str(caught.value) == message
+
+
+def test_what_is_no_scene_recording_or_result_is_refused_in_words(case: tuple[Path, Path], tmp_path: Path):
+    with pytest.raises(InputError, match="scene: NoneType; expected a path or a Scene"):
+        torchlc.load(None)
+    with pytest.raises(InputError, match="columns: int; expected a text or a mapping"):
+        torchlc.load(*case, columns=5)
+    with pytest.raises(InputError, match="a Scene and a Recording, as torchlc"):
+        torchlc.LightCurve(*case)
+    with pytest.raises(InputError, match="result: Scene; expected what fit or diagnose returns"):
+        torchlc.write_report(torchlc.load(case[0]), tmp_path / "page.html")
+    with pytest.raises(InputError, match="effects: unknown effect 'foo'"):
+        torchlc.diagnose(*case, effects="jitter,foo")

@@ -21,6 +21,7 @@ from tests.bad_input_cases import CASES
 from tests.command_line import TLE
 from tests.input_cases import Case
 from torchlc.cli import run
+from torchlc.errors import InputError, at_a_shell, option
 
 LAB_TABLE = Path(__file__).parents[2] / "shared" / "data" / "starlink_v15" / "lab_brdf_array.csv"
 
@@ -76,6 +77,47 @@ def test_bad_input_is_one_line_and_2_and_nothing_is_written(
         said.err.startswith("torchlc: error: ") and case.message in said.err and "Traceback" not in said.err
     )
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("call", "typed", "words"),
+    [
+        (
+            lambda scene, recording: torchlc.simulate(scene, start="2020-10-18T14:00"),
+            "simulate SCENE --start 2020-10-18T14:00",
+            "not all of --start, --hours and --cadence",
+        ),
+        (
+            lambda scene, recording: torchlc.predict(scene, date="2020-10-18", elevation=99),
+            "predict SCENE --date 2020-10-18 --elevation 99",
+            "error: --elevation: 99 deg",
+        ),
+        (
+            lambda scene, recording: torchlc.load(scene, recording, columns="tme=JD"),
+            "simulate SCENE RECORDING --columns tme=JD",
+            "error: --columns: 'tme'",
+        ),
+    ],
+)
+def test_an_error_names_the_argument_in_a_call_and_the_option_at_a_shell(
+    case: tuple[str, str], call, typed: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(InputError) as caught:
+        call(*case)
+    command = typed.replace("SCENE", case[0]).replace("RECORDING", case[1])
+    assert run([*shlex.split(command), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert words in said and "--" not in str(caught.value)
+    assert said.replace("--", "").strip() == f"torchlc: error: {caught.value}"
+
+
+def test_an_offer_is_typed_as_the_reader_types_it():
+    assert option("columns", "time=my time") == 'columns="time=my time"'
+    assert option("station", "A,1,2,3", argument="stations") == 'stations="A,1,2,3"'
+    assert (option("resume", True), option("seed", 3), option("hours")) == ("resume=True", "seed=3", "hours")
+    with at_a_shell():
+        assert shlex.split(option("columns", 'time="a, b"')) == ["--columns", 'time="a, b"']
+        assert (option("resume", True), option("seed", 3)) == ("--resume", "--seed 3")
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.outcome != "exit2"], ids=lambda case: case.name)

@@ -71,7 +71,7 @@ def test_the_user_counts_before_a_comment(read):
 def test_what_cannot_be_taken_is_refused_and_the_advice_works(read, comment: str, message: str):
     with pytest.raises(InputError, match=message) as caught:
         read(f"{comment}\n{ROWS}")
-    option = re.findall(r"--columns (\w+=[^\s,;]+)", str(caught.value))[0]
+    option = re.findall(r'columns="(\w+=[^\s,;"]+)"', str(caught.value))[0]
     typed = {
         "time_zone=...": "time_zone=+01:00",
         "exptime=...": "exptime=30",
@@ -97,7 +97,7 @@ def test_what_cannot_be_taken_is_refused_and_the_advice_works(read, comment: str
 def test_another_remark_on_the_times_is_said_with_the_option_that_settles_it(read, comment: str, option: str):
     recording = read(f"{comment}\n{ROWS}")
     (told,) = [text for text in recording.warnings if "a comment says" in text]
-    assert f"--columns {option}" in told and moved_s(recording) == 0.0
+    assert f'columns="{option}"' in told and moved_s(recording) == 0.0
     settled = {"time_zone": "+00:00", "time_mark": "middle", "time_scale": "utc", "light_path": "observer"}
     key = option.partition("=")[0]
     assert "a comment says" not in " ".join(

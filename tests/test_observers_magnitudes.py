@@ -22,7 +22,7 @@ def test_the_name_of_a_magnitude_that_is_not_apparent_is_told(read, name: str):
     try:
         recording = read(text)
     except InputError as error:
-        assert f"--columns mag={name}" in str(error)
+        assert f'columns="mag={name}"' in str(error)
         recording = read(text, columns=f"mag={name}")
     assert f"the column of mag is called {name!r}: {SAID}" in " ".join(recording.warnings)
 

@@ -20,7 +20,7 @@ from torchlc.scene import Scene
 class TestUserSays:
     def test_columns(self, read):
         text = "when,brightness,spread,other\n" + table("").strip().replace("\n", ",1\n") + ",1\n"
-        with pytest.raises(InputError, match="--columns time=when"):
+        with pytest.raises(InputError, match='columns="time=when'):
             read(text)
         holds(read(text, columns="time=when,mag=brightness,mag_err=spread"))
         holds(read(text, columns={"time": "when", "mag": "brightness", "mag_err": "spread"}))
@@ -36,18 +36,18 @@ class TestUserSays:
         text = table("time,mag,e_V")
         without = read(text)
         assert without.error is None
-        (told,) = [one for one in without.warnings if "--columns" in one]
+        (told,) = [one for one in without.warnings if "columns=" in one]
         assert (
             told
-            == "no column is taken for the errors. Not used: e_V. If one holds them: --columns mag_err=e_V"
+            == 'no column is taken for the errors. Not used: e_V. If one holds them: columns="mag_err=e_V"'
         )
-        holds(read(text, columns=told.partition("--columns ")[2]))
+        holds(read(text, columns=told.partition('columns="')[2].rstrip('"')))
 
     def test_a_comment_on_the_barycentre_is_answered_by_what_it_says(self, read):
         (told,) = [
             one for one in read("# Times are BJD_TDB\n" + table("time,mag,mag_err")).warnings if "BJD" in one
         ]
-        assert told.endswith("--columns light_path=barycentric,time_scale=tdb")
+        assert told.endswith('columns="light_path=barycentric,time_scale=tdb"')
 
     @pytest.mark.parametrize("mark", [",", ";", "\t", " "])
     def test_date_and_time_apart_without_names_lose_no_row(self, read, mark: str):
@@ -59,7 +59,7 @@ class TestUserSays:
         text = "\n".join(rows) + "\n"
         with pytest.raises(InputError, match="no names of columns") as caught:
             read(text)
-        (option,) = re.findall(r"--columns (time=\S+?);", str(caught.value))
+        (option,) = re.findall(r'columns="(time=\S+?)";', str(caught.value))
         assert option == "time=1+2,mag=3,mag_err=4"
         holds(read(text, columns=option))
 
@@ -165,10 +165,10 @@ def test_hints_work_when_they_are_followed(read, text: str):
     """The option that the message offers is typed as it stands there; an example value is left as the example."""
     with pytest.raises(InputError) as caught:
         read(text)
-    options = re.findall(r"--columns ((?:[\w]+=(?:\"[^\"]*\"|[^\s,;()]+),?)+)", str(caught.value))
+    options = re.findall(r"""columns=(?:"([^"]+)"|'([^']+)')""", str(caught.value))
     assert options, str(caught.value)
     answers = {"exptime=SECONDS": "exptime=10", "time=1,mag=2,mag_err=3": "time=1,flux=2,flux_err=3"}
-    option = options[-1].rstrip(",")
+    option = "".join(options[-1])
     assert len(read(text, columns=answers.get(option, option))) >= 2
 
 
@@ -211,7 +211,7 @@ def test_decimal_commas_between_quotes_are_read_as_the_advice_says(read):
         for jd, mag, error in zip(JD, MAG, ERROR, strict=True)
     ]
     text = "JD,Mag,Err\n" + "\n".join(rows) + "\n"
-    with pytest.raises(InputError, match="--columns decimal=comma"):
+    with pytest.raises(InputError, match='columns="decimal=comma"'):
         read(text)
     holds(read(text, columns="decimal=comma"))
 
@@ -221,3 +221,36 @@ def test_signs_of_an_upper_limit(read, cell: str):
     recording = read(f"JD,Mag,Err\n2459140.125,14.908,0.03\n2459140.135,{cell},\n")
     assert recording.upper_limit.tolist() == [False, True] and recording.observed.tolist() == [14.908, 18.5]
     assert read(f"2459140.125,14.908\n2459140.135,{cell}\n").upper_limit.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("name", ["± mag", "mag ±", "+/- V mag", "±"])
+def test_a_sign_of_an_error_makes_no_magnitude(read, name: str):
+    holds(read(table(f"Time (UTC),V mag,{name}")))
+
+
+@pytest.mark.parametrize("cell", ["Mean", ""])
+def test_a_line_without_a_time_may_go_or_begin_with_a_mark(read, cell: str):
+    text = table("JD,mag,mag_err")
+    with pytest.raises(InputError, match="may go or begin with #"):
+        read(f"{text}{cell},9.0,0.02\n")
+    holds(read(f"{text}#{cell},9.0,0.02\n"))
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_row_whose_time_is_not_a_number_is_counted_wherever_it_stands(read, first: bool):
+    names, rows = table("JD,mag,mag_err").split("\n", 1)
+    row = "nan,9.0,0.02\n"
+    recording = read(f"{names}\n{row}{rows}" if first else f"{names}\n{rows}{row}")
+    holds(recording)
+    assert recording.dropped == {"non-finite": 1}
+
+
+def test_a_remark_below_the_names_may_go_or_begin_with_a_mark(read):
+    """C-Munipack writes one below the names of its columns."""
+    with pytest.raises(InputError, match="may go or begin with #"):
+        read("JD V-C s1\nAperture: 2, JD: geocentric\n2461115.36 0.5 0.03\n", columns="mag=V-C")
+
+
+def test_a_year_with_decimals_is_not_taken_for_days_in_silence(read):
+    with pytest.raises(InputError, match="If it is a year with decimals, write dates"):
+        read("time,mag\n2026.20,9.0\n")

@@ -96,7 +96,7 @@ def test_days_of_a_spreadsheet(read):
     text = "time,mag\n43831.25,12.1\n43831.50,12.2\n"
     with pytest.raises(InputError) as caught:
         read(text)
-    (option,) = re.findall(r"--columns (time_format=jd-241\S*)", str(caught.value))
+    (option,) = re.findall(r'columns="(time_format=jd-241[^"]*)', str(caught.value))
     assert read(text, columns=option).time.isot[0] == "2020-01-01T06:00:00.000"
 
 
@@ -136,7 +136,7 @@ def test_a_julian_date_is_no_second_of_gps(read):
 def test_dates_of_gps_are_asked_about_and_both_answers_work(read, name: str):
     """A receiver shows UTC, or GPS's own clock, which has no leap seconds: 18 s ahead in 2026."""
     columns = f'"time={name}"'
-    with pytest.raises(InputError, match="Say --columns time_scale=utc, or time_scale=gps"):
+    with pytest.raises(InputError, match='Say columns="time_scale=utc", or time_scale=gps'):
         read(of_name(name), columns=columns)
     utc = Time("2026-03-15T20:50:00", scale="utc")
     for scale, ahead in (("utc", 0.0), ("gps", 18.0)):
@@ -199,7 +199,7 @@ def test_the_advice_on_a_name_of_local_time_is_never_silently_wrong(read, name: 
     """First the name is offered, and then the zone is asked for."""
     with pytest.raises(InputError) as caught:
         read(of_name(name))
-    (option,) = re.findall(r"--columns '?(time=.*?)'?$", str(caught.value))
+    (option,) = re.findall(r'columns="(time=.*?)"$', str(caught.value))
     with pytest.raises(InputError, match=r"local time|one time scale"):
         read(of_name(name), columns=option)
 
@@ -240,6 +240,16 @@ def test_reduced_dates_of_a_table_without_names_are_asked_for_in_full(read):
     text = "61115.25,14.0,0.02\n61115.26,14.1,0.02\n"
     with pytest.raises(InputError, match="no names of columns") as caught:
         read(text)
-    options = re.findall(r"--columns (\w+=[\w-]+(?:,\w+=[\w-]+)*)", str(caught.value))
+    options = re.findall(r'columns="(\w+=[\w-]+(?:,\w+=[\w-]+)*)"', str(caught.value))
     days = {option.rpartition("=")[2]: read(text, columns=option).time[0].jd for option in options[:2]}
     assert days == {"jd-2400000": pytest.approx(2461115.25), "mjd": pytest.approx(2461115.75)}
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"),
+    [("time tdb", "tdb"), ("Time_TDB", "tdb"), ("TDB", "tdb"), ("tt time", "tt"), ("time_jd_tdb", "tdb")],
+)
+def test_a_scale_beside_the_word_time_is_taken(read, name: str, scale: str):
+    recording = read(of_name(name))
+    assert abs((recording.time[0] - Time("2026-03-15T20:50:00", scale=scale)).to_value(u.s)) < 1e-3
+    assert scale.upper() in recording.warnings[0]

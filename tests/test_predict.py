@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import Table
@@ -19,6 +20,7 @@ from tests.small_case import write_case
 from tests.test_predicted_glints import by_the_equinox
 from tests.test_predicted_objects import NIGHT, catalogue
 from torchlc.cli import run
+from torchlc.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -300,3 +302,14 @@ def test_intervals_hold_recorded_magnitudes_of_starlinks():
         assert held.rows > 300
         assert 0.85 <= held.inside_95 <= 0.95, held
         assert abs(held.median_mag) < 0.2
+
+
+def test_a_station_is_typed_as_text_and_a_start_may_be_a_time():
+    """As the message for a scene without stations has it."""
+    typed = torchlc.predict(
+        scene(), stations=f"here,{LATITUDE},{LONGITUDE},{HEIGHT}", start=Time(SPAN["start"]), hours=1 * u.h
+    )
+    plain = torchlc.predict(scene(), start=SPAN["start"], hours=1)
+    assert [one.path.top for one in typed.passes] == [one.path.top for one in plain.passes]
+    with pytest.raises(InputError, match="stations: 'here,1'; expected id,latitude,longitude,height"):
+        torchlc.predict(scene(), stations="here,1", **SPAN)

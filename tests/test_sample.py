@@ -264,10 +264,10 @@ def test_the_advice_about_a_short_chain_is_one_that_can_be_followed(tmp_path: Pa
 
     assert advice(steps=3).endswith("at most 1.03: fit with more steps")
     assert advice(budget=1e-3).endswith("at most 1.03: fit with a longer budget")
-    assert advice(steps=3, out=tmp_path / "out").endswith(": run on with --resume and more --steps")
+    assert advice(steps=3, out=tmp_path / "out").endswith(": run on with resume=True and more steps")
     resumed = torchlc.fit(scene, recording, steps=5, out=tmp_path / "out", resume=True)
     assert resumed.posterior is not None and resumed.posterior.steps == 5
-    assert advice(budget=1e-3, out=tmp_path / "out").endswith(": run on with --resume and a longer --budget")
+    assert advice(budget=1e-3, out=tmp_path / "out").endswith(": run on with resume=True and a longer budget")
     assert not caplog.records  # of ArviZ, for which these chains are too short
 
 

@@ -14,6 +14,7 @@ from sgp4.io import compute_checksum
 
 import torchlc
 from tests.good_input import BODY, MESH_SCENE, SCENE, TETRAHEDRON
+from tests.test_orbit_files import GEO_1, GEO_2
 from torchlc.api import simulate
 from torchlc.errors import InputError
 from torchlc.files.numbers import CONTROLS
@@ -222,13 +223,13 @@ class TestFiles:
         "file", ["../outside.obj", "a/../../outside.obj", "C:\\\\x.obj", "..\\\\outside.obj"]
     )
     def test_a_way_out_is_refused(self, tmp_path: Path, file: str):
-        with pytest.raises(InputError, match=r"a relative path inside the scene's folder\. .*--trust"):
+        with pytest.raises(InputError, match=r"a relative path inside the scene's folder\. .*trust=True"):
             self.scene(self.folder(tmp_path), file)
 
     def test_a_link_that_leads_out_is_refused(self, tmp_path: Path):
         folder = self.folder(tmp_path)
         (folder / "link.obj").symlink_to("../outside.obj")
-        with pytest.raises(InputError, match=r"leads out of the scene's folder.*--trust"):
+        with pytest.raises(InputError, match=r"leads out of the scene's folder.*trust=True"):
             self.scene(folder, "link.obj")
         assert self.scene(folder, "link.obj", trust=True)
 
@@ -368,3 +369,53 @@ def test_all_that_is_missing_is_told_at_once() -> None:
         InputError, match=r"attitude\.pole: missing.*attitude\.period, attitude\.phase, attitude\.epoch"
     ):
         Scene.from_toml(demo.replace('mode = "nadir"', 'mode = "spin-pole"'))
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("f0 = .4", "Write a 0 before the point: 0.4"),
+        ("size = [2.0, -.4]", "Write a 0 before the point: -0.4"),
+        ("n = 4.", "Write a 0 behind the point: 4.0"),
+        ("n = { value = 1.e5, low = 1.0 }", "Write a 0 behind the point: 1.0e5"),
+        ("n = 04", "Leave out the zeros in front: 4"),
+        ("n = 0,4", "Write decimals with a point, and nothing between thousands"),
+        ("n = 5d3", "Write the exponent with e"),
+        ("n = 50%", "Write the number alone, without a unit"),
+        ("n = True", "Write true"),
+        ("name = GEO", "Put text between double quotes"),
+        ("name = \N{LEFT DOUBLE QUOTATION MARK}GEO\N{RIGHT DOUBLE QUOTATION MARK}", "as the keyboard has them"),
+        ("name = ", "Write a value behind ="),
+        ("name: 4", "Write = between a key and its value"),
+        ("my name = 4", "Put a key with blanks or signs between double quotes"),
+        ('file = "C:\\Users"', "Write each backslash twice"),
+    ],
+)  # fmt: skip
+def test_a_known_slip_of_toml_is_told_with_what_to_write(line: str, hint: str):
+    with pytest.raises(InputError, match="line 2") as caught:
+        Scene.from_toml(f"a = 1\n{line}\nb = 2\n")
+    assert hint in str(caught.value)
+
+
+def test_a_list_that_is_not_closed_is_no_decimal_comma():
+    with pytest.raises(InputError, match=r"unclosed array; expected TOML$"):
+        Scene.from_toml("a = [1,2")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "elements.txt",
+            f"GEO\n{GEO_1}\n{GEO_2}\n",
+            r"two-line elements; expected a scene in TOML\. torchlc init",
+        ),
+        ("night.csv", "time,mag\n2459164.3,12.1\n", r"no scene; .* given first, then the recording"),
+    ],
+)
+def test_another_file_in_the_place_of_the_scene_is_told_by_its_kind(
+    tmp_path: Path, name: str, text: str, message: str
+):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_scene(tmp_path / name)

@@ -99,7 +99,7 @@ def test_a_spent_budget_says_what_it_left_out(ball) -> None:
     (terminal,) = [
         line.removeprefix("next: ") for line in lines(content, {}, []) if line.startswith("next: ")
     ]
-    assert terminal.startswith("give torchlc diagnose more time with --budget, for ")
+    assert terminal.startswith("give the diagnosis more time with budget, for ")
     assert words(content, {})[-1] == f"What to do next: {terminal}."
     told = [text for text in found.warnings if "not examined" in text or "no candidate" in text]
     assert sum(text.count("(") for text in told) > 10

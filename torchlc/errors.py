@@ -4,7 +4,36 @@ code.
 
 from __future__ import annotations
 
+import contextlib
+import shlex
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
+
+_AT_A_SHELL = ContextVar("at_a_shell", default=False)
+
+
+@contextlib.contextmanager
+def at_a_shell() -> Iterator[None]:
+    """Within it messages speak to a person who types commands; elsewhere to one who calls functions."""
+    before = _AT_A_SHELL.set(True)
+    try:
+        yield
+    finally:
+        _AT_A_SHELL.reset(before)
+
+
+def option(name: str, value: str | float | None = None, *, argument: str | None = None) -> str:
+    """What the reader may give, as it is typed: ``--columns time=JD`` at a shell, ``columns="time=JD"`` in a call.
+
+    ``value`` True is a switch. ``argument`` is the name in a call, where that is another one.
+    """
+    if _AT_A_SHELL.get():
+        return f"--{name}" if value is None or value is True else f"--{name} {shlex.quote(str(value))}"
+    argument = argument or name
+    if not isinstance(value, str):
+        return argument if value is None else f"{argument}={value}"
+    return f"{argument}={value!r}" if '"' in value or "\\" in value else f'{argument}="{value}"'
 
 
 class TorchlcError(Exception):

@@ -13,6 +13,7 @@ from torchlc.files.steps import EVERY_S
 from torchlc.files.writing import DIAGNOSIS_FILES, STEPS_FILE
 from torchlc.lightcurve.assembly import assemble
 from torchlc.scene import Scene
+from torchlc.stages.entry import Entry
 from torchlc.tensors.moving import on_cpu
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def diagnose(
     recording: Rows,
     *,
     quick: bool = False,
-    effects: Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     seed: int = 0,
     budget: float | None = None,
     out: str | Path | None = None,
@@ -46,6 +47,7 @@ def diagnose(
 
     scene = read_scene(scene, trust)
     rows = usable(scene, recording, use=use, columns=columns)
+    effects = Entry.split(effects) if isinstance(effects, str) else effects
     check_candidates(effects, assemble(scene, rows))
     with ExitStack() as stack:
         directory = held(stack, out, DIAGNOSIS_FILES, input_files(scene, rows))

@@ -13,7 +13,7 @@ from torchlc.api.inputs import Columns, Progress, Rows, read_scene, usable
 from torchlc.api.outputs import held, input_files, provenance
 from torchlc.digits import against_freedom
 from torchlc.effects import mending_kind
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.writing import CHAIN_FILE, FIT_FILES, OutputDirectory, write_whole
 from torchlc.inference.budget import Budget
 from torchlc.inference.chain import check_origin, input_hashes, read_chain
@@ -64,7 +64,9 @@ def fit(
     watch = _Watch()
     scene = read_scene(scene, trust)
     if resume and out is None:
-        raise InputError(None, "--resume", "no output directory", "the directory of the run to continue")
+        raise InputError(
+            None, option("resume"), "no output directory", "the directory of the run to continue"
+        )
     rows = usable(scene, recording, use=use, columns=columns)
     with ExitStack() as stack:
         later = {CHAIN_FILE} if resume else frozenset()
@@ -103,10 +105,13 @@ def fit(
 
 def _check_sampling(parameters: int, steps: int | None, walkers: int | None) -> None:
     if steps is not None and steps < 1:
-        raise InputError(None, "--steps", str(steps), "at least 1")
+        raise InputError(None, option("steps"), str(steps), "at least 1")
     if walkers is not None and parameters and walkers < 2 * parameters + 2:
         raise InputError(
-            None, "--walkers", str(walkers), f"at least {2 * parameters + 2} for {parameters} free parameters"
+            None,
+            option("walkers"),
+            str(walkers),
+            f"at least {2 * parameters + 2} for {parameters} free parameters",
         )
 
 
@@ -124,8 +129,10 @@ def _remarks(fitted: Fit, posterior: Posterior | None, of_search: Sequence[str],
     said = [*fitted.model.warnings, *fitted.warnings, *limits(fitted.model, fitted.theta), *of_search]
     said += fitted.likelihood.remarks(fitted.theta)
     if posterior is not None and not posterior.converged:
-        more = "a longer --budget" if posterior.out_of_time else "more --steps"
-        advice = f"run on with --resume and {more}" if kept else f"fit with {more.replace('--', '')}"
+        more = "a longer budget" if posterior.out_of_time else "more steps"
+        if kept:
+            more = f"a longer {option('budget')}" if posterior.out_of_time else f"more {option('steps')}"
+        advice = f"run on with {option('resume', True)} and {more}" if kept else f"fit with {more}"
         said.append(f"the chain is short: {posterior.reason}: {advice}")
     if not fitted.converged:
         said.append(f"the search did not converge: {fitted.reason}")

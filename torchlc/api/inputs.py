@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from datetime import UTC, date, datetime
+from numbers import Real
+from os import PathLike
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
+from astropy.time import Time, TimeBase
 
 from torchlc.effects import names as effect_names
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit import above_horizon, make_track, observation_grid, sun_elevation_deg
 from torchlc.readers import Recording, recording_of, too_few_rows
 from torchlc.scene import Scene, load_scene
@@ -22,6 +27,9 @@ Rows = Any
 pandas, or a mapping of columns (arrays, quantities, instants)."""
 Columns = str | Mapping[str, Any] | None
 """Which column is what: "time=JD_UTC,mag=V", or a mapping; over the table [recording] of the scene."""
+Moment = str | float | datetime | Time
+"""ISO UTC or a Julian date, or an instant of Python's or astropy's."""
+DATE = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII)
 MIN_ROWS = 2
 """Of a fit: one row only fixes the zero point."""
 IN_DAYLIGHT_MAG = -3.0
@@ -69,26 +77,63 @@ def load(
 
 def read_scene(scene: str | Path | Scene, trust: bool) -> Scene:
     """A scene as it is, or read from its file with every effect known by name."""
+    if not isinstance(scene, (str, PathLike, Scene)):
+        raise InputError(None, "scene", type(scene).__name__, "a path or a Scene")
     return scene if isinstance(scene, Scene) else load_scene(scene, trust=trust, known_effects=effect_names())
+
+
+def moment(value: Any, argument: str = "start") -> str | float | None:
+    """An instant as ISO UTC or a Julian date: a date alone is its 0 h, a naive datetime is in UTC."""
+    if isinstance(value, TimeBase):
+        if not value.isscalar:
+            raise InputError(None, argument, f"{len(value)} times", "one time")
+        return str(Time(value.utc, format="isot", precision=9).value)
+    if isinstance(value, datetime):
+        value = value if value.tzinfo is None else value.astimezone(UTC)
+        return value.replace(tzinfo=None).isoformat(timespec="microseconds")
+    if isinstance(value, date):
+        value = value.isoformat()
+    if isinstance(value, np.datetime64):
+        value = str(value.astype("datetime64[us]"))
+    if isinstance(value, str):
+        return f"{value}T00:00:00" if DATE.fullmatch(value) else value
+    if value is None:
+        return None
+    if isinstance(value, Real):
+        return float(value)
+    raise InputError(None, argument, type(value).__name__, "ISO UTC, a Julian date, a Time or a datetime")
+
+
+def amount(value: Any, unit: str, argument: str) -> Any:
+    """A number in ``unit``, of which a Quantity may hold another."""
+    if not hasattr(value, "to_value"):
+        return value
+    try:
+        return float(value.to_value(unit))
+    except (TypeError, ValueError):  # also of another kind of unit
+        raise InputError(None, argument, f"{value!s}"[:60], f"one quantity in {unit}") from None
 
 
 def grid_or(
     scene: Scene,
     recording: Rows,
-    start: str | float | None,
+    start: Moment | None,
     hours: float | None,
     cadence: float | None,
     columns: Columns = None,
 ) -> Recording:
     """The rows of a recording, or of a grid of times."""
+    start = moment(start)
     if recording is None:
         if start is None or hours is None or cadence is None:
-            raise InputError(
-                None, None, "no recording, and not all of --start, --hours and --cadence", "one or the other"
+            found = (
+                f"no recording, and not all of {option('start')}, {option('hours')} and {option('cadence')}"
             )
-        return observation_grid(scene, start, hours, cadence)
+            raise InputError(None, None, found, "one or the other")
+        return observation_grid(scene, start, amount(hours, "h", "hours"), amount(cadence, "s", "cadence"))
     if start is not None or hours is not None or cadence is not None:
-        raise InputError(None, None, "a recording and --start, --hours or --cadence", "one or the other")
+        found = f"a recording and {option('start')}, {option('hours')} or {option('cadence')}"
+        raise InputError(None, None, found, "one or the other")
     return recording_of(recording, scene, columns=columns)
 
 

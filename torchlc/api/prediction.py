@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchlc.api.inputs import Progress, read_scene
+from torchlc.api.inputs import Moment, Progress, amount, moment, read_scene
 from torchlc.api.outputs import held, input_files, made_with
 from torchlc.files.reading import sha256_of
 from torchlc.results.fit_result import FitResult
 from torchlc.results.stored_fit import StoredFit
-from torchlc.scene import Scene, Station
+from torchlc.scene import Scene, Station, station_of
 from torchlc.tensors.moving import on_cpu
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ def predict(
     scene: str | Path | Scene | FitResult | StoredFit,
     *,
     elements: str | Path | None = None,
-    stations: Sequence[Station] | None = None,
+    stations: str | Sequence[str | Station] | None = None,
     date: str | None = None,
-    start: str | float | None = None,
+    start: Moment | None = None,
     hours: float | None = None,
     cadence: float = 10.0,
     elevation: float = 10.0,
@@ -46,7 +46,7 @@ def predict(
 
     ``scene`` is a scene, whose priors are drawn from, or a fit, as made, as stored or as its directory, whose posterior is. ``elements``, a file
     of two-line elements of any number of objects, takes the place of the scene's orbit: every object is taken for one of
-    the scene's shape and materials. ``stations`` take the place of the scene's. ``date`` is a night by its evening's date;
+    the scene's shape and materials. ``stations``, as "id,latitude,longitude,height" (deg, m), take the place of the scene's. ``date`` is a night by its evening's date;
     or ``hours`` from ``start`` (ISO UTC or JD). Passes are above ``elevation`` deg while the Sun is below ``sun``, deg, on a
     grid of ``cadence`` s.
 
@@ -62,13 +62,14 @@ def predict(
     wanted = predicting.Wanted(elevation, sun, extinction, scatter, faintest, draws, seed)
     predicting.check(wanted)
     read, posterior, inputs = read_fit(scene, lambda given: read_scene(given, trust))
-    places = list(read.stations if stations is None else stations)
+    places = list(read.stations) if stations is None else _stations(stations)
     if not places:
         raise no_station(read.source)
     inputs += input_files(read) + ([] if elements is None else [Path(elements)])
     with ExitStack() as stack:
         directory = held(stack, out, PREDICTION_FILES, inputs)
-        span = predicting.span_of(places, date, start, hours, cadence)
+        lasting, step = amount(hours, "h", "hours"), amount(cadence, "s", "cadence")
+        span = predicting.span_of(places, None if date is None else str(date), moment(start), lasting, step)
         if elements is None:
             orbiters, said = [predicting.orbiter_of(read, span)], []
         else:
@@ -80,3 +81,8 @@ def predict(
         if directory is not None:
             prediction.write_into(directory)
     return prediction
+
+
+def _stations(given: str | Sequence[str | Station]) -> list[Station]:
+    several = [given] if isinstance(given, str) else given
+    return [place if isinstance(place, Station) else station_of(place) for place in several]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from torchlc.api.inputs import Columns, Rows, grid_or, read_scene
-from torchlc.errors import InputError
+from torchlc.api.inputs import Columns, Moment, Rows, amount, grid_or, read_scene
+from torchlc.errors import InputError, option
 from torchlc.readers.column_limits import LIMITS
 from torchlc.results.simulated_curve import SimulatedCurve, simulated_curve
 from torchlc.scene import Scene
@@ -24,7 +24,7 @@ def simulate(
     scene: str | Path | Scene,
     recording: Rows = None,
     *,
-    start: str | float | None = None,
+    start: Moment | None = None,
     hours: float | None = None,
     cadence: float | None = None,
     noise: float | None = None,
@@ -40,9 +40,10 @@ def simulate(
     """
     scene = read_scene(scene, trust)
     rows = grid_or(scene, recording, start, hours, cadence, columns)
+    noise = amount(noise, "mag", "noise")
     low, high = LIMITS["mag_err"]
     if noise is not None and not low <= noise <= high:
-        raise InputError(None, "--noise", f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
+        raise InputError(None, option("noise"), f"{noise:g} mag", f"> 0: {low:g} to {high:g} mag")
     return simulated_curve(scene, rows, noise, seed)
 
 
@@ -51,7 +52,7 @@ def visibility(
     scene: str | Path | Scene,
     recording: Rows = None,
     *,
-    start: str | float | None = None,
+    start: Moment | None = None,
     hours: float | None = None,
     cadence: float | None = None,
     values: Mapping[str, Tensor] | None = None,

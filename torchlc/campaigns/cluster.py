@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from torchlc.campaigns.processes import Tell, Workers, now_and_then
-from torchlc.errors import BusyError, InputError, MissingExtraError, TorchlcError
+from torchlc.errors import BusyError, InputError, MissingExtraError, TorchlcError, option
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -66,7 +66,7 @@ def connected(scheduler: str | None, workers: int | None, threads: int) -> Itera
         except (OSError, RuntimeError, TimeoutError, TypeError, ValueError) as error:
             raise InputError(
                 None,
-                "--scheduler",
+                option("scheduler"),
                 f"no Dask scheduler answers at {scheduler}: {error}"[:200],
                 "the address of one that runs, such as tls://HOST:8786",
             ) from None
@@ -183,14 +183,14 @@ class _OnCluster:
         except CancelledError:
             raise InputError(
                 None,
-                "--scheduler",
+                option("scheduler"),
                 "the scheduler went away",
                 hint="Repeat the command to go on: finished objects are skipped",
             ) from None
         except ImportError as error:
             raise InputError(
                 None,
-                "--scheduler",
+                option("scheduler"),
                 f"a worker lacks a package: {error}",
                 "workers and scheduler with the same torchlc as here",
             ) from error

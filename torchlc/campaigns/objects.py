@@ -12,7 +12,7 @@ from typing import Any
 
 from torchlc.campaigns.manifest import Job
 from torchlc.digits import stated
-from torchlc.errors import BusyError, InputError, TorchlcError
+from torchlc.errors import BusyError, InputError, TorchlcError, at_a_shell
 from torchlc.files.reading import changed, readable_file, sha256_of
 from torchlc.files.writing import OutputDirectory, read_manifest
 from torchlc.scene import content_of_scene
@@ -39,6 +39,11 @@ def run_object(
     written, such as a full disk or a file of that name that torchlc did not write. Files of an earlier result
     that have changed since are kept under another name.
     """
+    with at_a_shell():  # the options of an object are typed into the manifest
+        return _run_object(job, folder, campaign, tell)
+
+
+def _run_object(job: Job, folder: Path, campaign: str, tell: Callable[[float], None] | None) -> str:
     from torchlc.terminal import one_line, quiet_libraries
 
     began = time.monotonic()

@@ -18,7 +18,7 @@ from torchlc.campaigns.objects import record_failure, run_object
 from torchlc.campaigns.processes import Tell
 from torchlc.campaigns.summary import OBJECTS, PAGE, PARQUET, TABLE, summary_rows, write_summary
 from torchlc.digits import number_of
-from torchlc.errors import BusyError, InputError
+from torchlc.errors import BusyError, InputError, option
 from torchlc.files.disk import resources
 from torchlc.files.reading import kind_of
 from torchlc.files.writing import OutputDirectory, without_nan
@@ -110,7 +110,11 @@ def campaign(
     began, started = time.monotonic(), datetime.now(UTC).isoformat()
     if scheduler is not None and workers is not None:
         raise InputError(
-            None, "--workers", "given with --scheduler", "one of the two", "A cluster brings its own"
+            None,
+            option("workers"),
+            f"given with {option('scheduler')}",
+            "one of the two",
+            "A cluster brings its own",
         )
     objects = check_manifest(manifest)
     jobs = partial(read_manifest, manifest, seed=seed, threads=threads, budget=budget)

@@ -9,6 +9,7 @@ import typer
 
 from torchlc.cli import commands  # noqa: F401 - importing them registers them
 from torchlc.cli.app import app
+from torchlc.errors import at_a_shell
 from torchlc.terminal import exit_code
 
 
@@ -40,4 +41,5 @@ def run(
         print(end="", flush=True)
         return found
 
-    return exit_code(lambda: around(action), after_interrupt(arguments))
+    with at_a_shell():
+        return exit_code(lambda: around(action), after_interrupt(arguments))

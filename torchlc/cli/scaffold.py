@@ -10,15 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from torchlc.effects import names as effect_names
 from torchlc.errors import InputError
-from torchlc.files.decimals import decimal
 from torchlc.geometry.orbit.elements import FRESH_DAYS
 from torchlc.prediction.posterior import POSTERIOR_FILE, read_posterior
-from torchlc.scene import Scene, Station, load_scene
-from torchlc.scene.problems import of_validation
+from torchlc.scene import Scene, Station, load_scene, station_of
 from torchlc.scene.timestamps import UnreadableTime, instant
 from torchlc.scene.tle import Elements, nearest, passed_over, read_catalogue, sets_of_object, sound_sets
 from torchlc.scene.writer import toml_value
@@ -134,15 +131,9 @@ def nearest_set(sets: Sequence[Elements], date: str | float | None) -> Elements:
 
 
 def read_station(text: str) -> tuple[str, float, float, float]:
-    """A station from "id,latitude,longitude,height"."""
-    parts = [part.strip() for part in text.split(",")]
-    try:
-        name, latitude, longitude, height = parts[0], *map(decimal, parts[1:])
-    except (ValueError, TypeError):
-        raise InputError(
-            None, "--station", repr(text), "id,latitude,longitude,height as in weihai,37.536,122.05,110"
-        ) from None
-    return name, latitude, longitude, height
+    """Name and place of a station from "id,latitude,longitude,height"."""
+    station = station_of(text)
+    return station.id, station.latitude, station.longitude, station.height
 
 
 def _folded(name: str) -> str:
@@ -242,7 +233,7 @@ def prediction_of(
         raise InputError(None, "--preset, --like", found, "one of them, to say what the objects are", hint)
     typed = [text for text in stations if "," in text]
     names = [text for text in stations if "," not in text]
-    own = [_station(text) for text in typed]
+    own = [station_of(text) for text in typed]
     if preset is not None:
         if names or not own:
             raise InputError(None, "--station", repr(names[0]) if names else "missing", "ID,LAT,LON,HEIGHT")
@@ -254,7 +245,7 @@ def prediction_of(
             first,
             preset,
             name=preset.strip().lower(),
-            station=_numbers(own[0]),
+            station=read_station(typed[0]),
             exact=True,
         )
         scatter = SCATTER_MAG.get(key, 0.0)
@@ -278,18 +269,6 @@ def prediction_of(
 
 def _scene_of(scene: Scene | Path) -> Scene:
     return scene if isinstance(scene, Scene) else read_posterior(scene / POSTERIOR_FILE)[0]
-
-
-def _station(text: str) -> Station:
-    name, latitude, longitude, height = read_station(text)
-    try:
-        return Station(id=name, latitude=latitude, longitude=longitude, height=height)
-    except ValidationError as error:
-        raise of_validation("--station", error) from None
-
-
-def _numbers(station: Station) -> tuple[str, float, float, float]:
-    return station.id, station.latitude, station.longitude, station.height
 
 
 def check_scene(text: str, directory: Path, source: Path) -> Scene:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torchlc.effects import Entry, effect_class, names
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.scene.problems import shown
 from torchlc.suggest import did_you_mean
@@ -23,7 +23,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
         if entry.name not in known:
             raise InputError(
                 None,
-                "--effects",
+                option("effects"),
                 f"unknown effect {shown(text)}",
                 f"some of {', '.join(known)}",
                 did_you_mean(entry.name, known),
@@ -32,7 +32,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
         if entry.width is not None or (entry.per is not None and not (divisible and entry.per in DIVISIONS)):
             raise InputError(
                 None,
-                "--effects",
+                option("effects"),
                 shown(text),
                 f"{entry.name} or, to give each a value, {entry.name}@curve, @night or @object"
                 if divisible
@@ -43,7 +43,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
             if len(members) < 2:
                 has = "one" if members else "no column"
                 expected = f"several {entry.per}s, of which the recording has {has}"
-                raise InputError(None, "--effects", shown(text), expected)
+                raise InputError(None, option("effects"), shown(text), expected)
         if entry.target is not None and assembly is not None:
             targets = [
                 target for target in effect_class(entry.name).targets(assembly.context) if target is not None
@@ -51,7 +51,7 @@ def check_candidates(effects: Sequence[str] | None, assembly: Assembly | None = 
             if entry.target not in targets:
                 raise InputError(
                     None,
-                    "--effects",
+                    option("effects"),
                     f"{shown(text)}: {entry.name} cannot be applied to {shown(entry.target)}",
                     f"one of {', '.join(targets)}" if targets else f"{entry.name} without brackets",
                     did_you_mean(entry.target, targets),

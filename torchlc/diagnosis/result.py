@@ -27,6 +27,7 @@ from torchlc.diagnosis.where import Where, as_json
 from torchlc.diagnosis.words import added_values, lines, probability, statistic, unexamined
 from torchlc.digits import against_freedom
 from torchlc.effects import with_title
+from torchlc.errors import option
 from torchlc.files.writing import without_nan
 from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.identifiability import bare_view, limits
@@ -117,7 +118,7 @@ class Diagnosis:
         elif clock.cut and clock.seconds is not None:
             warned.append(
                 f"the search was ended after {clock.seconds:.0f} s of CPU time: some sets of effects or ways to err were not tried; "
-                f"--budget {2 * clock.seconds:.0f} has more of them tried"
+                f"{option('budget', round(2 * clock.seconds))} has more of them tried"
             )
         return list(dict.fromkeys(warned))
 

@@ -21,6 +21,7 @@ from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.standing import CLEAN_P, near_quoted
 from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
+from torchlc.errors import option
 from torchlc.files.steps import Steps
 from torchlc.inference.density import Fitted
 from torchlc.inference.posterior import fitted_at
@@ -31,7 +32,6 @@ QUICK_S = 20.0
 MOST_ALONE_S = 25.0
 """CPU seconds of an effect's probe or refit beyond which it waits for a budget: a search makes some tens of either."""
 NONE_TO_SPARE = "want of rows: there are no more of them than free numbers"
-DEAR = "each of its geometries costs a pass over the whole mesh; --budget SECONDS has it asked as far as there is time"
 
 
 def diagnose(
@@ -63,7 +63,8 @@ def diagnose(
     bounded = clock.gave or effects is not None
     search = Search(bench, clock, seed, steps=Steps() if steps is None else steps)
     bench.entries = [entry for entry in possible if bounded or search.seconds_of(entry) < MOST_ALONE_S]
-    untried = bench.not_carried(effects) | {entry: DEAR for entry in possible if entry not in bench.entries}
+    dear = f"each of its geometries costs a pass over the whole mesh; {option('budget')} SECONDS has it asked as far as there is time"
+    untried = bench.not_carried(effects) | {entry: dear for entry in possible if entry not in bench.entries}
     clock.tell("goes on from a run that was ended" if search.steps.resumed else "baseline", 0.02)
     search.null()
     coordinate_values = coordinates(search.best().model, search.best().theta)

@@ -12,6 +12,7 @@ from torchlc.brdf import MODELS
 from torchlc.diagnosis.coordinates import TIME, in_words
 from torchlc.digits import against_freedom, number_of, stated
 from torchlc.effects import registry, with_title
+from torchlc.errors import option
 from torchlc.stages.effect import first_sentence
 from torchlc.stages.entry import Entry
 
@@ -218,7 +219,7 @@ def _next_steps(content: Mapping[str, Any]) -> list[str]:
     elif count and (likely or unexplained):
         were = "was" if count == 1 else "were"
         steps.append(
-            f"give torchlc diagnose more time with --budget, for {number_of(count, 'effect')} {were} not examined"
+            f"give the diagnosis more time with {option('budget')}, for {number_of(count, 'effect')} {were} not examined"
         )
     return steps
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from torchlc.errors import InputError, ResourceError
+from torchlc.errors import InputError, ResourceError, option
 
 LONGEST_NAME_TOLD = 200
 PARTIAL = ".partial"
@@ -24,7 +24,7 @@ def resources(path: Path | None = None) -> Iterator[None]:
         yield
     except MemoryError:
         raise ResourceError(
-            "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
+            f"out of memory; fewer rows, fewer {option('walkers')} or a coarser mesh need less"
         ) from None
     except (OSError, RuntimeError) as error:
         text = str(error).lower()
@@ -35,7 +35,7 @@ def resources(path: Path | None = None) -> Iterator[None]:
             ) from None
         if "can't allocate memory" in text or "not enough memory" in text:
             raise ResourceError(
-                "out of memory; fewer rows, fewer --walkers or a coarser mesh need less"
+                f"out of memory; fewer rows, fewer {option('walkers')} or a coarser mesh need less"
             ) from None
         if isinstance(error, OSError) and error.errno in FORBIDDEN and path is not None:
             raise unusable(_final(path), error, None) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchlc.errors import InputError
+from torchlc.files.decimals import advice
 
 MOST_PARTS = 64
 """Parts of a dotted key. A scene needs 3; time and memory of the parser grow with the square, to 47 s and 4.4 GB at 50,000."""
@@ -27,13 +28,69 @@ def parse_toml(text: str, source: str | Path | None) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise _with_place(source, error) from None
+        raise _with_place(source, text, error) from None
     except (RecursionError, ValueError) as error:
         raise InputError(source, None, f"unreadable TOML: {error}", "TOML without deep nesting") from None
 
 
-def _with_place(source: str | Path | None, error: tomllib.TOMLDecodeError) -> InputError:
-    """A syntax error with its line and column."""
-    place = re.search(r"\(at (line \d+, column \d+|end of document)\)", str(error))
+TOKEN = re.compile(r"""[^\s=\[\]{}#"']+""")
+"""What may be a number or a word on a line."""
+BARE_POINT = re.compile(r"([+-]?)\.(\d+(?:[eE][+-]?\d+)?)", re.ASCII)
+OPEN_POINT = re.compile(r"([+-]?\d+)\.((?:[eE][+-]?\d+)?)", re.ASCII)
+LEADING_ZEROS = re.compile(r"([+-]?)0+(\d+(?:\.\d+)?)", re.ASCII)
+WITH_UNIT = re.compile(r"[+-]?\d[\d.]*(?![eEdD][+-]?\d)[A-Za-z%\N{DEGREE SIGN}]\S*", re.ASCII)
+COMMA = re.compile(r"[+-]?\d+,\d[\d,.]*", re.ASCII)
+QUOTES = re.compile("[\N{LEFT SINGLE QUOTATION MARK}-\N{DOUBLE LOW-9 QUOTATION MARK}]")
+"""Quotation marks of text processors."""
+
+
+def _with_place(source: str | Path | None, text: str, error: tomllib.TOMLDecodeError) -> InputError:
+    """A syntax error with its line and column, and what to do about it where it is a known slip."""
+    place = re.search(r"\(at (line (\d+), column (\d+)|end of document)\)", str(error))
     found = re.sub(r"\s*\(at [^)]*\)", "", str(error))
-    return InputError(source, place.group(1) if place else None, found[:1].lower() + found[1:], "TOML")
+    found = re.sub(r"\('(.*?)',?\)", lambda match: f"[{match[1].replace(QUOTED_DOT, '.')}]", found)
+    hint = None
+    if place is not None:
+        lines = text.splitlines() or [""]
+        line = lines[min(int(place[2]), len(lines)) - 1] if place[2] else lines[-1]
+        hint = _advice(line, int(place[3]) if place[3] else len(line) + 1, found)
+    where = place[1] if place is not None else None
+    return InputError(source, where, found[:1].lower() + found[1:], "TOML", hint)
+
+
+QUOTED_DOT = "', '"
+"""Between the parts of a dotted name, as the parser writes it."""
+
+
+def _advice(line: str, column: int, found: str) -> str | None:
+    """What to do about a known slip at a column, counted from 1, of a line."""
+    if "\\" in line and re.search(r"hex|escape|\\", found):
+        return "Write each backslash twice, or the text between single quotes"
+    if QUOTES.search(line):
+        return "Write the quotation marks as the keyboard has them"
+    if found.startswith("Expected '=' after a key"):
+        if ":" in line[column - 1 :].partition("=")[0]:
+            return "Write = between a key and its value"
+        return "Put a key with blanks or signs between double quotes"
+    at = [match for match in TOKEN.finditer(line) if match.start() < column <= match.end() + 1]
+    token = at[-1][0].rstrip(",") if at else ""
+    if match := BARE_POINT.fullmatch(token):
+        return f"Write a 0 before the point: {match[1]}0.{match[2]}"
+    if match := OPEN_POINT.fullmatch(token):
+        return f"Write a 0 behind the point: {match[1]}.0{match[2]}"
+    if match := LEADING_ZEROS.fullmatch(token):
+        return f"Leave out the zeros in front: {match[1]}{match[2]}"
+    if WITH_UNIT.fullmatch(token):
+        return "Write the number alone, without a unit"
+    if COMMA.fullmatch(token) and "[" not in line[:column]:
+        return "Write decimals with a point, and nothing between thousands"
+    if token.lower() in ("true", "false"):
+        return f"Write {token.lower()}"
+    if (hint := advice(token)) and "[" not in line[:column]:
+        return hint
+    if found.startswith("Invalid value"):
+        if re.fullmatch(r"[^\W\d]\S*", token):
+            return "Put text between double quotes"
+        if not line[column - 1 :].strip() or line[column - 1 :].startswith("#"):
+            return "Write a value behind ="
+    return None

@@ -20,7 +20,7 @@ import numpy as np
 from astropy.time import Time
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.reading import kind_of
 from torchlc.files.writing import write_whole
 from torchlc.inference.likelihood import Likelihood
@@ -138,14 +138,14 @@ def check_origin(path: Path, chain: StoredChain, origin: Mapping[str, Any]) -> N
             f"{number_of(settings['walkers'], 'walker')} over {', '.join(settings['parameters'])}"
             for settings in (made, origin)
         )
-        hint = f"{ANEW}, or give the scene and --walkers it was made with"
+        hint = f"{ANEW}, or give the scene and {option('walkers')} it was made with"
         raise InputError(path, None, f"a chain of {found}", expected, hint)
     for key, found in (("scene", "another scene"), ("recording", "other data: another recording")):
         if made[key] != origin[key]:
             hint = f"{ANEW}, or give the {key} it was made with"
             raise InputError(path, None, f"a chain of {found}", f"one of this {key}", hint)
     if made["seed"] != origin["seed"]:
-        hint = f"{ANEW}, or go on with --seed {made['seed']}"
+        hint = f"{ANEW}, or go on with {option('seed', made['seed'])}"
         raise InputError(path, None, f"a chain of seed {made['seed']}", f"one of seed {origin['seed']}", hint)
     if "effects" in origin and made["effects"] != origin["effects"]:
         found, expected = (", ".join(settings["effects"]) or "none" for settings in (made, origin))

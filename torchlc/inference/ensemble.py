@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.inference.exchange_move import Redraw
 from torchlc.inference.likelihood import Likelihood
 from torchlc.inference.optimiser import Fit
@@ -116,7 +116,7 @@ def number_of_walkers(wanted: int | None, dimensions: int) -> int:
     if count < 2 * dimensions + 2:
         raise InputError(
             None,
-            "--walkers",
+            option("walkers"),
             number_of(count, "walker"),
             f"at least {2 * dimensions + 2} for {number_of(dimensions, 'parameter')}",
         )

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit.earth import DAY_S
 from torchlc.inference.periodogram import Alias, Candidate, Periodogram, spoken
 from torchlc.inference.slow_changes import MIN_ROWS, Detrended
@@ -91,7 +91,7 @@ def find_period(
         high = highest
         warnings.append(
             f"periods below {spoken(1 / high)} were left out: {MOST_FREQUENCIES:,} frequencies are the most that are tried. "
-            "Give the period's range with --shortest and --longest, or a shorter stretch of the recording"
+            f"Give the period's range with {option('shortest')} and {option('longest')}, or a shorter stretch of the recording"
         )
     frequency = np.linspace(low, high, max(100, math.ceil(OVERSAMPLING * span * (high - low))))
     power = _powers(search, frequency)
@@ -198,9 +198,9 @@ def _search_range(
     recording: Recording, seconds: np.ndarray, span: float, shortest: float | None, longest: float | None
 ) -> tuple[float, float, list[str]]:
     """Lowest and highest frequency, 1/s."""
-    for name, value in (("--shortest", shortest), ("--longest", longest)):
+    for name, value in (("shortest", shortest), ("longest", longest)):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(None, name, f"{value:g} s", "a number > 0")
+            raise InputError(None, option(name), f"{value:g} s", "a number > 0")
     runs = np.split(seconds, np.flatnonzero(np.diff(seconds) > RUN_GAP_H * 3600) + 1)
     longest_run = max(float(np.ptp(run)) for run in runs) or span
     steps = np.diff(np.unique(seconds))
@@ -209,7 +209,7 @@ def _search_range(
     if not low < high:
         raise InputError(
             recording.source,
-            "--shortest, --longest",
+            f"{option('shortest')}, {option('longest')}",
             f"periods from {1 / high:.4g} to {1 / low:.4g} s",
             "a range of periods",
         )

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torch.utils.weak import WeakIdKeyDictionary
 
 from torchlc.digits import number_of
+from torchlc.errors import InputError
 from torchlc.lightcurve.assembled import Assembly
 from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.evaluators import Evaluator, chosen
@@ -78,6 +79,11 @@ class LightCurve(nn.Module):
         sibling: LightCurve | None = None,
     ) -> None:
         super().__init__()
+        if not (isinstance(scene, Scene) and isinstance(recording, Recording)):
+            found = f"{type(scene).__name__} and {type(recording).__name__}"
+            raise InputError(
+                None, "scene, recording", found, "a Scene and a Recording, as torchlc.load returns"
+            )
         if assembly is None:
             with on(CPU):
                 assembly = assemble(scene, recording, effects)

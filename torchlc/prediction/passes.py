@@ -19,7 +19,7 @@ from astropy.utils import iers
 from astropy.utils.exceptions import AstropyWarning
 from erfa import ErfaWarning
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit import shadow_coordinate
 from torchlc.geometry.orbit.earth import (
     Orientation,
@@ -360,7 +360,11 @@ def _angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def no_station(source: Any) -> InputError:
     return InputError(
-        source, "stations", "none", "the place of the observer", "Give --station ID,LAT,LON,HEIGHT."
+        source,
+        "stations",
+        "none",
+        "the place of the observer",
+        f"Give {option('station', 'ID,LAT,LON,HEIGHT', argument='stations')}.",
     )
 
 

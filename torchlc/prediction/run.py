@@ -13,7 +13,7 @@ import torch
 from astropy.time import Time
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit.earth import after, in_scale, julian_dates
 from torchlc.geometry.orbit.elements import FRESH_DAYS, ElementSet
 from torchlc.geometry.orbit.ephemeris import Ephemeris
@@ -51,24 +51,25 @@ class Wanted:
 
 
 LIMITS = {
-    "elevation_deg": ("--elevation", 0.0, 89.0, "deg"),
-    "sun_deg": ("--sun", -90.0, 90.0, "deg"),
-    "extinction": ("--extinction", 0.0, 5.0, "mag an airmass"),
-    "scatter_mag": ("--scatter", 0.0, 10.0, "mag"),
-    "draws": ("--draws", 2, 100_000, ""),
+    "elevation_deg": ("elevation", 0.0, 89.0, "deg"),
+    "sun_deg": ("sun", -90.0, 90.0, "deg"),
+    "extinction": ("extinction", 0.0, 5.0, "mag an airmass"),
+    "scatter_mag": ("scatter", 0.0, 10.0, "mag"),
+    "draws": ("draws", 2, 100_000, ""),
 }
-"""Option, least and largest value, and unit."""
+"""Name of the option and argument, least and largest value, and unit."""
 
 
 def check(wanted: Wanted) -> None:
     """Raise InputError at the first number that is out of its range."""
-    for name, (option, low, high, unit) in LIMITS.items():
+    for name, (argument, low, high, unit) in LIMITS.items():
         value = getattr(wanted, name)
         if not low <= value <= high:
-            raise InputError(None, option, f"{value:g} {unit}".strip(), f"{low:g} to {high:g} {unit}".strip())
+            found, expected = f"{value:g} {unit}".strip(), f"{low:g} to {high:g} {unit}".strip()
+            raise InputError(None, option(argument), found, expected)
     faintest = wanted.faintest_mag
     if faintest is not None and not math.isfinite(faintest):
-        raise InputError(None, "--faintest", f"{faintest}", "a magnitude")
+        raise InputError(None, option("faintest"), f"{faintest}", "a magnitude")
 
 
 def span_of(
@@ -81,25 +82,29 @@ def span_of(
     """The grid of times of a night, ``date`` being that of its evening at the first station, or of ``hours`` from ``start``."""
     if (date is None) == (start is None):
         found = "both a night and a start" if date is not None else "neither a night nor a start"
-        raise InputError(None, "--date, --start", found, "--date YYYY-MM-DD, or --start with --hours")
+        expected = f"{option('date')} YYYY-MM-DD, or {option('start')} with {option('hours')}"
+        raise InputError(None, f"{option('date')}, {option('start')}", found, expected)
     if date is not None:
         if hours is not None:
-            raise InputError(None, "--hours", "given with --date", "it with --start; a night has 24 h")
-        noon = _instant("--date", f"{date}T12:00:00")
+            found, expected = f"given with {option('date')}", f"it with {option('start')}; a night has 24 h"
+            raise InputError(None, option("hours"), found, expected)
+        noon = _instant("date", f"{date}T12:00:00")
         first = in_scale(after(noon, np.asarray(-240.0 * _east(stations[0].longitude))), "utc")
         hours = 24.0
     else:
         assert start is not None
-        first = _instant("--start", start)
+        first = _instant("start", start)
     if hours is None:
-        raise InputError(None, "--hours", "missing", "the length of the span, with --start")
+        raise InputError(None, option("hours"), "missing", f"the length of the span, with {option('start')}")
     if not (math.isfinite(hours) and 0 < hours <= LONGEST_HOURS):
-        raise InputError(None, "--hours", f"{hours:g} h", f"more than 0 and at most {LONGEST_HOURS:g} h")
+        raise InputError(
+            None, option("hours"), f"{hours:g} h", f"more than 0 and at most {LONGEST_HOURS:g} h"
+        )
     if not (math.isfinite(cadence_s) and 0.1 <= cadence_s <= 600):
-        raise InputError(None, "--cadence", f"{cadence_s:g} s", "0.1 to 600 s")
+        raise InputError(None, option("cadence"), f"{cadence_s:g} s", "0.1 to 600 s")
     count = hours * 3600 / cadence_s * len(stations)
     if count > MAX_ROWS:
-        raise InputError(None, "--cadence", f"{count:,.0f} instants", f"at most {MAX_ROWS:,}")
+        raise InputError(None, option("cadence"), f"{count:,.0f} instants", f"at most {MAX_ROWS:,}")
     return make_span(first, hours, cadence_s, stations)
 
 
@@ -108,13 +113,13 @@ def _east(longitude: float) -> float:
     return (longitude + 180.0) % 360.0 - 180.0
 
 
-def _instant(place: str, value: str | float) -> Time:
+def _instant(argument: str, value: str | float) -> Time:
     try:
         return instant(value, "utc")
     except UnreadableTime as error:
-        expected = "a night as YYYY-MM-DD" if place == "--date" else error.expected
+        expected = "a night as YYYY-MM-DD" if argument == "date" else error.expected
         found = value.removesuffix("T12:00:00") if isinstance(value, str) else error.found
-        raise InputError(None, place, repr(found), expected) from None
+        raise InputError(None, option(argument), repr(found), expected) from None
 
 
 def orbiter_of(scene: Scene, span: Span) -> Orbiter:
@@ -126,7 +131,7 @@ def orbiter_of(scene: Scene, span: Span) -> Orbiter:
             "orbit",
             "no TLE and no ephemeris",
             "tle, tle_file or oem_file",
-            "Or give --elements FILE.",
+            f"Or give {option('elements')} FILE.",
         )
     with scene.reading():
         if orbit.oem_file is not None:
@@ -251,7 +256,7 @@ def _fast_turns(scene: Scene, span: Span) -> list[str]:
         return []
     return [
         f"the body turns {degrees:.3g} deg between rows: magnitudes are samples of its rotation, and glints between rows "
-        "are not seen; a smaller --cadence follows it"
+        f"are not seen; a smaller {option('cadence')} follows it"
     ]
 
 

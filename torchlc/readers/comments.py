@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.table import METADATA
-from torchlc.scene.reading import OPTION, SETTINGS, Reading, reading_of
+from torchlc.scene.reading import SETTINGS, Reading, reading_of
 
 TOLD = tuple(name for name in SETTINGS if name not in (*METADATA, "object"))
 """Keys of [recording] that a comment may say. What people write behind ``object`` is whom they observed, not which of
@@ -49,9 +49,9 @@ def told_in(source: Path, meta: Mapping[str, str], given: Reading) -> Reading:
         try:
             added = reading_of({key: text})
             if added.columns:  # an exposure that is no number would name a column
-                raise InputError(OPTION, key, repr(text[:40]), "a number of seconds")
+                raise InputError(option("columns"), key, repr(text[:40]), "a number of seconds")
         except InputError as error:
-            hint = f"Correct the comment, or say {OPTION} {key}=..., which counts first; a comment of another name is only a remark"
+            hint = f"Correct the comment, or say {option('columns', f'{key}=...')}, which counts first; a comment of another name is only a remark"
             raise InputError(source, f"comment {key}", repr(meta[key][:40]), error.expected, hint) from None
         reading = reading.with_given(added)
     return reading.with_given(given)

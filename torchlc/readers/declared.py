@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.dates import is_moment
 from torchlc.readers.roles import DELIVERED, ROLES, VECTORS
 from torchlc.readers.table import Header, first_row
@@ -65,10 +64,12 @@ def missing(header: Header, name: str, expected: str) -> InputError:
     elif name in ("time", "mag", "flux"):
         offered = _offered(name, header)
         if name == "time" and "time" not in offered:
-            hint = "None of them looks like times: add a column time, or say which it is: --columns time=NAME"
+            hint = "None of them looks like times: add a column time, or say which it is: " + option(
+                "columns", "time=NAME"
+            )
         elif offered:
-            said = shlex.quote(",".join(f"{role}={_quoted(other)}" for role, other in offered.items()))
-            hint = f"{hint or ''} Say which column is what, as in --columns {said}".strip()
+            said = ",".join(f"{role}={_quoted(other)}" for role, other in offered.items())
+            hint = f"Say which column is what, as in {option('columns', said)}".strip()
     listed = ", ".join(_of_file(header, other) for other in header.names if other)
     return InputError(header.source, "header", f"no column {name} among {listed}"[:200], expected, hint)
 
@@ -127,7 +128,7 @@ def _quoted(name: str) -> str:
 def brightness(header: Header, use: str | None) -> str:
     """ "mag" or "flux": ``use``, else what is there, mag first."""
     if use not in (None, "mag", "flux"):
-        raise InputError(None, "--use", repr(use), "mag or flux")
+        raise InputError(None, option("use"), repr(use), "mag or flux")
     for name in ("time", use or "time"):
         if name not in header.names:
             raise missing(header, name, f"a column {name}")
@@ -312,19 +313,11 @@ def errors_told(header: Header, kind: str) -> list[str]:
     ]
     if f"{kind}_err" in header.names or not others or header.format:
         return []
-    example = (
-        f'"{others[0][:60]}"'
-        if len(others) == 1 and " " in others[0]
-        else others[0][:60]
-        if len(others) == 1
-        else "NAME"
-    )
+    example = option("columns", f"{kind}_err={_quoted(others[0][:60]) if len(others) == 1 else 'NAME'}")
     listed = ", ".join(name[:30] for name in others[:MOST_OTHERS]) + (
         ", ..." if len(others) > MOST_OTHERS else ""
     )
-    return [
-        f"no column is taken for the errors. Not used: {listed}. If one holds them: --columns {kind}_err={example}"
-    ]
+    return [f"no column is taken for the errors. Not used: {listed}. If one holds them: {example}"]
 
 
 def taken(

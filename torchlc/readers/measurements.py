@@ -154,8 +154,8 @@ KEPT_IF = {
     ),
     "flagged as bad": (
         "whose flag is 0",
-        "The flag is the column bad, catflags of ZTF, or what --columns bad=NAME names. "
-        "If its numbers say something else, leave it out of --columns or give the column another name",
+        "The flag is the column bad, catflags of ZTF, or the one that you name as bad. "
+        "If its numbers say something else, do not name it, or give the column another name",
     ),
     "upper limit, which a diagnosis does not use": ("with a measured value", None),
     "below the horizon": (

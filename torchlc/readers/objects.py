@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.suggest import did_you_mean
 
 MOST_LISTED = 12
@@ -31,7 +31,8 @@ def chosen_object(path: Path, names: Iterable[set[str]], wanted: str | None) -> 
             None,
             f"{len(every)} objects ({', '.join(listed[:MOST_LISTED])}{', ...' if len(every) > MOST_LISTED else ''})",
             "one object",
-            f'Say which: --columns object="{some}", by its name, its number or a part of its name; object="*" takes all, for a fleet',
+            f"Say which: {option('columns', f'object={some}')}, by its name, its number or a part of its name; "
+            f"{option('columns', 'object=*')} takes all, for a fleet",
         )
     folded = wanted.strip().casefold()
     exact = [aliases for aliases in every if folded in {name.casefold() for name in aliases}]

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import astropy.units as u
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.table import Header, first_row, is_as_wide
 from torchlc.scene.problems import with_others
-from torchlc.scene.reading import OPTION, SETTINGS, Reading
+from torchlc.scene.reading import SETTINGS, Reading
 from torchlc.suggest import did_you_mean
 
 VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
@@ -52,6 +52,7 @@ class Stamp:
 
 _JD, _MJD = Stamp("jd"), Stamp("mjd")
 STAMPS: dict[str, Stamp] = {
+    "time": Stamp(),
     **dict.fromkeys(("midtime", "timemid", "midexposure", "utcmid", "midutc", "dateobsmid"), Stamp(mark="mid")),
     **dict.fromkeys(("jdmid", "midjd", "jdutcmid", "jdmobs"), Stamp("jd", mark="mid")),
     **dict.fromkeys(("mjdmid", "midmjd", "mjdutcmid"), Stamp("mjd", mark="mid")),
@@ -99,9 +100,9 @@ STAMPS: dict[str, Stamp] = {
 NAMES: dict[str, tuple[str, ...]] = {
     "mag": (
         "apparentmagnitude", "magapparent", "apparentmag", "appmag", "calibratedmagnitude", "calmag", "magcal", "magnitude", "magpsf", "unforcedmag", "magauto", "magbest", "magiso", "magaper",
-        "sourceamag", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags", "v", "cv", "clear",
+        "sourceamag", "sourceamagt1", "vmag", "gmag", "rmag", "imag", "bmag", "helligkeit", "magnitud", "grandeur", "magnitudine", "mags", "v", "cv", "clear",
     ),
-    "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum"),
+    "flux": ("fluxadu", "relflux", "relativeflux", "netflux", "fluxrel", "counts", "fluss", "aperturesum", "relfluxt1"),
     "exptime": ("exposuretime", "exposure", "exp", "expt", "texp", "exposures", "integrationtime", "belichtung", "exposition"),
     "band": ("filter", "filt", "passband", "bandpass", "filtercode", "magband", "filtername", "observingfilter", "filtre"),
     "station": ("observatory", "site", "observatorycode", "obscode"),
@@ -118,7 +119,7 @@ ERRORS = (
 ANY_ERROR = ("err", "error", "merr", "uncertainty", "uncert", "unc", "sigma", "sig", "fehler", "erreur", "errore", "magerr", "stderr", "sigmapsf", "std", "stddev", "standarddeviation", "magnitudeerror", "magnitudeuncertainty", "magerrmag")  # fmt: skip
 """Names of errors of whatever brightness there is."""
 SIGNS = ("\N{PLUS-MINUS SIGN}", "+/-", "+-")
-"""Names of errors without a letter."""
+"""What stands for an error in a name, alone or beside that of its quantity."""
 ERROR_WORD = re.compile(r"error|err|uncertainty|uncert|unc|sigma|sig|std|rms")
 """What stands anywhere in the name of an error, as in Source_AMag_Err_T2."""
 CLOCK = (
@@ -164,8 +165,9 @@ def without_brackets(name: str) -> tuple[str, str]:
 
 
 def plain(name: str) -> str:
-    """A name's letters and digits, lower case, without what stands in brackets at its end."""
-    return re.sub(r"[\W_]+", "", without_brackets(name)[0].lower())
+    """A name's letters and digits, lower case, without what stands in brackets at its end; "± mag" and "mag +/-" as magerr."""
+    text = without_brackets(name)[0].lower()
+    return re.sub(r"[\W_]+", "", text) + ("err" if any(sign in text for sign in SIGNS) else "")
 
 
 LESS_A_NUMBER = re.compile(r"([a-z]+)(24[0-7]\d{4})(\.50*|\.0+)?", re.ASCII)
@@ -197,7 +199,17 @@ def _one_stamp(text: str) -> Stamp | None:
         half = (less[3] or "").startswith(".5")
         zero = f"{less[2]}.5" if half else less[2]
         return replace(whole, format="mjd" if zero == "2400000.5" else f"jd-{zero}")
-    return Stamp() if letters == "time" else STAMPS.get(plain(text))
+    name = plain(text)
+    return STAMPS.get(name) or _beside_time(name)
+
+
+def _beside_time(name: str) -> Stamp | None:
+    """What a name says that puts the word time beside a scale or a format: time_tdb, TDB time, time MJD."""
+    rest = name.removeprefix("time") if name.startswith("time") else name.removesuffix("time")
+    if rest in ("tdb", "tt", "tai"):
+        return Stamp(scale=rest)
+    stamp = STAMPS.get(rest, Stamp())
+    return stamp if rest != name and stamp.format else None
 
 
 def known_names(names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> bool:
@@ -255,7 +267,7 @@ def _check_roles(unknown: Sequence[str]) -> None:
     known = list(dict.fromkeys((*plain_roles, *SETTINGS)))
     more = [(repr(role[:40]), did_you_mean(role, known)) for role in unknown[1:]]
     hint = with_others(did_you_mean(unknown[0], known), more)
-    raise InputError(OPTION, None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
+    raise InputError(option("columns"), None, repr(unknown[0][:40]), f"one of {', '.join(known)}", hint)
 
 
 def _told(header: Header, role: str, text: str) -> tuple[int, ...]:

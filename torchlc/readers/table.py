@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import advice, decimal, decimals
 from torchlc.files.encodings import wide_encoding_of
 from torchlc.readers.dates import moment_of
@@ -35,6 +35,7 @@ BEYOND_MAG = 90.0
 """Magnitudes and their errors beyond it, such as 99.0 and -99.9, mark missing values: the Sun has -26.7."""
 FORMAT = "CSV with a header line, or ECSV"
 AS_A_LIMIT = "Write a magnitude's limit as in >18.5 and a flux's as in <0.1: fainter than this. Or write a number, and true in a column upper_limit."
+NO_ROW = "A line without a measurement, such as a remark or a sum, may go or begin with #"
 METADATA = ("time_scale", "time_format", "light_time_corrected", "frame")
 """Keys of ours in the metadata of an ECSV, and in comment lines ``# key: value`` above the header of a CSV."""
 OF_SPREADSHEETS = re.compile(r'"?sep=.?"?[\s,;]*', re.IGNORECASE)
@@ -119,6 +120,11 @@ def read_columns(
 def first_row(header: Header) -> list[str]:
     """Cells of the first row; none where there is no row."""
     return next(lines_as_cells(header) if header.rows is None else header.rows(), (0, []))[1]
+
+
+def without_row(header: Header) -> str:
+    """What to do about a row that holds no measurement."""
+    return NO_ROW if header.rows is None else "Leave out the row"
 
 
 def row_place(index: int, column: str) -> str:
@@ -260,8 +266,8 @@ def is_as_wide(cells: Sequence[str], names: Sequence[str]) -> bool:
 def check_width(path: Path, place: str, cells: Sequence[str], names: Sequence[str]) -> None:
     """InputError where a row is not as wide as the names."""
     if not is_as_wide(cells, names):
-        short = len(cells) < len(names)
-        hint = "A line that is no row, such as one below the table, may go or begin with #" if short else None
+        long = len(cells) > len(names)
+        hint = f"A cell that holds the delimiter stands between double quotes. {NO_ROW}" if long else NO_ROW
         raise InputError(path, place, number_of(len(cells), "value"), f"{len(names)}, as in the header", hint)
 
 
@@ -289,8 +295,9 @@ def read_numbers(header: Header, name: str, cells: list[str], start: int) -> np.
             text = cell.strip()
             if text.lower() not in BLANK and not MARKS_ALONE.fullmatch(text):
                 hint = AS_A_LIMIT if re.match(r"[<>\[]", text) else advice(cell)
+                hint = hint or (None if re.search(r"\d", text) else without_row(header))
                 if hint and OF_DECIMAL_COMMAS.fullmatch(text) and not header.ecsv and header.rows is None:
-                    hint = f"{hint.rstrip('.')}, or say --columns decimal=comma"
+                    hint = f"{hint.rstrip('.')}, or say {option('columns', 'decimal=comma')}"
                 place = row_place(start + index, name)
                 raise InputError(header.source, place, repr(cell[:40]), "a number", hint) from None
             numbers[index] = np.nan

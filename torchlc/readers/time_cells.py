@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
 import numpy as np
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import advice, decimal
 from torchlc.readers.civil_time import to_utc
 from torchlc.readers.dates import WHICH_ORDER, Calendar
-from torchlc.readers.table import Header, read_numbers, row_place, with_point
+from torchlc.readers.table import BLANK, Header, read_numbers, row_place, with_point, without_row
 from torchlc.readers.timing import FORMAT_WORDS, Timing, count_of, ways_to_say
 from torchlc.scene.timestamps import (
     ISO,
@@ -31,6 +32,8 @@ FIRST_GPS_S = 1e8
 """March 1983: before it the system had no receivers in use; seconds of a week and Julian dates are smaller."""
 SPREADSHEET_TO = 51000.0
 """2039 in days of a spreadsheet, 1998 in modified Julian dates: recordings of objects of known elements are rarely older."""
+YEARS = (1950.0, 2100.0)
+"""Years with decimals of recordings of satellites."""
 JULIAN_DATES_FROM = 2_400_000.0
 SECONDS_SINCE_1970 = (1e8, 1e10)
 """1973 to 2286; in milliseconds a thousand times these."""
@@ -47,12 +50,13 @@ class TimeReader:
         self._offsets = False
 
     def __call__(self, header: Header, name: str, cells: list[str], start: int) -> np.ndarray:
-        """Two-part Julian dates (T, 2); the first cell of the file decides between ISO and JD."""
+        """Two-part Julian dates (T, 2); the first of the file that is not blank decides between ISO and JD."""
         if header.decimal != ".":
             cells = [with_point(cell, header.decimal) for cell in cells]
         cells = [SECONDS_WITH_COMMA.sub(r"\1.", cell) if "," in cell else cell for cell in cells]
         if not self.format:
-            self.format = "jd" if JULIAN_DATE.fullmatch(cells[0]) else "iso"
+            first = next((cell for cell in cells if cell.strip().lower() not in BLANK), cells[0])
+            self.format = "jd" if JULIAN_DATE.fullmatch(first) else "iso"
         try:
             days = self._days(header, name, cells, start)
             if self.timing.scale != self.scale:
@@ -114,14 +118,18 @@ class TimeReader:
             number = decimal(found)
         except ValueError:
             if expected == WHICH_ORDER:
-                return "Say --columns date_order=day-first, or --columns date_order=month-first"
-            return advice(found)
+                orders = (option("columns", f"date_order={order}") for order in ("day-first", "month-first"))
+                return f"Say {', or '.join(orders)}"
+            return advice(found) or (None if re.search(r"\d", found) else without_row(self.header))
+        if not math.isfinite(number):
+            return without_row(self.header)
         if self.header.decimal == "." and "," in found:
-            return "Write decimals with a point, or say --columns decimal=comma"
+            return f"Write decimals with a point, or say {option('columns', 'decimal=comma')}"
         if self.format == "jd" and REDUCED[0] < number < REDUCED[1]:
             reduced = ways_to_say(self.header, "time_format", "jd-2400000")
             mjd = ways_to_say(self.header, "time_format", "mjd")
-            days = ". For the days of a spreadsheet, since 1899-12-30, say --columns time_format=jd-2415018.5"
+            spreadsheet = option("columns", "time_format=jd-2415018.5")
+            days = f". For the days of a spreadsheet, since 1899-12-30, say {spreadsheet}"
             return (
                 f"If it is JD - 2400000, say {reduced}. If it is JD - 2400000.5, say {mjd}"
                 f"{days if number < SPREADSHEET_TO else ''}"
@@ -131,12 +139,17 @@ class TimeReader:
                 said = ways_to_say(self.header, "time_format", form)
                 other = "; or time_format=gps for seconds of GPS, since 1980" if form == "unix" else ""
                 return f"Say, for {FORMAT_WORDS[form]}, {said}{other}"
+        if self.format == "jd" and YEARS[0] < number < YEARS[1]:
+            return f"If it is a year with decimals, write dates. {self._hint_of_days()}"
         if self.format == "jd" and 0 <= number < REDUCED[0]:
-            return (
-                f"Days since another date: {ways_to_say(self.header, 'time_format', 'jd-2450000')}; jd-2457000 "
-                "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: --columns "
-                '"time_format=seconds since 2020-10-17T16:31:00", with minutes, hours and days likewise'
-            )
+            return self._hint_of_days()
         if self.format not in ("jd", "iso") and number > JULIAN_DATES_FROM:
             return f"A whole Julian date: {ways_to_say(self.header, 'time_format', 'jd')}"
         return None
+
+    def _hint_of_days(self) -> str:
+        return (
+            f"Days since another date: {ways_to_say(self.header, 'time_format', 'jd-2450000')}; jd-2457000 "
+            "for BTJD of TESS, jd-2454833 for BKJD of Kepler. Seconds since a start: "
+            f"{option('columns', 'time_format=seconds since 2020-10-17T16:31:00')}, with minutes, hours and days likewise"
+        )

@@ -8,7 +8,7 @@ from typing import Any
 
 import astropy.units as u
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.comments import key_and_value
 from torchlc.readers.dates import ORDERS, Calendar, is_moment, moment_of
 from torchlc.readers.roles import stamp_named, stamp_of, without_brackets
@@ -138,7 +138,11 @@ def count_of(time_format: str, scale: str) -> tuple[tuple[float, float], float]:
 def ways_to_say(header: Header, key: str, value: str) -> str:
     """Where a user says what a file does not."""
     where = "in the metadata" if header.ecsv else "in a line above the header that begins with #"
-    return f"{key}: {value} {where}, or --columns {key}={value}"
+    return f"{key}: {value} {where}, or {option('columns', f'{key}={value}')}"
+
+
+def _example_of_a_zone() -> str:
+    return f"{option('columns', 'time_zone=+02:00')} or time_zone=Europe/Vienna"
 
 
 def timing(header: Header, reading: Reading, *, located: bool = False) -> Timing:
@@ -229,7 +233,7 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
     for text in _remarks(header):
         named = {SCALES.get(name.lower(), "other") for name in ON_A_CLOCK.findall(text)}
         named |= {name for name, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
-        options = {
+        settings = {
             "time_zone=+02:00": OF_ANOTHER_CLOCK.search(text) and not _has_offset(header),
             "time_mark=start": any(pattern.search(text) for pattern in MARKS.values()),
             f"light_path={'barycentric' if BARYCENTRE.search(text) else 'heliocentric'}": AT_THE_SUN.search(
@@ -239,14 +243,14 @@ def _notes_of_remarks(header: Header, reading: Reading, scale: str, mark: str) -
             and "time_scale" not in header.meta,
         }
         open_ = [
-            option
-            for option, seen in options.items()
-            if seen and getattr(reading, option.partition("=")[0]) is None
+            setting
+            for setting, seen in settings.items()
+            if seen and getattr(reading, setting.partition("=")[0]) is None
         ]
         if open_:
             notes.append(
                 f"a comment says {text[:60]!r}: the times are taken as {MARK_WORDS[mark]} in {scale.upper()}. "
-                f"If they are others, say so, as in --columns {','.join(open_)}"
+                f"If they are others, say so, as in {option('columns', ','.join(open_))}"
             )
     return notes
 
@@ -262,8 +266,8 @@ def _check_brackets(header: Header, reading: Reading) -> None:
         if not words or stamp_named(text) or _is_unit_of_time(text) or _has_offset(header):
             continue
         hint = (
-            "Say --columns time_scale=utc if the times are UTC. If the word is a time zone, say which, "
-            "as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
+            f"Say {option('columns', 'time_scale=utc')} if the times are UTC. If the word is a time zone, say which, "
+            f"as in {_example_of_a_zone()}"
         )
         expected = "a time scale, a format or a unit in brackets behind the name of the times"
         raise InputError(header.source, "the column of time", repr(name[:60]), expected, hint)
@@ -285,8 +289,8 @@ def _check_movable(header: Header, reading: Reading, mark: str) -> None:
         "column time",
         f"the {mark} of the exposures",
         "mid-exposure",
-        "Add a column exptime (s), by half of which the times are moved, or say --columns exptime=SECONDS; or "
-        "--columns time_mark=middle if they are times of mid-exposure",
+        f"Add a column exptime (s), by half of which the times are moved, or say {option('columns', 'exptime=SECONDS')}; or "
+        f"{option('columns', 'time_mark=middle')} if they are times of mid-exposure",
     )
 
 
@@ -301,7 +305,7 @@ def _light_path(header: Header, reading: Reading, stated: str, located: bool) ->
             "Of an object in orbit about the Earth it cannot be put back: the direction in which it was reckoned is not known"
             if reading.direction is not None
             else "For an asteroid it can be put back: say its direction (ICRS right ascension and declination, deg), as in "
-            '--columns direction="120.5 -3.2"'
+            + option("columns", "direction=120.5 -3.2")
         )
         raise InputError(
             header.source,
@@ -328,7 +332,8 @@ def _statements(header: Header, reading: Reading) -> list[tuple[str, str]]:
             plainly_utc = r"(utc|ut|gmt|z|etc/utc)?([+-]?0?0(:?00)?)?"
             if reading.time_zone is None and not re.fullmatch(plainly_utc, value.strip(), re.IGNORECASE):
                 zone = value.strip() if is_zone(value) else "+02:00"
-                hint = f"Say --columns time_zone={zone} if that is the zone of the times, or time_zone=+00:00 if they are UTC"
+                said, utc = (option("columns", f"time_zone={text}") for text in (zone, "+00:00"))
+                hint = f"Say {said} if that is the zone of the times, or {utc} if they are UTC"
                 raise InputError(header.source, f"metadata {key}", repr(value[:40]), "UTC", hint)
         elif _is_about_time(key):
             statements.append((f"metadata {key}", value))
@@ -372,9 +377,7 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
     if OF_ANOTHER_CLOCK.search(text) and not place.lower().endswith(PLACE_OF_CLOCK):
         if reading.time_zone is not None or _has_offset(header):
             return None
-        hint = (
-            "Convert it first, or say its zone, as in --columns time_zone=+02:00 or time_zone=Europe/Vienna"
-        )
+        hint = f"Convert it first, or say its zone, as in {_example_of_a_zone()}"
         raise InputError(header.source, place, f"{text[:60]!r}: local time", "UTC", hint)
     named = {name.lower() for name in ON_A_CLOCK.findall(text)}
     named |= {scale for scale, words in NAMES_OF_SCALES.items() if re.search(rf"\b({words})\b", text, re.I)}
@@ -396,7 +399,7 @@ def _stated_scale(header: Header, reading: Reading, place: str, text: str, given
     if KEEPS_A_CLOCK in named:
         hint = (
             "Receivers of GPS mostly show UTC; GPS's own clock is 18 s ahead of it. "
-            "Say --columns time_scale=utc, or time_scale=gps for its own clock"
+            f"Say {option('columns', 'time_scale=utc')}, or time_scale=gps for its own clock"
         )
     raise InputError(header.source, place, said, "one time scale: UTC, TDB, TAI, TT or GPS", hint)
 

@@ -103,10 +103,10 @@ def matches_of(directory: Path) -> dict[str, list[dict[str, Any]]]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         matches = content["materials"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            path, None, f"no fit in it ({type(error).__name__})", "the directory of a finished fit"
-        ) from None
+    except OSError:
+        raise InputError(path, None, "cannot be read", "the directory of a finished fit") from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(path, None, "no fit in it", "the directory of a finished fit") from None
     return matches
 
 

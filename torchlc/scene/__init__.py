@@ -7,6 +7,7 @@ from torchlc.scene.parts import (
     Model,
     Orbit,
     Station,
+    station_of,
 )
 from torchlc.scene.scene import Scene, content_of_scene, load_scene
 from torchlc.scene.tle import PLACEHOLDER
@@ -28,5 +29,6 @@ __all__ = [
     "Tracks",
     "content_of_scene",
     "load_scene",
+    "station_of",
     "value_of",
 ]

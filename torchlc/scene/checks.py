@@ -12,7 +12,7 @@ from typing import TypeVar
 from pydantic_core import PydanticCustomError
 
 from torchlc import brdf
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.numbers import Free, problem, value_of, within
 from torchlc.materials.known import preset as preset_values
 from torchlc.naming import ENTRY
@@ -25,7 +25,6 @@ from torchlc.suggest import did_you_mean
 Tables = TypeVar("Tables", bound=SceneTables)
 MAX_FILE_BYTES = 100_000_000
 """Of a file that a scene names: a mesh or an ephemeris is smaller."""
-TRUST = "Put the file there; or, of a scene that you trust, --trust lets it name files anywhere"
 MOST_NAMED = 10
 """New names that a warning lists."""
 
@@ -89,20 +88,26 @@ def key_text(key: str) -> str:
     return key if key.isprintable() and len(key) <= 60 else shown(key)
 
 
+def _how_to_trust() -> str:
+    return f"Put the file there; or, of a scene that you trust, {option('trust', True)} lets it name files anywhere"
+
+
 def file_inside(directory: Path, name: str, *, trust: bool = False) -> Path:
     """The file ``name`` of a scene in ``directory``, links resolved; raises the problem where it may not be read. Nothing
     is opened."""
     if not trust:
         outside = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
         if outside or ".." in re.split(r"[/\\]", name):
-            raise problem(shown(name), "a relative path inside the scene's folder", hint=TRUST)
+            raise problem(shown(name), "a relative path inside the scene's folder", hint=_how_to_trust())
     try:
         path = (directory / name).resolve()
         size = path.stat().st_size if path.is_file() else None
     except (OSError, ValueError, RuntimeError):
         size, path = None, directory
     if not trust and not path.is_relative_to(directory.resolve()):
-        raise problem(f"{shown(name)} leads out of the scene's folder", "a file inside it", hint=TRUST)
+        raise problem(
+            f"{shown(name)} leads out of the scene's folder", "a file inside it", hint=_how_to_trust()
+        )
     if size is None:
         raise problem(f"no file {shown(name)}", f"a file in {directory}")
     if size > MAX_FILE_BYTES:

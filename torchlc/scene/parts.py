@@ -15,12 +15,14 @@ from pydantic import (
     Field,
     SerializeAsAny,
     Tag,
+    ValidationError,
     field_validator,
     model_validator,
 )
 
 from torchlc import brdf
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
+from torchlc.files.decimals import decimal
 from torchlc.files.numbers import (
     SEVERAL,
     SINGLE,
@@ -37,7 +39,7 @@ from torchlc.files.numbers import (
     problem,
 )
 from torchlc.materials.known import preset
-from torchlc.scene.problems import shown
+from torchlc.scene.problems import of_validation, shown
 from torchlc.scene.timestamps import ISO, UnreadableTime, instant
 from torchlc.scene.tle import checked_lines
 from torchlc.shapes import SHAPES, Component
@@ -110,6 +112,21 @@ class Station(Table):
     latitude: Annotated[Real, between(-90, 90)]
     longitude: Annotated[Real, between(-180, 360)]
     height: Annotated[Real, between(-1000, 100_000)]
+
+
+def station_of(text: str) -> Station:
+    """A station from "id,latitude,longitude,height"."""
+    place = option("station", argument="stations")
+    try:
+        parts = [part.strip() for part in text.split(",")]
+        name, latitude, longitude, height = parts[0], *map(decimal, parts[1:])
+    except (ValueError, TypeError, AttributeError):  # also of what is no text
+        expected = "id,latitude,longitude,height as in weihai,37.536,122.05,110"
+        raise InputError(None, place, repr(text)[:60], expected) from None
+    try:
+        return Station(id=name, latitude=latitude, longitude=longitude, height=height)
+    except ValidationError as error:
+        raise of_validation(place, error) from None
 
 
 Latitude = Annotated[Number, between(-90, 90)]

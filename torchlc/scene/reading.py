@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import decimal
 from torchlc.files.numbers import Real, Table, between, problem
 from torchlc.scene.problems import of_validation
@@ -27,7 +27,6 @@ TIME_FORMATS = (
     "jd, mjd, jd- and a Julian date (as in jd-2400000), unix or unix-ms (since 1970), gps (s since 1980), "
     "seconds since 2020-10-17T16:31:00, or iso"
 )
-OPTION = "--columns"
 OBJECTS = {"objects": "object"}
 """How the column that names each row's object is told, for "object" is the one wanted."""
 ITEM = re.compile(r'(?:[^,"]|"[^"]*"?)+')
@@ -131,6 +130,8 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
         return Reading()
     if isinstance(given, Reading):
         return given
+    if not isinstance(given, (str, Mapping)):
+        raise InputError(None, option("columns"), type(given).__name__, "a text or a mapping of names")
     pairs = _pairs(given) if isinstance(given, str) else dict(given)
     table: dict[str, Any] = {key: value for key, value in pairs.items() if key in Reading.model_fields}
     columns = {
@@ -149,7 +150,7 @@ def reading_of(given: str | Mapping[str, Any] | Reading | None) -> Reading:
     try:
         return Reading.model_validate(table)
     except ValidationError as error:
-        raise of_validation(OPTION, error) from None
+        raise of_validation(option("columns"), error) from None
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -157,9 +158,9 @@ def _pairs(text: str) -> dict[str, str]:
     for item in ITEM.findall(text):
         name, equals, value = (part.strip().strip('"').strip() for part in item.partition("="))
         if not (name and equals and value):
-            raise InputError(None, OPTION, repr(item[:60]), "name=column, as in time=JD_UTC,mag=V")
+            raise InputError(None, option("columns"), repr(item[:60]), "name=column, as in time=JD_UTC,mag=V")
         if name in pairs:
-            raise InputError(None, OPTION, f"{name} twice", "each name once")
+            raise InputError(None, option("columns"), f"{name} twice", "each name once")
         pairs[name] = value
     return pairs
 

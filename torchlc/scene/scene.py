@@ -19,10 +19,13 @@ from torchlc.files.toml import parse_toml
 from torchlc.scene.checks import checked, file_inside
 from torchlc.scene.problems import of_validation
 from torchlc.scene.tables import SceneTables
+from torchlc.scene.tle import is_elements
 from torchlc.scene.writer import toml_key, toml_table, toml_value
 
 MAX_TOML_BYTES = 1 << 20
 """Scenes are a few kB."""
+OF_TABLES = (".csv", ".ecsv", ".tsv", ".tbl", ".dat")
+"""Names of files of recordings end so."""
 
 
 class Scene(SceneTables):
@@ -109,9 +112,20 @@ def load_scene(
     """Read a scene file; every defect is one InputError with its place. Options: see Scene.from_toml."""
     path = Path(path)
     text, digest = _text(path)
+    _check_kind(path, text)
     scene = Scene.from_toml(text, path.parent, path, trust=trust, known_effects=known_effects)
     scene._sha256 = digest
     return scene
+
+
+def _check_kind(path: Path, text: str) -> None:
+    """InputError where the file is plainly another one that torchlc takes."""
+    if any(line.startswith(("1 ", "2 ")) and is_elements(line) for line in text.splitlines()):
+        hint = "torchlc init my.toml --tle FILE makes a scene of them"
+        raise InputError(path, None, "two-line elements", "a scene in TOML", hint)
+    if path.suffix.lower() in OF_TABLES and "torchlc-scene" not in text:
+        hint = "The scene is given first, then the recording"
+        raise InputError(path, None, "no scene", "a scene in TOML", hint)
 
 
 def content_of_scene(path: str | Path, *, trust: bool = False) -> tuple[str, dict[str, Path]]:

@@ -105,7 +105,7 @@ def _plain_utc(texts: Sequence[str], scale: str) -> list[str]:
 def _advice(text: str) -> str:
     if not text.strip():
         return "a time, found a blank cell"
-    if re.fullmatch(r"\s*\d{4}-\d\d-\d\d\s*", text):
+    if re.fullmatch(r"\s*\d{4}-\d\d-\d\d\s*", text, re.ASCII):
         return "a time of day beside the date"
     if re.search(r"\d\s*[A-Za-z]{2,}\s*$", text) and re.match(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:", text):
         return "UTC: a local time cannot be converted safely; write UTC or give the offset, as in +08:00"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.decimals import decimal
 from torchlc.files.encodings import wide_encoding
 from torchlc.files.numbers import problem
@@ -95,17 +95,28 @@ class Elements:
 
 def read_elements(path: str | Path) -> list[Elements]:
     """Every two-line element set of a file, as :func:`read_catalogue` has it, all of one object."""
-    return sets_of_object(path, read_catalogue(path), None)
+    return sets_of_object(
+        path,
+        read_catalogue(path),
+        None,
+        "Keep the lines of the object alone in the file; torchlc init --object picks them",
+    )
 
 
-def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | None) -> list[Elements]:
-    """The sets of the object of that number, name or part of a name; InputError where that is not one object."""
+def sets_of_object(
+    path: str | Path, sets: Sequence[Elements], wanted: str | None, advice: str | None = None
+) -> list[Elements]:
+    """The sets of the object of that number, name or part of a name; InputError where that is not one object, with
+    ``advice`` where the reader cannot say which."""
     objects = {elements.lines[0][2:7]: elements for elements in sets}
     if wanted is None:
         if len(objects) == 1:
             return list(sets)
         some = min(objects.values(), key=lambda elements: elements.lines[0][2:7])
-        hint = f"Say which: --object {some.number}, by its number, its name or a part of its name"
+        hint = (
+            advice
+            or f"Say which: {option('object', some.number)}, by its number, its name or a part of its name"
+        )
         raise InputError(
             path,
             None,
@@ -130,7 +141,7 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
         known = [*names, *(elements.number for elements in objects.values())]
         raise InputError(
             path,
-            "--object",
+            option("object"),
             f"no object {wanted[:60]!r}",
             f"one of {_listed(objects.values())}",
             did_you_mean(wanted, known),
@@ -138,7 +149,11 @@ def sets_of_object(path: str | Path, sets: Sequence[Elements], wanted: str | Non
     if len(chosen) > 1:
         found = f"{len(chosen)} objects for {wanted[:60]!r} ({_listed(objects[number] for number in chosen)})"
         raise InputError(
-            path, "--object", found, "one", f"Say its number, as in --object {objects[chosen[0]].number}"
+            path,
+            option("object"),
+            found,
+            "one",
+            f"Say its number, as in {option('object', objects[chosen[0]].number)}",
         )
     return [elements for elements in sets if elements.lines[0][2:7] == chosen[0]]
 
@@ -192,9 +207,9 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
     while k < len(lines):
         number, line = lines[k]
         following = lines[k + 1] if k + 1 < len(lines) else (number, "")
-        if not _is_elements(line):
+        if not is_elements(line):
             k += 1
-        elif not (line.startswith("1 ") and following[1].startswith("2 ") and _is_elements(following[1])):
+        elif not (line.startswith("1 ") and following[1].startswith("2 ") and is_elements(following[1])):
             lacks = {"1 ": ", without its line 2", "2 ": ", without its line 1"}
             fault = lacks.get(line[:2], ", which does not begin with '1 ' or '2 '")
             place, said = f"line {number}", f"{line[:90]!r}{fault}"
@@ -204,7 +219,7 @@ def sound_sets(path: str | Path) -> tuple[list[Elements], list[InputError]]:
         else:
             whole = True
             above = lines[k - 1][1] if k else ""
-            name = None if _is_elements(above) else above.removeprefix("0 ").strip() or None
+            name = None if is_elements(above) else above.removeprefix("0 ").strip() or None
             try:
                 sets.append(Elements(name, _checked(path, (number, line), following)))
             except InputError as error:
@@ -227,7 +242,7 @@ def _checked(path: Path, first: tuple[int, str], second: tuple[int, str]) -> tup
         raise InputError(path, place, said["found"], said["expected"], said["hint"] or None) from None
 
 
-def _is_elements(line: str) -> bool:
+def is_elements(line: str) -> bool:
     """Does it hold a line of elements, whole or not, and in whatever wrapping? Names are shorter."""
     return len(line) > LONGEST_NAME and LIKE_ELEMENTS.search(line) is not None
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.geometry.orbit.earth import after, in_scale, julian_dates
 from torchlc.readers import Recording
 from torchlc.readers.groups import compact, local_nights
@@ -33,20 +33,27 @@ def observation_grid(
             "tle, tle_file or oem_file, or a recording to take the geometry from",
         )
     if not (np.isfinite(hours) and hours > 0 and np.isfinite(cadence_s) and cadence_s > 0):
-        raise InputError(None, "--hours, --cadence", f"{hours:g} h every {cadence_s:g} s", "numbers > 0")
+        raise InputError(
+            None,
+            f"{option('hours')}, {option('cadence')}",
+            f"{hours:g} h every {cadence_s:g} s",
+            "numbers > 0",
+        )
     ids = tuple(site.id for site in scene.stations)
     if station is not None and station not in ids:
-        raise InputError(None, "--station", repr(station), f"one of {', '.join(ids) or 'none in the scene'}")
+        raise InputError(
+            None, option("station"), repr(station), f"one of {', '.join(ids) or 'none in the scene'}"
+        )
     chosen = np.arange(len(ids)) if station is None else np.array([ids.index(station)])
     if not chosen.size:
         raise InputError(scene.source, "stations", "none", "the place of the observer")
     count = int(np.floor(hours * 3600.0 / cadence_s * (1 + 1e-12))) + 1
     if count * chosen.size > MAX_ROWS:
-        raise InputError(None, "--cadence", f"{count * chosen.size:,} rows", f"at most {MAX_ROWS:,}")
+        raise InputError(None, option("cadence"), f"{count * chosen.size:,} rows", f"at most {MAX_ROWS:,}")
     try:
         first = instant(start, "utc")
     except UnreadableTime as error:
-        raise InputError(None, "--start", repr(error.found), error.expected) from None
+        raise InputError(None, option("start"), repr(error.found), error.expected) from None
     elapsed = np.repeat(np.arange(count) * float(cadence_s), chosen.size)
     time = in_scale(after(first, elapsed), "utc")
     places = np.tile(chosen, count)

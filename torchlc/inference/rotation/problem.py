@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchlc.digits import number_of
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.inference.likelihood import MAG_PER_LN
 from torchlc.inference.rotation import pole_grid
 from torchlc.inference.rotation.facet_light import FacetLight
@@ -98,9 +98,9 @@ def _range(
     scene: Scene, recording: Recording, rows: Rows, shortest: float | None, longest: float | None
 ) -> tuple[float, float, list[str]]:
     """Lowest and highest frequency of turns, 1/s."""
-    for name, value in (("--shortest", shortest), ("--longest", longest)):
+    for name, value in (("shortest", shortest), ("longest", longest)):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(None, name, f"{value:g} s", "a number > 0")
+            raise InputError(None, option(name), f"{value:g} s", "a number > 0")
     period = scene.attitude.period
     bounds = (period.low, period.high) if isinstance(period, Free) else (None, None)
     cadence = float(np.median(np.diff(np.unique(rows.seconds.numpy()))))
@@ -119,7 +119,7 @@ def _range(
     if not first < last:
         raise InputError(
             recording.source,
-            "--shortest, --longest",
+            f"{option('shortest')}, {option('longest')}",
             f"periods from {first:.4g} to {last:.4g} s",
             "a range of periods",
         )

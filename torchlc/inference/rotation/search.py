@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.files.steps import Steps
 from torchlc.inference.rotation import fixed_axis, pole_grid
 from torchlc.inference.rotation.course import Allowed, Course
@@ -142,8 +142,8 @@ def _nothing_found(problem: Problem, allowed: Allowed) -> InputError:
         problem.recording.source,
         None,
         f"no rotation of {1 / problem.high:.6g} to {1 / problem.low:.6g} s a turn that joins the passes and that the model can fit",
-        "a wider range of periods (--shortest, --longest), or passes nearer to each other"
-        + (", or a longer --budget" if allowed.omitted else ""),
+        f"a wider range of periods ({option('shortest')}, {option('longest')}), or passes nearer to each other"
+        + (f", or a longer {option('budget')}" if allowed.omitted else ""),
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import pairwise, takewhile
 from typing import ClassVar
 
-from torchlc.errors import InputError
+from torchlc.errors import InputError, option
 from torchlc.readers.comments import TOLD, metadata_of, told_in
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.format import FORMATS, Format, Head
@@ -243,7 +243,7 @@ def _guessed(head: Head, header: Header) -> Header:
             "header",
             f"no names of columns; the first row is {', '.join(rows[0])[:100]}",
             "a header such as time,mag,mag_err",
-            f"Or say which column is what: --columns {', or --columns '.join(ways)}; flux={2 + apart} if it is a flux",
+            f"Or say which column is what: {', or '.join(option('columns', way) for way in ways)}; flux={2 + apart} if it is a flux",
         )
     names = ["time", "mag", *header.names[2:]]
     if len(names) > 2:
@@ -313,6 +313,6 @@ def _decimal(head: Head, header: Header, rows: Sequence[tuple[int, list[str]]]) 
             f"line {commas[0][0]}",
             f"{commas[0][1]!r}, and {points[0][1]!r} in line {points[0][0]}",
             "one decimal sign, comma or point",
-            "Or say which it is: --columns decimal=comma, where a point is then one too",
+            f"Or say which it is: {option('columns', 'decimal=comma')}, where a point is then one too",
         )
     return "," if commas else "."

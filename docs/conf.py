@@ -35,6 +35,7 @@ from torchlc.noise.red_noise import RedNoise
 HERE = Path(__file__).parent
 sys.path += [str(HERE / folder) for folder in ("", "calibration", "evidence", "how_to")]
 
+from addition_tables import addition_tables  # noqa: E402
 from benchmark_tables import evidence_of_the_benchmark  # noqa: E402
 from calibration_tables import calibration_of_the_posterior, calibration_of_the_verdict  # noqa: E402
 from hostile_file_tables import hostile_files  # noqa: E402
@@ -92,7 +93,7 @@ myst_substitutions = {
 """The numbers of the verdict, as the code has them; fill_numbers.py writes them into the pages."""
 
 
-myst_substitutions |= hostile_files() | page_lists()
+myst_substitutions |= hostile_files() | page_lists() | addition_tables()
 myst_substitutions |= calibration_of_the_posterior() | calibration_of_the_verdict()
 myst_substitutions |= evidence_of_the_benchmark() | evidence_of_the_peak() | tables() | tumbling_tables()
 myst_heading_anchors = 3

@@ -261,6 +261,38 @@ def test_the_page_of_laws_is_made_from_the_class():
     assert "`glow` + `r_diff` is at most 1." in page and "[phong-mirror](#phong-mirror)" in page
 
 
+def test_the_tables_of_shapes_formats_and_figures_are_made_from_the_classes():
+    """Rows of the documentation's own builder for classes that no file of it names, as their docstrings have them."""
+    tables = builder_of("addition_tables.py").addition_tables()
+    keys = "| `hexagon` | `radius`, `length` |  | `radius`, `length` |"
+    described = 'Six sides, "top" and "bottom" (two facets each); u along Z on the sides, along X at the ends. A prism about Z: '
+    assert f"{keys} {described}`radius` to its six edges. |" in tables["every_shape"].splitlines()
+    log = '| night log | text | Lines "12.345 +- 0.010 at 2459140.1", as an observer may keep them. |'
+    assert log in tables["every_format"].splitlines()
+    figures = tables["every_figure"].splitlines()
+    assert "| fit | `spread.png` | Residuals in order | Residuals in order of size. |" in figures
+
+
+def test_the_tables_say_what_a_class_says_of_itself():
+    """A class without a docstring has an empty cell, not the words of its base; what follows a first sentence is an entry
+    below the table; keys with a default are those that a component may have."""
+    builder = builder_of("addition_tables.py")
+    with SHAPES.restored(), FORMATS.restored():
+        bare = type("Bare", (Part,), {"kind": "bare", "keys": Component, "__module__": __name__})
+        assert builder.shape_row(bare) == ("`bare`", "", "", "", "")
+        words = "Rows of a diary. Its dates are UTC.\n\n:mod:`torchlc.readers.dates` reads ``|`` too."
+        type("Diary", (NightLog,), {"name": "diary", "files": "`.txt`", "__doc__": words})
+        assert "| diary | `.txt` | Rows of a diary. |" in builder.every_format().splitlines()
+        details = builder.format_details().splitlines()
+        assert r"- **diary.** Its dates are UTC. `dates` reads `\|` too." in details
+    assert builder.shape_row(SHAPES["plate"])[:4] == (
+        "`plate`",
+        "`size`, `u`, `v`",
+        "`back_material`",
+        "`size`",
+    )
+
+
 def test_the_pages_of_effects_are_made_from_the_class():
     """What the documentation's own builder writes of an effect that no file of it names."""
     builder = builder_of("effects/effect_library.py")

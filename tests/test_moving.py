@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import FunctionType
@@ -192,6 +193,65 @@ def test_a_likelihood_follows_its_model(scene: Scene, recording: Recording) -> N
     assert found.dtype == torch.float32
     assert np.isfinite(expected)
     assert float(found) == pytest.approx(expected, rel=1e-3)
+
+
+def with_limit(recording: Recording) -> Recording:
+    """The recording with its third row as an upper limit."""
+    return replace(recording, upper_limit=np.arange(len(recording)) == 2)
+
+
+def in_flux(recording: Recording) -> Recording:
+    """The recording as relative flux, 1 at mag 12, with errors of a hundredth of that."""
+    flux = 10 ** (-0.4 * (recording.observed - 12))
+    return replace(recording, kind="flux", observed=flux, error=np.full(len(flux), 0.01))
+
+
+def weak(recording: Recording) -> Recording:
+    """The recording with errors that follow the measured flux: 0.3 mag at its mean."""
+    mag = recording.observed
+    return replace(recording, error=0.3 * 10 ** (0.4 * (mag - mag.mean())))
+
+
+RECORDINGS: dict[str, Callable[[Recording], Recording]] = {
+    "magnitudes": lambda recording: recording,
+    "magnitudes with a limit": with_limit,
+    "magnitudes compared in flux": weak,
+    "magnitudes without errors": lambda recording: replace(recording, error=None),
+    "flux": in_flux,
+    "flux with a limit": lambda recording: with_limit(in_flux(recording)),
+    "flux without errors, with a limit": lambda recording: replace(
+        with_limit(in_flux(recording)), error=None
+    ),
+}
+"""Every way in which a likelihood compares a recording with its model."""
+
+
+@pytest.mark.parametrize("effects", [KNOWN, ["outliers"]], ids=" ".join)
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_a_likelihood_has_shapes_on_a_device_without_numbers(
+    kind: str, effects: list[str], scene: Scene, recording: Recording
+) -> None:
+    model = LightCurve(scene, RECORDINGS[kind](recording), effects=effects)
+    elsewhere = Likelihood(model)
+    likelihood = Likelihood(model.to("meta"))
+    assert (likelihood.gains, likelihood.fitted_errors) == (elsewhere.gains, elsewhere.fitted_errors)
+    held = tensors({key: value for key, value in vars(likelihood).items() if key != "model"}, set())
+    assert held and all(tensor.is_meta for tensor in held)
+    theta = torch.empty(3, len(model.names), dtype=torch.float64, device="meta")
+    for density in (likelihood.log_prob, likelihood.log_likelihood, likelihood.chi2):
+        assert density(theta).is_meta
+        assert density(theta).shape == (3,) and density(theta[0]).shape == ()
+
+
+def test_rows_that_err_together_are_refused_in_words_where_no_number_says_which(
+    scene: Scene, recording: Recording
+) -> None:
+    model = LightCurve(scene, recording, effects=["red_noise"]).to("meta")
+    likelihood = Likelihood(model)
+    with pytest.raises(
+        torchlc.InputError, match=r"red_noise on the device meta: .*Leave out red_noise to look at shapes"
+    ):
+        likelihood.log_prob(torch.empty(len(model.names), dtype=torch.float64, device="meta"))
 
 
 def test_there_and_back(scene: Scene, recording: Recording) -> None:

@@ -20,12 +20,14 @@ import shutil
 import warnings
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchlc.lightcurve.model import LightCurve
 from torchlc.noise import Noise, Residuals, Rows, log_density
 from torchlc.noise.error_law import FAINTEST_RATIO, MAG_PER_LN, power_difference, power_shift
+from torchlc.readers import Recording
 from torchlc.tensors.least_squares import Colours
 from torchlc.tensors.moving import on
 
@@ -58,7 +60,9 @@ class Likelihood(Rows):
         with on(model.assembly.device):
             super().__init__(recording, model.assembly.context.curve, sun_magnitude)
         self.kind = recording.kind
-        self.faintest_light = 0.25 * self._usual_flux() if self.kind == "flux" else None
+        self.faintest_light = (
+            0.25 * _usual_flux(recording).to(sun_magnitude)[self.curve] if self.kind == "flux" else None
+        )
         """Of each row's curve, (T,), the least light of which a magnitude of noise is taken as a share."""
         self.observed_flux = 10 ** (-0.4 * (self.observed - sun_magnitude))
 
@@ -210,16 +214,6 @@ class Likelihood(Rows):
         scale = torch.maximum(prediction, self.faintest_light) / MAG_PER_LN
         return Residuals(self.observed - prediction, self.error, scale, gain, prediction)
 
-    def _usual_flux(self) -> Tensor:
-        """The median size of a curve's measured fluxes, at its rows, (T,); of all its rows where none is measured. Every curve has
-        a unit of its own."""
-        usual = torch.empty_like(self.observed)
-        for curve in range(self.curves):
-            rows = self.curve == curve
-            measured = rows & self.measured
-            usual[rows] = self.observed[measured if bool(measured.any()) else rows].abs().median()
-        return usual
-
     def profile_gain(self, flux: Tensor) -> Tensor:
         """Best scale of each curve's measured rows, (..., curves), of model flux (..., T); 0 for a curve without
         any, whose limits then say nothing."""
@@ -273,6 +267,18 @@ class Likelihood(Rows):
         safe = torch.where(inside[..., None], theta, self.model.parameter_set.start())
         total = self.log_likelihood(safe) + torch.where(inside, prior, 0.0)
         return torch.where(inside & torch.isfinite(total), total, -math.inf)
+
+
+def _usual_flux(recording: Recording) -> Tensor:
+    """The median size of each curve's measured fluxes, (C,); of all its rows where none is measured. Every curve has
+    a unit of its own."""
+    usual = np.empty(len(recording.curve_ids))
+    for number in range(len(usual)):
+        rows = recording.curve == number
+        measured = rows & ~recording.upper_limit
+        sizes = np.abs(recording.observed[measured if measured.any() else rows])
+        usual[number] = np.quantile(sizes, 0.5, method="lower")
+    return torch.as_tensor(usual)
 
 
 def _named(curves: list[str]) -> str:

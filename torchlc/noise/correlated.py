@@ -109,6 +109,17 @@ def white_levels(rows: Rows, delta: Tensor, noise: Noise) -> Tensor:
 
 def _groups(rows: Rows, noise: Noise) -> list[Tensor]:
     """What the processes number, (T,) each, none twice."""
+    if (
+        rows.curve.is_meta
+    ):  # how large the sets are decides which operations follow: they have no shapes without it
+        names = " and ".join(process.name for process in noise.processes)
+        raise InputError(
+            rows.source,
+            None,
+            f"{names} on the device meta: numbers say which rows err together, and that device holds none",
+            "a model on a device with numbers",
+            f"Leave out {names} to look at shapes, or keep the model on the CPU",
+        )
     distinct = {id(group): group for group in (process.members(rows.curve) for process in noise.processes)}
     return list(distinct.values())
 

@@ -63,7 +63,9 @@ class Rows:
         self.censored = bool(np.any(recording.upper_limit))
         self.fainter = 1.0 if self.flux else -1.0
         """Sign of a fainter object in the recording's unit."""
-        self.count = torch.bincount(self.curve[self.measured], minlength=self.curves).to(like)
+        # counted on the host: how many rows are measured is a number of the recording, whatever device the tensors are on
+        count = np.bincount(recording.curve[~recording.upper_limit], minlength=self.curves)
+        self.count = torch.as_tensor(count).to(like)
         self.fitted_errors = recording.error is None
         self.noise_level = _successive(recording, self.curves).to(like)
         self.error = (
@@ -71,7 +73,7 @@ class Rows:
             if recording.error is None
             else torch.as_tensor(recording.error).to(like)
         )
-        self.gains = int((self.count > 0).sum()) if self.flux else 0
+        self.gains = int(np.count_nonzero(count)) if self.flux else 0
         self.power = self._power(recording)
         whole = self.by_curve(self.limit.to(like))[self.curve] == 0
         self.selected = None if self.power is None else whole & (self.power > 0)

@@ -55,12 +55,13 @@ class Head:
 class Format(ABC):
     """A format of recordings. Defining a class makes it known; of two with one name the later counts.
 
-    ``name`` is what people call it; formats of lower ``order`` are asked first, and of equal ones the latest.
+    ``name`` is what people call it, and ``files`` what kind of file it is, for the list in the documentation; formats of lower ``order`` are asked first, and of equal ones the latest.
     ``columns`` are names of columns that the format knows beside those that all tables may have: one of ours, and
     the format's, the preferred first.
     """
 
     name: ClassVar[str]
+    files: ClassVar[str] = "text"
     order: ClassVar[int] = 0
     columns: ClassVar[Mapping[str, Sequence[str]]] = {}
 

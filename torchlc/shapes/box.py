@@ -24,7 +24,7 @@ class TwoTone(Table):
 
 
 class BoxKeys(Component):
-    """``size`` along body X, Y, Z before ``rotation``; ``face_materials`` of whole faces count before ``two_tone``."""
+    """``size`` is along body X, Y, Z before ``rotation``. ``face_materials`` of whole faces count before ``two_tone``."""
 
     size: tuple[Size, Size, Size]
     face_materials: dict[Side, Name] = Field(default_factory=dict)
@@ -42,9 +42,9 @@ class BoxKeys(Component):
 
 
 class Box(Part):
-    """Six faces +X -X +Y -Y +Z -Z; u is the next body axis cyclically (+X: u = +Y), v = normal x u.
+    """A box with the faces +X, -X, +Y, -Y, +Z and -Z.
 
-    Of two tones, the faces across the border are two facets each, the far one first.
+    On a face u is the next body axis cyclically (+X: u = +Y), v = normal x u. Of two tones, the faces across the border are two facets each, the far one first.
     Where it follows the Sun it is a thick panel: its front is the widest of +X +Y +Z that can be turned about
     the axis.
     """

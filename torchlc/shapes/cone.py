@@ -36,7 +36,7 @@ class RoundKeys(Component):
 
 
 class ConeKeys(RoundKeys):
-    """A frustum from ``radius`` to ``radius_top`` along ``axis``."""
+    """``radius`` is at cap-, ``radius_top`` at cap+, to which ``axis`` points. ``face_materials`` names faces of other materials."""
 
     radius: Size
     radius_top: Annotated[Constant, between(0.0)] = 0.0
@@ -70,10 +70,10 @@ def frustum_wall(ring: Tensor, axis: Tensor, bottom: Tensor, top: Tensor, length
 
 
 class Cone(Smooth):
-    """A frustum closed by caps: "side" (u up the slope to the top), "cap+" of radius_top, "cap-" of radius.
+    """A frustum that is closed by caps, with the faces "side", "cap+" and "cap-".
 
-    Its middle is half-way along the axis; a radius_top fixed at 0 leaves no cap+. In the way of others it is
-    a prism of 24 sides with the same girth, its outline within 0.6 % of the radius.
+    On the side u is up the slope to the top. Its middle is half-way along the axis; a radius_top fixed at 0 leaves no cap+. In the
+    way of others it is a prism of 24 sides with the same girth, its outline within 0.6 % of the radius.
     """
 
     kind = "cone"

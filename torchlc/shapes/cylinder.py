@@ -41,7 +41,7 @@ def _are_apart(sectors: tuple[Sector, ...]) -> tuple[Sector, ...]:
 
 
 class CylinderKeys(RoundKeys):
-    """Closed by two caps; ``axis`` points to cap+. ``sectors`` of the side are of other materials."""
+    """``axis`` points to cap+. ``face_materials`` names faces of other materials, ``sectors`` parts of the side."""
 
     radius: Size
     length: Size
@@ -55,10 +55,10 @@ class CylinderKeys(RoundKeys):
 
 
 class Cylinder(Cone):
-    """Closed by two caps: "side" (u = axis), "cap+", "cap-"; in the way of others as `Cone`.
+    """A round body that is closed by two caps, with the faces "side" (cut in sectors: "side 1", "side 2", ...), "cap+" and "cap-".
 
-    Of sectors the side is "side 1", "side 2", ... in the order of azimuth from that of the first of the axes across the axis (for an axis along +X,
-    +Y or +Z the next body axis cyclically), what no sector covers among them; one wider than half a turn is two.
+    On the side u = axis; in the way of others it is as `Cone`. Sectors are numbered in the order of azimuth from that of the first of
+    the axes across the axis (for an axis along +X, +Y or +Z the next body axis cyclically), what no sector covers among them; one wider than half a turn is two.
     """
 
     kind = "cylinder"

@@ -18,7 +18,7 @@ from torchlc.shapes.smooth import Around, Patches, Smooth, joined
 
 
 class DishKeys(Component):
-    """An open two-sided bowl; ``axis`` points out of its opening."""
+    """``radius`` is that of the rim; ``axis`` points out of the opening."""
 
     radius: Size
     depth: Size
@@ -27,9 +27,10 @@ class DishKeys(Component):
 
 
 class Dish(Smooth):
-    """A paraboloid open towards its axis, two-sided: "inside" and "outside"; u up the slope to the rim.
+    """A two-sided paraboloid that is open towards its axis, with the faces "inside" and "outside".
 
-    Its middle is half its depth from the rim. Patches are equal steps of slope, at most 2 pi/N apart.
+    The axis u is up the slope to the rim. Its middle is half its depth from the rim. Patches are equal steps of slope, at most 2 pi/N
+    apart.
     """
 
     kind = "dish"

@@ -34,7 +34,7 @@ def _whole_or_by_side(given: Any) -> str:
 
 
 class MeshKeys(Component):
-    """Triangles of ``file``, ``scale`` metres per unit of the file.
+    """``file`` is OBJ, STL or PLY, ``scale`` the metres per unit of it. ``u`` or ``u_around`` gives anisotropic materials their axis.
 
     The axis u of anisotropic materials is the direction ``u`` projected on each facet, or runs round the axis
     ``u_around``; both turn with ``rotation``. ``u`` may be a table of directions by the side that facets face.
@@ -66,9 +66,9 @@ class MeshKeys(Component):
 
 
 class Mesh(Part):
-    """One-sided triangles, label "surface". The file's coordinates times ``scale``.
+    """One-sided triangles of a file, with one face, "surface".
 
-    u is the scene's direction projected on each facet, or runs round its axis. A facet perpendicular to that has the
+    Its corners are the file's times ``scale``. u is the scene's direction projected on each facet, or runs round its axis. A facet perpendicular to that has the
     axis that a cylinder's cap has, the next body axis cyclically. Without a direction u is the first edge, on
     which no isotropic material depends. Faces without area are dropped; the inside-out faces of a closed mesh are turned round, a mesh with holes
     is taken as it is, both with a warning.

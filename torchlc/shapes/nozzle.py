@@ -19,8 +19,8 @@ from torchlc.shapes.smooth import Around, Smooth, joined
 
 
 class NozzleKeys(Component):
-    """From the mouth of ``radius`` to ``radius_top`` along ``axis``, open at both; ``inside_material`` where the inside is of
-    another than ``material``."""
+    """``radius`` is at the mouth, ``radius_top`` at the other end, to which ``axis`` points. Without ``inside_material`` the inside is of
+    ``material``."""
 
     radius: Size
     radius_top: Annotated[Constant, between(0.0)] = 0.0
@@ -37,10 +37,10 @@ class NozzleKeys(Component):
 
 
 class Nozzle(Smooth):
-    """A thin wall without caps: "inside" and "outside", u up the slope to the top.
+    """A thin round wall that is open at both ends, with the faces "inside" and "outside".
 
-    Its middle is half-way along the axis. What it hides of itself and of others, rays trace, if the model has self_shadowing: without it the
-    inside shines through the wall. Facets inside are counted by the azimuth of their normals, the twin of each outside with it.
+    The axis u is up the slope to the top. Its middle is half-way along the axis. What it hides of itself and of others, rays trace, if the
+    model has self_shadowing: without it the inside shines through the wall. Facets inside are counted by the azimuth of their normals, the twin of each outside with it.
     """
 
     kind = "nozzle"

@@ -20,7 +20,7 @@ MAX_SKEW = 1e-3
 
 
 class PlateKeys(Component):
-    """A two-sided rectangle, ``size`` along u and v; the normal of its front is u x v."""
+    """``size`` is along ``u`` and ``v``; without ``back_material`` the back is of ``material``."""
 
     size: tuple[Size, Size]
     u: Direction
@@ -51,7 +51,7 @@ class PlateKeys(Component):
 
 
 class Plate(Part):
-    """A two-sided rectangle: "front" with normal u x v, and "back" with its own material if it has one."""
+    """A two-sided rectangle with the faces "front", of normal u x v, and "back"."""
 
     kind = "plate"
     keys = PlateKeys

@@ -18,13 +18,15 @@ from torchlc.shapes.smooth import Patches, Smooth
 
 
 class SphereKeys(Component):
-    """A ball of ``radius``."""
+    """``radius`` reaches from the centre to the surface."""
 
     radius: Size
 
 
 class Sphere(Smooth):
-    """Bands of latitude about +Z cut into facets of about equal area; u along the meridian towards +Z.
+    """A ball with one face, "side".
+
+    Bands of latitude about +Z are cut into facets of about equal area; u is along the meridian towards +Z.
 
     In the way of others it is a polyhedron of 320 faces with the same mean outline, within 1 % of the radius.
     """

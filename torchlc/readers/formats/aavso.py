@@ -22,14 +22,15 @@ STANDARD = ("STD", "ABS")
 
 
 class Aavso(Format):
-    """Magnitudes of one star or asteroid, mid-exposure; "<15.0" is fainter than 15.0, "na" is missing.
+    """Magnitudes of one star or asteroid at mid-exposure, each filter a band.
 
-    Standardised magnitudes (MTYPE STD, once ABS) are taken as they are. Differential ones (DIF) are refused: they are
-    relative to a comparison star, whose magnitude has to be added. Each filter is a band. The visual format, of estimates
-    by eye, has no errors.
+    ``<15.0`` is an upper limit, ``na`` is missing. Standardised magnitudes (``MTYPE`` STD, once ABS) are taken as they are.
+    Differential ones (DIF) are refused: they are relative to a comparison star, whose magnitude has to be added. HJD needs a direction.
+    ``#DELIM`` is a sign, its name, its code (32 to 126) or ``excel``. The visual format, of estimates by eye, has no errors.
     """
 
     name = "AAVSO extended"
+    files = "text that begins with `#TYPE=Extended` or `#TYPE=Visual`"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:
@@ -119,9 +120,13 @@ def _delimiter(head: Head, mark: str) -> str:
 
 
 class AavsoDownload(NamedTable):
-    """A table of observations from the data base of the AAVSO; "<15.0" is fainter than 15.0."""
+    """A table of observations from the data base of the AAVSO.
+
+    ``<15.0`` is an upper limit.
+    """
 
     name = "AAVSO download"
+    files = "CSV"
     marks_of_it = DOWNLOADED
 
     @classmethod

@@ -38,15 +38,17 @@ DAY_S = 86400.0
 
 
 class Alcdef(Format):
-    """ALCDEF version 2 and simple.
+    """Light curves of one asteroid, in version 2 or simple: each session a curve, its ``MAGBAND`` (else ``FILTER``) the band.
 
-    Times are UTC. Each session is a curve, its MAGBAND (else FILTER) the band. MAGADJUST is added to the
-    magnitudes; those that REDUCEDMAGS says are reduced to unit distances by one UCORMAG are made apparent
-    again. If those of any session are differential, or reduced row by row, all are read as relative flux,
-    each session with a gain of its own.
+    Times are JD in UTC. They are moved to mid-exposure where ``EXPJD`` says ``START`` or ``END`` and ``EXPOSURE`` how long.
+    ``LTCAPP`` (else ``LTCTYPE``) says whether light time is corrected. ``MAGADJUST`` is added to the magnitudes. Those that
+    ``REDUCEDMAGS`` says are reduced to unit distances by one ``UCORMAG`` are made apparent again. If those of any session are
+    differential, all are read as relative flux, each session with a gain of its own. So they are where magnitudes were reduced row by
+    row, or by an amount that is not told. A keyword without a value is absent. The warnings say what was done.
     """
 
     name = "ALCDEF"
+    files = "text in blocks `STARTMETADATA` ... `ENDDATA`"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

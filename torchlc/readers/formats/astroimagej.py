@@ -9,12 +9,15 @@ from torchlc.readers.formats.delimited import NamedTable, table_header
 
 
 class AstroImageJ(NamedTable):
-    """The target T1: its apparent magnitude where stars with known magnitudes were measured too, else its flux over that
-    of all comparison stars. ``JD_UTC`` is taken, the middle of the exposure, as ``JD_MOBS`` is; ``JD_SOBS`` is its start.
-    ``BJD_TDB`` and ``HJD_UTC`` are at the Sun.
+    """The target T1: its magnitude ``Source_AMag_T1``, or without one its relative flux ``rel_flux_T1``.
+
+    The magnitude is apparent, and there where stars with known magnitudes were measured too; the flux is over that of all
+    comparison stars. ``JD_UTC`` is taken, else ``JD-2400000`` or ``JD_MOBS``, the middle of the exposure, else ``JD_SOBS``, its
+    start. ``BJD_TDB`` and ``HJD_UTC`` are at the Sun.
     """
 
     name = "AstroImageJ"
+    files = "`.tbl` (tabs) or `.csv`"
     columns: ClassVar = {
         "time": ("JD_UTC", "JD-2400000", "J.D.-2400000", "JD_MOBS", "JD_SOBS", "BJD_TDB", "HJD_UTC"),
         "mag": ("Source_AMag_T1",),

@@ -15,12 +15,15 @@ NAMES = ("MJD", "m", "dm", "uJy", "duJy", "F")
 
 
 class Atlas(Format):
-    """AB magnitudes of difference images, each filter a band. A negative magnitude stands for a negative flux there, and
-    is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its row. MJD is the start of the exposure, which takes
-    30 s (fallingstar-data.com/forcedphot/resultdesc). ``err`` flags a row only where ``--columns bad=err`` says so.
+    """Forced photometry: AB magnitudes of difference images, each filter a band.
+
+    A negative magnitude stands for a negative flux there, and is read as an upper limit at the 5-sigma magnitude ``mag5sig`` of its
+    row. MJD is the start of the exposure, which takes 30 s (fallingstar-data.com/forcedphot/resultdesc). ``err`` flags a row only
+    where ``--columns bad=err`` says so.
     """
 
     name = "ATLAS"
+    files = "text with the columns `MJD`, `m`, `dm`, `F`"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

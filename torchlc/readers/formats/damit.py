@@ -16,15 +16,16 @@ SUN, OBSERVER = ("sun_x", "sun_y", "sun_z"), ("obs_x", "obs_y", "obs_z")
 
 
 class Damit(Format):
-    """Number of curves; for each its number of points and 1 if calibrated, else 0; rows of JD, brightness,
-    then object to Sun and to Earth in au.
+    """Light curves of one asteroid as relative flux, with the vectors to Sun and Earth.
 
-    Vectors are ecliptic, times corrected for light time. Each relative curve has a gain of its own; the
-    calibrated ones, reduced to unit distances in the file, are put back to their distances and share one.
-    Lines ``# time_scale: tdb`` above the first say what the format itself does not: without, it is UTC.
+    The file gives the number of curves, for each its number of points and 1 if calibrated, else 0. Then come rows of JD, brightness,
+    object to Sun and object to Earth in au. Vectors are ecliptic, times corrected for light time. Each relative curve has a gain of its own; the
+    calibrated ones, reduced to unit distances in the file, are put back to their distances and share one. Lines
+    ``# time_scale: tdb`` above the first say what the format itself does not: without, it is UTC. Lines beyond the counts are refused.
     """
 
     name = "DAMIT"
+    files = "text that begins with the number of curves"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

@@ -34,9 +34,13 @@ LARGEST_PLAIN_ERROR = 1.0
 
 
 class Delimited(Format):
-    """A table of cells between delimiters: comma, semicolon, tab, bar or blanks."""
+    """A table of cells between commas, semicolons, tabs, bars or blanks.
+
+    Names of columns in wide use are known, those of ADES among them.
+    """
 
     name = "table"
+    files = "CSV and its kin"
     order = 100
 
     @classmethod
@@ -51,6 +55,7 @@ class Delimited(Format):
 class NamedTable(Format):
     """A table whose format is known by the names of its columns: ``marks_of_it`` are among them."""
 
+    files = "a table of text"
     marks_of_it: ClassVar[frozenset[str]] = frozenset()
 
     @classmethod

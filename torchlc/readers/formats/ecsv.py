@@ -13,9 +13,13 @@ from torchlc.readers.table import Header, check_names, lines_of
 
 
 class Ecsv(Format):
-    """Columns with units, descriptions and metadata; what astropy took apart to write, it puts together again."""
+    """Columns with units, descriptions and metadata, as astropy writes them.
+
+    What astropy took apart to write, it puts together again.
+    """
 
     name = "ECSV"
+    files = "text that begins with `# %ECSV`"
     order = -1
 
     @classmethod

@@ -1,4 +1,7 @@
-"""Tracks of the satellite photometry of Mini-MegaTORTORA (mmt.favor2.info; Karpov et al. 2016)."""
+"""Tracks of the satellite photometry of Mini-MegaTORTORA (mmt.favor2.info; Karpov et al. 2016).
+
+:mod:`torchlc.readers.empty_slots` makes upper limits of the slots without a row.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,14 @@ MMT = {"StdMag", "Mag", "Filter", "Channel"}
 
 
 class MiniMegaTortora(Format):
-    """A track, or all tracks of a satellite, or the same as CSV.
+    """A track, or all tracks of a satellite: apparent magnitudes ``Mag`` at times in UTC, ``Filter`` the band.
 
-    ``Mag`` is taken, which is apparent; ``StdMag`` is not. Each track and camera channel is a curve, for
-    steps of some hundredths of a magnitude may lie between channels. Of the slots, ten a second, a row is there only
-    where the camera found the object: the others become upper limits (:mod:`torchlc.readers.empty_slots`).
+    ``StdMag`` is not taken. Each track and camera channel is a curve, for steps of some hundredths of a magnitude may lie between
+    channels. Of the slots, ten a second, a row is there only where the camera found the object: the others become upper limits.
     """
 
     name = "Mini-MegaTORTORA"
+    files = "`.txt` of mmt.favor2.info, or the same as CSV"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

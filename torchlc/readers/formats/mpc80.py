@@ -18,12 +18,13 @@ RADAR = "R"
 
 
 class Mpc80(Format):
-    """Magnitudes beside astrometry, mid-exposure in UTC, without errors; each observatory's code is a station.
+    """Magnitudes beside astrometry, at mid-exposure in UTC, without errors.
 
-    Observations without a magnitude are rows without one. The magnitudes have one or two decimals.
+    The observatory's code is the station. Observations without a magnitude are rows without one. The magnitudes have one or two decimals.
     """
 
     name = "MPC 80 columns"
+    files = "text in lines of 80 columns"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

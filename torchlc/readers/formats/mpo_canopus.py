@@ -8,7 +8,11 @@ from torchlc.readers.formats.delimited import NamedTable
 
 
 class MpoCanopus(NamedTable):
-    """Julian dates with the magnitude of the object; ``O-C`` and the comparison stars are left."""
+    """Julian dates with the magnitude ``ObjMag`` of the object.
+
+    ``O-C`` and the comparison stars are left. The columns of a text export are its user's choice: ``--columns`` names others. MPO
+    Canopus writes ALCDEF too, which is read as such.
+    """
 
     name = "MPO Canopus"
     columns: ClassVar = {

@@ -11,7 +11,10 @@ from torchlc.readers.table import Header, is_as_wide
 
 
 class Photutils(NamedTable):
-    """The sum of an aperture as relative flux, a row an image. A table with several sources is refused."""
+    """A table of photutils or LCOGT: the sum of an aperture, ``aperture_sum``, as relative flux, a row an image.
+
+    A table with several sources is refused.
+    """
 
     name = "photutils"
     columns: ClassVar = {

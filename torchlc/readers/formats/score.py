@@ -21,12 +21,14 @@ NEAR_DEG = 0.05
 
 
 class Score(Format):
-    """Apparent magnitudes at mid-exposure in UTC. A row without a magnitude but with a limiting one is an upper limit.
+    """Observations of satellites (IAU CPS): apparent magnitudes at mid-exposure in UTC.
 
-    Of a file of many satellites one is chosen, or all, each by its first name. An observer's place has to be near a station of the scene.
+    A row without a magnitude but with a limiting one is an upper limit. Of a file of many satellites one is chosen, or all, each by
+    its first name. An observer's place has to be within 0.05 deg of a station of the scene.
     """
 
     name = "SCORE"
+    files = "CSV"
 
     @classmethod
     def recognises(cls, head: Head) -> bool:

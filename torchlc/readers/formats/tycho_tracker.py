@@ -8,7 +8,11 @@ from torchlc.readers.formats.delimited import NamedTable
 
 
 class TychoTracker(NamedTable):
-    """Julian dates of mid-exposure with the magnitude of the target and its uncertainty."""
+    """Julian dates of mid-exposure with the magnitude ``Target Mag`` and its uncertainty.
+
+    The columns of a text export are its user's choice: ``--columns`` names others. Tycho Tracker writes ALCDEF too, which is read
+    as such.
+    """
 
     name = "Tycho Tracker"
     columns: ClassVar = {

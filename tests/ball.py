@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+import torchlc
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
@@ -57,7 +58,34 @@ def searched(case, *entries: str) -> Search:
     return search
 
 
+def grown(case, *entries: str) -> Search:
+    """A search that has fitted nothing but the scene's own model with the errors as quoted, and that with one entry more after another."""
+    search = Search(Workbench(*case), Clock(None), 0)
+    search.bench.entries = ["zero_point_drift", "zero_point_step"]
+    at = search.refit(Hypothesis(), search.posterior(Hypothesis()).model.parameter_set.start()[None])
+    for entry in entries:
+        at = search.extend(at, entry, None)
+    return search
+
+
 def stepped(ball, step: float, drift: float):
     """A step in the middle of the rows, and a drift, mag and mag/h."""
     hours = ball[1].seconds / 3600
     return changed(ball, step * (hours > hours.mean()) + drift * (hours - hours.mean()))
+
+
+def even(ball, added: np.ndarray):
+    """The ball's own light with ``added`` (T,), in errors of a row. Rows err by exactly one beside it, up and down in turn: what their
+    squares sum to is known."""
+    scene, recording = ball
+    light = np.asarray(torchlc.simulate(scene, recording).to_table()["mag"])
+    turn = (-1.0) ** np.arange(len(light))
+    return scene, replace(recording, observed=light + ERROR * (turn + added))
+
+
+def drift_and_wave(ball) -> tuple[np.ndarray, np.ndarray]:
+    """A straight line and a wave of half an hour, (T,) each: of unit length, and at right angles to each other and to a constant."""
+    hours = ball[1].seconds / 3600
+    columns = np.stack([np.ones_like(hours), hours, np.sin(4 * np.pi * (hours - hours.mean()))], 1)
+    drift, wave = np.linalg.qr(columns)[0].T[1:]
+    return drift * np.sign(drift[-1]), wave

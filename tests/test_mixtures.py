@@ -11,7 +11,7 @@ from tests.small_case import write_case
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench, effect_columns
-from torchlc.diagnosis.mixtures import APART_SD, Mixture, spread_out
+from torchlc.diagnosis.mixtures import APART_SD, FINER, FINER_PLACES, FINER_SD, Mixture, finer, spread_out
 from torchlc.diagnosis.probes import beyond, probe
 from torchlc.inference.posterior import fit
 from torchlc.readers import load_recording
@@ -105,3 +105,107 @@ def test_places_that_are_kept_are_apart() -> None:
 def test_what_is_no_mixture_has_none() -> None:
     assert Mixture.of("panel_offset", ["deg"]) is None
     assert Mixture.of("appendage", ["area", "lon", "lat", "n", "r_spec"]) is None, "a part of it is known"
+
+
+class Hill:
+    """Values (a, b, size) of which a and b say where light goes. Their coordinates are log10 a and b / 10. Scores fall off with the
+    distance from the nearest of some tops there, and sizes are solved for as 2 a. What was asked is kept."""
+
+    WHERE = (0, 1)
+
+    def __init__(self, *tops: tuple[float, float]) -> None:
+        self.tops = torch.tensor(tops, dtype=torch.float64)
+        self.asked: list[torch.Tensor] = []
+
+    def coordinates(self, values: torch.Tensor) -> torch.Tensor:
+        return torch.stack([torch.log10(values[:, 0]), values[:, 1] / 10.0, values[:, 2]], 1)
+
+    def natural(self, g: torch.Tensor) -> torch.Tensor:
+        return torch.stack([10.0 ** g[:, 0], 10.0 * g[:, 1], g[:, 2]], 1)
+
+    def distance(self, values: torch.Tensor) -> torch.Tensor:
+        """To the nearest top, (G,)."""
+        return torch.cdist(self.coordinates(values)[:, :2], self.tops).amin(1)
+
+    def solved(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        self.asked.append(values)
+        solved = values.clone()
+        solved[:, 2] = 2.0 * values[:, 0]
+        return solved, solved @ torch.eye(3, 5, dtype=values.dtype), 100.0 - self.distance(values) ** 2
+
+    def finer(self, begun: list[tuple[float, float]], seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+        g = torch.tensor([(*where, 7.0) for where in begun], dtype=torch.float64)
+        values = self.natural(g)
+        scores = 100.0 - self.distance(values) ** 2
+        return finer(self.WHERE, values, scores, self.coordinates, self.natural, self.solved, seed)
+
+
+def test_places_are_sought_about_the_best_and_come_nearer_the_top() -> None:
+    """From half a standard deviation away to within a fifth, more often than not: by two rounds of twelve, in steps of 0.3 and 0.12."""
+    nearest = []
+    for seed in range(20):
+        hill = Hill((1.0, -0.5))
+        values, light = hill.finer([(1.4, -0.8)], seed)
+        reached = hill.distance(values)
+        assert 1 <= len(values) <= len(FINER_SD)
+        assert bool((reached < 0.5).all()), "each is better than where it was begun"
+        assert reached.tolist() == sorted(reached.tolist(), reverse=True), "and than the round before"
+        nearest.append(float(reached[-1]))
+        torch.testing.assert_close(values[:, 2], 2.0 * values[:, 0])  # the size as it was solved for
+        torch.testing.assert_close(light[:, :3], values)  # and the light of the same values
+        assert [len(asked) for asked in hill.asked] == [FINER] * len(FINER_SD)
+        assert all(bool((asked[:, 2] == 7.0).all()) for asked in hill.asked), (
+            "what is solved for is not moved"
+        )
+        again = Hill((1.0, -0.5)).finer([(1.4, -0.8)], seed)
+        assert torch.equal(again[0], values)
+        assert not torch.equal(Hill((1.0, -0.5)).finer([(1.4, -0.8)], seed + 1)[0], values)
+    assert sorted(nearest)[10] < 0.2
+
+
+def test_a_round_that_comes_to_nothing_better_is_left_out() -> None:
+    """So near the top that the second round often is no better than the first: what is kept rises all the same."""
+    for seed in range(20):
+        hill = Hill((1.0, -0.5))
+        values, _ = hill.finer([(1.1, -0.4)], seed)
+        reached = hill.distance(values).tolist()
+        assert reached == sorted(reached, reverse=True) and max(reached, default=0.0) < 0.1415
+
+
+def test_rounds_are_as_wide_as_they_say_and_the_second_is_about_the_best_of_the_first() -> None:
+    """In standard deviations of the priors, whatever the unit: twelve draws of two numbers in each of a hundred searches."""
+    rounds: list[list[torch.Tensor]] = [[], []]
+    for seed in range(100):
+        hill = Hill((0.0, 3.0))  # so far that each round has a better place
+        hill.finer([(0.0, 0.0)], seed)
+        first, second = (hill.coordinates(asked)[:, :2] for asked in hill.asked)
+        rounds[0].append(first)
+        rounds[1].append(second - first[hill.distance(hill.asked[0]).argmin()])
+    for offsets, sd in zip(rounds, FINER_SD, strict=True):
+        together = torch.stack(offsets).flatten(0, 1)
+        # a standard deviation of 1200 draws is known to a fiftieth
+        assert together.std(0).tolist() == pytest.approx([sd, sd], rel=0.07)
+        assert together.mean(0).tolist() == pytest.approx([0.0, 0.0], abs=0.1 * sd)
+
+
+def test_a_second_top_is_refined_beside_a_crowd_about_the_first() -> None:
+    """Ten places within a hair of the best are one. A place that stands at a top already gets nothing in its stead."""
+    crowd = [(0.01 * number, 0.0) for number in range(1, 11)]
+    hill = Hill((0.0, 0.0), (3.0, 3.0))
+    values, _ = hill.finer([*crowd, (3.3, 3.3)])
+    assert [len(asked) for asked in hill.asked] == [2 * FINER] * len(FINER_SD)
+    about_second = hill.coordinates(values)[:, 0] > 1.5
+    assert bool(about_second.any()) and float(hill.distance(values[about_second]).min()) < 0.2
+    alone = Hill((0.0, 0.0))
+    values, light = alone.finer([(0.0, 0.0)])
+    assert values.shape == (0, 3) and light.shape == (0, 5)
+
+
+def test_no_more_than_the_best_few_places_are_refined() -> None:
+    places = [(float(number), 0.0) for number in range(10)]
+    hill = Hill((0.0, 0.0))
+    values, _ = hill.finer(places[::-1])
+    begun = hill.coordinates(hill.asked[0])[:, 0].reshape(-1, FINER).mean(1)
+    assert begun.round().tolist() == [float(number) for number in range(FINER_PLACES)]
+    # the worst of them are bettered too, though they stay behind the best
+    assert bool((hill.coordinates(values)[:, 0] > 4.0).any())

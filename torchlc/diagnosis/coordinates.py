@@ -32,6 +32,8 @@ TITLES = {
 """In words, with units, by the name up to a bracket; what a bracket holds is a component and its face."""
 RELATIVE = ("flux", "inverse_flux")
 """Of which only the order of rows says something: numbers mean nothing to a person."""
+FEWEST_DIGITS, MOST_DIGITS = 3, 8
+"""Of the ends of a range: as many as tell them apart. On a geostationary satellite the latitude of an observer varies by 0.001 deg."""
 MOST_FACES = 8
 """Faces of one component that get coordinates of their own; smooth shapes and meshes have too many to
 name."""
@@ -78,7 +80,9 @@ def in_words(name: str, low: float | None = None, high: float | None = None) -> 
     title = title.format(place.rstrip("]").replace("/", ", face "))
     if low is None or high is None or kind in RELATIVE:
         return title
-    return f"{title}, between {low:.3g} and {high:.3g}{f' {unit}' if unit else ''}"
+    pairs = [(f"{low:.{count}g}", f"{high:.{count}g}") for count in range(FEWEST_DIGITS, MOST_DIGITS + 1)]
+    first, last = next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
+    return f"{title}, between {first} and {last}{f' {unit}' if unit else ''}"
 
 
 def face_angles(model: LightCurve, view: View, middle: int) -> dict[str, Tensor]:

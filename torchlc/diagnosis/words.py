@@ -67,9 +67,10 @@ def headline(content: Mapping[str, Any]) -> str:
 
 def probability(p: float) -> str:
     """A probability as a person says it: per cent, and no more certain than a search of this kind can be."""
-    if p > 0.995:
+    per_cent = round(100 * p)
+    if per_cent >= 100:
         return "over 99 %"
-    return "below 1 %" if p < 0.005 else f"{100 * p:.0f} %"
+    return f"{per_cent} %" if per_cent > 0 else "below 1 %"
 
 
 def odds(content: Mapping[str, Any]) -> str:

@@ -36,12 +36,15 @@ def row(median: float, sd: float, unit: str = "") -> dict[str, Any]:
     return {"median": median, "sd": sd, "q05": median - 1.64 * sd, "q95": median + 1.64 * sd, "unit": unit}
 
 
+LATE = {"effect": "wobble", "reason": "there was no time"}
+
+
 def content(**other: Any) -> dict[str, Any]:
     """Of a step that is named, with whatever is ``other``; probabilities are added to the usual ones."""
     usual = {
         "verdict": "missing_physics", "named": ["zero_point_step"], "families": [["zero_point_step"]],
         "doubt": "", "global_p": 0.004, "error_source": "recording", "outliers": [], "discrepancy": None,
-        "unexamined": [], "next_observation": "", "remaining": {"note": "nothing that the data show"},
+        "unexamined": [], "candidates": [], "next_observation": "", "remaining": {"note": "nothing that the data show"},
         "improvement": {
             "chi2_before": 1060.8, "chi2_after": 110.4, "dof": 116, "rms_before": 0.18726, "rms_after": 0.0204,
             "heldout_rms_before": 0.19, "heldout_rms_after": 0.021,
@@ -184,8 +187,11 @@ def test_of_the_odds_only_what_counts_is_listed() -> None:
     assert "the law of reflection lambert instead 20 %" in said and "cook" not in said
     assert "something that is not in the library 5 %" in said
     assert said.endswith(", an effect that was not examined 5 %.")
-    some["unexamined"] = [{"effect": "wobble", "reason": "there was no time"}]
-    assert odds(some).startswith("Probabilities, among what was examined: nothing missing")
+    some["unexamined"] = [{"effect": "saturation", "reason": "there was no time"}]
+    assert re.search(r"saturation \([^)]*\), which was not examined, 10 %", odds(some))
+    some["unexamined"] = [{"effect": "zero_point_drift[roof]", "reason": "there was no time"}]
+    some["candidates"] = [{"effect": "zero_point_drift", "target": "hill", "delta_log_evidence": 3.0}]
+    assert f"{DRIFT} 10 %" in odds(some)  # for another of its targets there was
     few = content(
         probabilities={"effects": {"zero_point_step": 0.97, "background": 0.004}, "not_examined": 0.004}
     )
@@ -320,17 +326,17 @@ def test_a_page_tells_where_it_shows(other: dict[str, Any], said: str) -> None:
         ({"verdict": "adequate", "doubt": "few rows"}, "more rows, or smaller errors, may show what these cannot"),
         ({"verdict": "unexplained"}, "look when and where it shows, and ask what in the sizes"),
         (
-            {"verdict": "unexplained", "unexamined": [{}], "next_observation": "Look in June."},
-            "Look in June; give torchlc diagnose more time with --budget, for 1 effect was not examined",
+            {"verdict": "unexplained", "unexamined": [LATE], "next_observation": "Look in June."},
+            "Look in June; give the diagnosis more time with budget, for 1 effect was not examined",
         ),
-        ({"unexamined": [{}, {}]}, "put what is named into effects"),  # hardly one of these
+        ({"unexamined": [LATE, LATE]}, "put what is named into effects"),  # hardly one of these
         (
-            {"unexamined": [{}, {}], "probabilities": {"not_examined": 0.06}},
-            "give torchlc diagnose more time with --budget, for 2 effects were not examined",
+            {"unexamined": [LATE, LATE], "probabilities": {"not_examined": 0.06}},
+            "give the diagnosis more time with budget, for 2 effects were not examined",
         ),
         (
             {
-                "verdict": "unexplained", "unexamined": [{}],
+                "verdict": "unexplained", "unexamined": [LATE],
                 "probabilities": {"other_laws": {"lambert": 0.2, "cook-torrance": 0.6}, "not_in_library": 0.9},
             },
             'write model = "cook-torrance" with its numbers into the materials of the scene, and diagnose again',

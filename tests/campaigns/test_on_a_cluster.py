@@ -27,6 +27,7 @@ from torchlc.campaigns.cluster import connected, spread
 from torchlc.campaigns.manifest import read_manifest
 from torchlc.campaigns.objects import read_record
 from torchlc.cli import run
+from torchlc.errors import at_a_shell
 from torchlc.files.writing import LOCK_NAME, OutputDirectory
 
 OVERHEAD_S = 40.0
@@ -89,29 +90,32 @@ def without_times(content: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.long
 def test_results_are_those_of_one_after_another_bit_for_bit(manifest: Path, disturbed: Path, tmp_path: Path):
-    """Against the verbs, called here: every number of the JSON, and every draw of every walker."""
-    for job in read_manifest(manifest):
-        folder = disturbed / "objects" / job.directory
-        if job.name == BAD:
-            continue
-        if job.task == "diagnose":
-            assert job.seed == 9
-            found = torchlc.diagnose(job.scene, job.recording, quick=True, effects=["panel_offset"], seed=9)
-            content = json.loads((folder / "diagnosis.json").read_text())
-            assert without_times(found.to_json()) == without_times(content)
-            continue
-        alone = tmp_path / job.directory
-        result = torchlc.fit(job.scene, job.recording, steps=30, walkers=10, seed=job.seed, out=alone)
-        content = json.loads((folder / "fit.json").read_text())
-        assert without_times(result.to_json()) == without_times(content)
-        assert content["provenance"]["seed"] == job.seed
-        assert result.posterior is not None
-        with h5py.File(folder / "posterior.nc") as stored:
-            assert "posterior" in stored
-            for i, name in enumerate(result.posterior.names):
-                draws = np.asarray(stored[f"posterior/{name}"])
-                np.testing.assert_array_equal(draws, result.posterior.theta[..., i].numpy())
-        assert not list(folder.glob(".*.partial"))
+    """Against the verbs, called here in the words for a shell, as a campaign has them: all of the JSON, and every draw of every walker."""
+    with at_a_shell():
+        for job in read_manifest(manifest):
+            folder = disturbed / "objects" / job.directory
+            if job.name == BAD:
+                continue
+            if job.task == "diagnose":
+                assert job.seed == 9
+                found = torchlc.diagnose(
+                    job.scene, job.recording, quick=True, effects=["panel_offset"], seed=9
+                )
+                content = json.loads((folder / "diagnosis.json").read_text())
+                assert without_times(found.to_json()) == without_times(content)
+                continue
+            alone = tmp_path / job.directory
+            result = torchlc.fit(job.scene, job.recording, steps=30, walkers=10, seed=job.seed, out=alone)
+            content = json.loads((folder / "fit.json").read_text())
+            assert without_times(result.to_json()) == without_times(content)
+            assert content["provenance"]["seed"] == job.seed
+            assert result.posterior is not None
+            with h5py.File(folder / "posterior.nc") as stored:
+                assert "posterior" in stored
+                for i, name in enumerate(result.posterior.names):
+                    draws = np.asarray(stored[f"posterior/{name}"])
+                    np.testing.assert_array_equal(draws, result.posterior.theta[..., i].numpy())
+            assert not list(folder.glob(".*.partial"))
 
 
 def test_the_summary_says_what_the_objects_say(manifest: Path, disturbed: Path):

@@ -8,6 +8,7 @@ import torch
 
 from tests.effects.cases import PLATE, check_contract, flux, material, seen_from, still, tilted
 from torchlc.inference.identifiability import limits
+from torchlc.lightcurve.assembly import assemble
 from torchlc.lightcurve.model import LightCurve
 
 
@@ -86,6 +87,21 @@ def test_what_a_facet_beyond_grazing_lacks_is_told(tmp_path, deg, lines):
     assert len(told) == lines
     for line in told:
         assert 0.6 * lacking < float(line.split("up to ")[1].split(" %")[0]) / 100 < 1.4 * lacking
+
+
+def test_no_tables_are_borrowed_from_a_model_without_tilts(tmp_path):
+    """A diagnosis has its hypotheses share tables of one geometry: those of flat facets were up to 0.08 mag off here."""
+    scene = still(PLATE, material("white", 60.0, 0.4, 0.3))
+    recording = seen_from(scene, tmp_path, tilted(np.linspace(5, 65, 7)), tilted(10, 180))
+    plain = LightCurve(scene, recording, assembly=assemble(scene, recording, []))
+    plain(plain.parameter_set.start())  # its tables are there to be lent
+    assembly = assemble(scene, recording, ["normal_dispersion[white]"])
+    alone, beside = (
+        LightCurve(scene, recording, assembly=assembly, sibling=other) for other in (None, plain)
+    )
+    theta = alone.parameter_set.start()
+    torch.testing.assert_close(beside(theta), alone(theta))
+    assert float((alone(theta) - plain(plain.parameter_set.start())).abs().max()) > 0.01
 
 
 def test_contract(tmp_path):

@@ -124,6 +124,8 @@ class Tilted:
         lobe, light = self.law.parts(flat, values)
         if "tilt_deviation" not in values:
             return lobe, light
+        if not tilted:
+            raise ValueError("tables of a law that is not Tilted hold no tilted facets")
         first, *shares = map(per_epoch, through_nodes(values["tilt_deviation"]))
         sums = {
             name: first * flat[name]

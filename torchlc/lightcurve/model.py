@@ -158,6 +158,8 @@ class LightCurve(nn.Module):
         return (
             *(str(item) for item in (self.geometry_free, bool(self.names), self.assembly.settled)),
             *(f"{e.entry} {e.nodes}" for e in shaping),
+            # an effect may tabulate more of a law than the law does itself
+            *(f"{material} {self.assembly.models[material]}" for material in self.scene.materials),
         )
 
     @property

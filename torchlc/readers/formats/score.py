@@ -10,7 +10,7 @@ from torchlc.files.decimals import checked_decimal
 from torchlc.readers.format import Format, Head
 from torchlc.readers.objects import chosen_object
 from torchlc.readers.stations import to_add
-from torchlc.readers.table import BLANK, Header, Row, cells_of_lines, check_width, lines_of
+from torchlc.readers.table import BLANK, Header, Row, cells_of_lines, check_names, check_width, lines_of
 
 SATELLITE = ("satellite_name", "norad_cat_id")
 OF_SCORE = {"observation_time_utc", "apparent_magnitude"}
@@ -38,6 +38,7 @@ class Score(Format):
     def read(cls, head: Head) -> Header:
         path = head.path
         names = [name.strip() for name in next(csv.reader([head.first]))]
+        check_names(path, names)
         error_name = next((name for name in ERRORS if name in names), "")
 
         def all_rows() -> Iterator[tuple[int, dict[str, str]]]:

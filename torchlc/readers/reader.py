@@ -11,6 +11,7 @@ from astropy.time import Time
 from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.readers import declared, groups
+from torchlc.readers.catalogue_numbers import told_of_another
 from torchlc.readers.column_limits import check_flux_errors, check_limits
 from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots, rows_of_slots
@@ -183,6 +184,7 @@ class _Reader:
         limit = columns.get("upper_limit", np.zeros(len(days), dtype=bool))
         seconds = seconds_since(time, cast(Time, time[:1]))
         objects, object_ids = self._objects()
+        self.warnings += told_of_another(self.header, self.scene, self._numbers_or_names())
         self.warnings += copies(seconds[~limit], columns[self.kind][~limit], curve[~limit], curve_ids)
         return Measurements(
             time=time,
@@ -410,6 +412,11 @@ class _Reader:
             return None, ()
         names = [name or "unnamed" for name in self.labels["object"].ids]
         return groups.compact(self.columns["object"], names)
+
+    def _numbers_or_names(self) -> list[str]:
+        """What the column of catalogue numbers holds, or without one that of objects, in the rows that are used."""
+        name = next((name for name in ("object_number", "object") if name in self.columns), None)
+        return [] if name is None else [self.labels[name].ids[code] for code in np.unique(self.columns[name])]
 
     def _band(self) -> np.ndarray | None:
         """Band names (T,)."""

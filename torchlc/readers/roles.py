@@ -20,7 +20,7 @@ VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
 GEOMETRY = tuple(f"{prefix}_{axis}" for prefix in VECTORS.values() for axis in "xyz")
 HORIZONTAL = ("alt", "az", "height")
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
-LABELS = ("station", "band", "curve", "object")
+LABELS = ("station", "band", "curve", "object", "object_number")
 """Columns of names: which of several a row belongs to."""
 ROLES = (
     "time",
@@ -108,7 +108,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "station": ("observatory", "site", "observatorycode", "obscode"),
     "limiting_mag": ("diffmaglim", "limitingmagnitude", "limmag", "maglim", "maglimit", "limitmag", "mag5sig"),
     "bad": ("catflags",),
-    "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
+    "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber", "cataloguenumber"),
+    "object_number": ("noradcatid", "noradid", "norad", "noradnumber", "noradcatnumber", "catalognumber", "cataloguenumber", "satno", "satcat"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
 OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
@@ -236,7 +237,18 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role in ROLES:
         if role not in taken and role in header.names and header.names.index(role) not in used:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "bad", "limiting_mag"):
+    for role in (
+        "time",
+        "mag",
+        "flux",
+        "exptime",
+        "band",
+        "station",
+        "object",
+        "object_number",
+        "bad",
+        "limiting_mag",
+    ):
         if role not in taken:
             others = [*STAMPS, *filter(stamp_named, header.names)] if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):

@@ -76,10 +76,11 @@ class Score(Format):
                         cells.get("observing_filter", ""),
                         stations[place],
                         next((cells[name] for name in SATELLITE if cells.get(name)), ""),
+                        cells.get(SATELLITE[1], ""),
                     ],
                 )
 
-        columns = ("time", "mag", "mag_err", "band", "station", "object")
+        columns = ("time", "mag", "mag_err", "band", "station", "object", "object_number")
         theirs = {
             "time": "observation_time_utc",
             "mag": "apparent_magnitude",
@@ -87,6 +88,7 @@ class Score(Format):
             "band": "observing_filter",
             "station": "place of the observer",
             "object": " or ".join(name for name in SATELLITE if name in names) or "none",
+            "object_number": SATELLITE[1] if SATELLITE[1] in names else "none",
         }
         return Header(
             path,

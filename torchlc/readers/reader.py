@@ -26,7 +26,13 @@ from torchlc.readers.markers import (
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
-from torchlc.readers.stations import station_numbers
+from torchlc.readers.stations import (
+    SiteReader,
+    left_of_sites,
+    sites_read,
+    station_numbers,
+    stations_by_place,
+)
 from torchlc.readers.table import (
     BEYOND_MAG,
     MAX_ROWS,
@@ -84,7 +90,11 @@ class _Reader:
         self.units_told: list[str] = []
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
-        taken = declared.taken(header, reading, self.columns, self.timing, self.times.format)
+        self._choose_object()
+        names = list(self.columns)
+        not_used = self._stations_by_place()
+        names = [name for name in names if name in self.columns or name in self.sites_used]
+        taken = declared.taken(header, reading, names, self.timing, self.times.format, not_used)
         self.warnings = [
             *taken,
             *declared.errors_told(header, self.kind),
@@ -111,6 +121,8 @@ class _Reader:
         readers: dict[str, Any] = {"time": self.times, **self.labels}
         readers |= dict.fromkeys([*needed, *(name for group in optional for name in group)], read_numbers)
         readers[self.kind] = self.limits
+        self.site_readers = {name: SiteReader() for name in sites_read(self.header)}
+        readers |= self.site_readers
         if "upper_limit" in self.header.names:
             readers["upper_limit"] = read_flags
         if "bad" in self.header.names:
@@ -134,7 +146,6 @@ class _Reader:
         }
 
     def measurements(self, min_rows: int) -> Measurements:
-        self._choose_object()
         if "bad" in self.columns:
             self._keep(~self.columns.pop("bad"), "flagged as bad")
         self._take_limits()
@@ -271,6 +282,23 @@ class _Reader:
             name = chosen_object(self.source, [{label or "unnamed"} for label in ids], wanted)
             codes = [code for code, label in enumerate(ids) if (label or "unnamed") == name]
             self._keep(np.isin(self.columns["object"], codes), "of another object")
+
+    def _stations_by_place(self) -> str:
+        """The column ``station`` from latitude and longitude where none names it; and which columns like these are not used."""
+        sites = {name: self.columns.pop(name) for name in self.site_readers}
+        labels, because, bad = [], "", [reader.unreadable for reader in self.site_readers.values()]
+        if sites and not any(bad[:2]):
+            by_user = not {*sites}.isdisjoint(self.reading.columns)
+            labels, because = stations_by_place(self.header, self.scene, sites, self.rows, by_user=by_user)
+        elif sites:
+            because = f"{next(filter(None, bad))[:20]!r} is no number of degrees"
+        elif "station" in self.header.names:
+            because = "the station is named"
+        if labels:
+            self.labels["station"] = LabelReader()
+            self.columns["station"] = self.labels["station"](self.header, "station", labels, 0)
+        self.sites_used = tuple(sites) if labels else ()
+        return left_of_sites(self.header, self.sites_used, because)
 
     def _take_limits(self) -> None:
         """Rows without a magnitude, but with the limiting one of their image, are upper limits there."""

@@ -201,16 +201,16 @@ def lines_of(path: Path) -> Iterator[str]:
 def repeated_names(names: Sequence[str]) -> dict[str, list[int]]:
     """Places of the columns that share a name, by that name; blank names are none."""
     places: dict[str, list[int]] = {}
-    for place, name in enumerate(names):
+    for column, name in enumerate(names):
         if name:
-            places.setdefault(name, []).append(place)
+            places.setdefault(name, []).append(column)
     return {name: shared for name, shared in places.items() if len(shared) > 1}
 
 
 def check_names(path: Path, names: Sequence[str], hint: str = "Rename one of them in the header") -> None:
     """InputError where two columns have one name, which says which two."""
     for name, places in repeated_names(names).items():
-        numbers = [str(place + 1) for place in places]
+        numbers = [str(column + 1) for column in places]
         listed = f"{', '.join(numbers[:-1])} and {numbers[-1]}"[:200]
         twice = "twice" if len(places) == 2 else f"{len(places)} times"
         found = f"column {name[:60]!r} appears {twice}, as columns {listed}"

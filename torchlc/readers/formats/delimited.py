@@ -123,18 +123,18 @@ def _told_apart(header: Header, reading: Reading, wanted: Mapping[str, Sequence[
     if not repeated:
         return header
     parts = {part.strip() for text in reading.columns.values() for part in text.split("+")}
-    told = {int(part) - 1 for part in parts - set(header.names) if re.fullmatch(r"\d{1,6}", part, re.ASCII)}
+    meant = {int(part) - 1 for part in parts - set(header.names) if re.fullmatch(r"\d{1,6}", part, re.ASCII)}
     names = list(header.names)
     for name, places in repeated.items():
-        kept = next((place for place in places if place in told), places[0])
-        for place in places:
-            if place != kept:
-                names[place] = f"{name} column {place + 1}"
+        kept = next((column for column in places if column in meant), places[0])
+        for column in places:
+            if column != kept:
+                names[column] = f"{name} column {column + 1}"
     apart = replace(header, names=tuple(names))
     roles = assigned(apart, reading, wanted).columns
     for name, places in repeated.items():
         role = next((role for role, used in roles.items() if places[0] in used), None)
-        if role is not None and not told & set(places):
+        if role is not None and not meant & set(places):
             way = option("columns", f"{role}={places[1] + 1}")
             hint = f"Rename one of them, or say which is meant by its number, as in {way}"
             check_names(header.source, [other if other == name else "" for other in header.names], hint)

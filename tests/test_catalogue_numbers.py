@@ -23,7 +23,7 @@ def scene_of(number: str) -> str:
     return re.sub(r'"([12]) 00001(.*?)"', numbered, SCENE)
 
 
-def told(recording) -> list[str]:
+def warnings_on_elements(recording) -> list[str]:
     return [text for text in recording.warnings if "elements" in text]
 
 
@@ -42,7 +42,7 @@ def told(recording) -> list[str]:
     ],
 )
 def test_another_number_is_told_with_both_and_what_to_do(read, text: str, number: str):
-    (warning,) = told(read(text, scene_of("44238")))
+    (warning,) = warnings_on_elements(read(text, scene_of("44238")))
     assert warning == (
         f"the recording names object {number}, but the elements of the scene are of 44238: "
         f"give the scene the elements of {number}, or take a recording of 44238"
@@ -67,15 +67,17 @@ def test_another_number_is_told_with_both_and_what_to_do(read, text: str, number
     ],
 )
 def test_the_same_number_and_one_that_is_not_known_are_not(read, text: str, number: str):
-    assert told(read(text, scene_of(number))) == []
-    assert told(read(text)) == []
+    assert warnings_on_elements(read(text, scene_of(number))) == []
+    assert warnings_on_elements(read(text)) == []
 
 
 def test_the_object_that_is_chosen_counts(read):
     other = EXPORTS["SCORE"].splitlines()[1].replace("SAT 1,12345", "BIRD-7,54321")
     text = EXPORTS["SCORE"] + other + "\n"
-    assert told(read(text, scene_of("54321"), columns="object=BIRD-7")) == []
-    assert "names object 12345" in told(read(text, scene_of("54321"), columns="object=SAT 1"))[0]
+    assert warnings_on_elements(read(text, scene_of("54321"), columns="object=BIRD-7")) == []
+    assert (
+        "names object 12345" in warnings_on_elements(read(text, scene_of("54321"), columns="object=SAT 1"))[0]
+    )
 
 
 def test_elements_of_a_file_have_a_number_too(tmp_path):
@@ -85,4 +87,4 @@ def test_elements_of_a_file_have_a_number_too(tmp_path):
     (tmp_path / "scene.toml").write_text(re.sub(r"tle = \[[^]]*\]", 'tle_file = "elements.txt"', SCENE))
     (tmp_path / "night.csv").write_text(table("JD,Mag,Err,norad_cat_id", more=",25544"))
     recording = load_recording(tmp_path / "night.csv", load_scene(tmp_path / "scene.toml"))
-    assert "elements of the scene are of 44238" in told(recording)[0]
+    assert "elements of the scene are of 44238" in warnings_on_elements(recording)[0]

@@ -48,6 +48,7 @@ from torchlc.readers.table import (
 from torchlc.readers.time_cells import TimeReader
 from torchlc.readers.timing import timing
 from torchlc.scene.reading import Reading
+from torchlc.scene.timestamps import UTC_BEGINS, ut_in_tdb
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
@@ -83,13 +84,15 @@ class _Reader:
         self.dropped_at: dict[str, np.ndarray] = {}
         self.kind = declared.brightness(header, use)
         self.timing = timing(header, reading, located=self._is_located())
-        self.times = TimeReader(header, self.timing, reading.date_order)
+        bound = scene is not None and scene.orbit.vectors is None
+        self.times = TimeReader(header, self.timing, reading.date_order, before_utc=not bound)
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
         self.units_told: list[str] = []
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
+        old_times = self._to_tdb_where_old()
         self._choose_object()
         names = list(self.columns)
         not_used = self._stations_by_place()
@@ -99,6 +102,7 @@ class _Reader:
             *taken,
             *declared.errors_told(header, self.kind),
             *self.timing.notes,
+            *old_times,
             *declared.units_told(header, self.kind),
             *declared.magnitudes_told(header, self.kind),
             *self.units_told,
@@ -299,6 +303,17 @@ class _Reader:
             self.columns["station"] = self.labels["station"](self.header, "station", labels, 0)
         self.sites_used = tuple(sites) if labels else ()
         return left_of_sites(self.header, self.sites_used, because)
+
+    def _to_tdb_where_old(self) -> list[str]:
+        """All times in TDB, which has no beginning, where some are older than UTC; and what has to be said of it."""
+        days = self.columns["time"]
+        if self.times.first_year is None or not (days.sum(-1) < UTC_BEGINS).any():
+            return []
+        self.columns["time"] = np.stack(ut_in_tdb(days[:, 0], days[:, 1]), axis=-1)
+        self.times.scale = "tdb"
+        return [
+            "UTC begins in 1960: times before it are taken as UT (3 s off in 1950, 35 s in 1900), and all are brought to TDB"
+        ]
 
     def _take_limits(self) -> None:
         """Rows without a magnitude, but with the limiting one of their image, are upper limits there."""

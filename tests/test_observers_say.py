@@ -68,6 +68,33 @@ class TestUserSays:
         holds(read(text, columns="time=1,mag=2,mag_err=3"))
         holds(read(text.split("\n", 1)[1], columns="time=1,mag=2,mag_err=3"))
 
+    @pytest.mark.parametrize(
+        ("names", "role", "places"),
+        [("time,mag,mag,mag_err", "mag", (2, 3)), ("JD,JD,V mag,err", "time", (1, 2))],
+    )
+    def test_of_two_columns_of_one_name_the_user_says_which(self, read, names: str, role: str, places):
+        """Either way of the advice works: a new name for one of them, or the number of the one that is meant."""
+        rows = [[f"{jd:.6f}", f"{mag}", f"{error}"] for jd, mag, error in zip(JD, MAG, ERROR, strict=True)]
+        for row in rows:
+            row.insert(places[0] - 1, "2459000.5" if role == "time" else "9.5")
+        text = "\n".join([names, *(",".join(row) for row in rows)]) + "\n"
+        with pytest.raises(
+            InputError, match=f"appears twice, as columns {places[0]} and {places[1]}"
+        ) as caught:
+            read(text)
+        (way,) = re.findall(r'Rename one of them, or .* columns="(.*)"', str(caught.value))
+        assert way == f"{role}={places[1]}"
+        holds(read(text, columns=way))
+        holds(read(text.replace(names.split(",")[places[0] - 1], "other", 1)))
+
+    def test_columns_of_one_name_without_a_use_are_no_hindrance(self, read):
+        holds(read(table("time,mag,mag_err,remark,remark", more=",9.5,8.5")))
+
+    def test_score_refuses_two_columns_of_one_name(self, read):
+        text = EXPORTS["SCORE"].replace("limiting_magnitude", "apparent_magnitude")
+        with pytest.raises(InputError, match="'apparent_magnitude' appears twice, as columns 5 and 10"):
+            read(text)
+
     def test_the_user_outranks_the_name(self, read):
         text = table("time,mag,mag_err,V", more=",9.5")
         assert read(text, columns="mag=V").observed.tolist() == [9.5] * 3

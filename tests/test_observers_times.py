@@ -10,9 +10,11 @@ import pytest
 from astropy.coordinates import get_body_barycentric
 from astropy.time import Time
 
+import torchlc
 from tests.good_input import SCENE, VECTOR_SCENE
 from tests.observers_night import ERROR, EXPORTS, JD, MAG, holds
 from torchlc.errors import InputError
+from torchlc.geometry.rotation.attitude import epochs_seconds
 from torchlc.scene import Scene
 
 
@@ -253,3 +255,87 @@ def test_a_scale_beside_the_word_time_is_taken(read, name: str, scale: str):
     recording = read(of_name(name))
     assert abs((recording.time[0] - Time("2026-03-15T20:50:00", scale=scale)).to_value(u.s)) < 1e-3
     assert scale.upper() in recording.warnings[0]
+
+
+OLD = 2433800.5
+"""1951-06-03."""
+DAMIT_1951 = "1\n12 1\n" + "".join(
+    f"{OLD + k * 0.02:.5f} {1 + 0.2 * np.cos(k / 2):.4f} -2.5 1.0 0.1 -1.5 1.0 0.1\n" for k in range(12)
+)
+ROCK = """\
+format = "torchlc-scene/1"
+name = "rock"
+[orbit]
+vectors = "ecliptic"
+[attitude]
+mode = "inertial"
+spin_rate = 0.004
+spin_axis = [0.0, 0.0, 1.0]
+[[components]]
+name = "body"
+shape = "box"
+size = [2.0, 1.7, 1.2]
+centre = [0, 0, 0]
+material = "rock"
+[materials.rock]
+model = "lambert"
+albedo = { value = 0.1, low = 0.0, high = 1.0 }
+"""
+
+
+class TestTimesBeforeUtc:
+    """Old light curves of asteroids: UT of before 1960 is taken as astropy takes it, TT less 32.184 s."""
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            DAMIT_1951,
+            "JD,mag\n" + "".join(f"{OLD + k * 0.02:.5f},12.5\n" for k in range(12)),
+            "# time_format: jd\ntime,mag\n" + "".join(f"{OLD + k * 0.02:.5f},12.5\n" for k in range(12)),
+            "STARTMETADATA\nOBJECTNAME=Eros\nDIFFERMAGS=FALSE\nENDMETADATA\n"
+            + "".join(f"DATA={OLD + k * 0.02:.5f}|12.5|0.01\n" for k in range(12))
+            + "ENDDATA\n",
+        ],
+        ids=["DAMIT", "JD", "time_format", "ALCDEF"],
+    )
+    def test_julian_dates_are_read_in_one_scale_and_told(self, read, text: str):
+        recording = read(text)
+        assert recording.time.scale == "tdb"
+        # TT is UT and 32.184 s; TDB is within 2 ms of it, far above what two-part dates and five decimals of a day lose
+        seconds = 86400 * ((recording.time.jd1 - OLD) + recording.time.jd2 - 0.02 * np.arange(12))
+        np.testing.assert_allclose(seconds, 32.184, atol=2e-3)
+        (warning,) = [text for text in recording.warnings if "1960" in text]
+        assert "times before it are taken as UT" in warning and len(warning.split()) <= 30
+
+    def test_later_rows_of_the_file_keep_their_distance(self, read):
+        recording = read(f"JD,mag\n{OLD},12.5\n2459140.125,12.4\n")
+        later = Time(2459140.125, format="jd", scale="utc")
+        assert abs((recording.time[1] - later).to_value(u.s)) < 1e-4
+
+    def test_a_file_without_old_rows_stays_in_utc(self, read):
+        recording = read("JD,mag\n2436934.5,12.5\n2436934.6,12.4\n")
+        assert recording.time.scale == "utc" and not [text for text in recording.warnings if "1960" in text]
+
+    def test_the_epoch_of_a_fit_is_the_first_row_in_the_scale_of_the_rows(self, tmp_path):
+        (tmp_path / "rock.toml").write_text(ROCK)
+        (tmp_path / "curve.txt").write_text(DAMIT_1951)
+        result = torchlc.fit(tmp_path / "rock.toml", tmp_path / "curve.txt")
+        epoch = result.fitted_scene.attitude.spin_epoch
+        again = torchlc.load(result.fitted_scene, tmp_path / "curve.txt")[1]
+        (seconds,) = epochs_seconds(result.fitted_scene, again, "spin_epoch")
+        assert str(epoch).startswith("1951-06-03T00:00:32") and abs(seconds) < 1e-3  # text to the millisecond
+
+    def test_others_are_refused_with_the_reason_and_a_way_that_works(self, read):
+        rows = "1951-06-03T00:00:00,12.5\n1951-06-03T00:30:00,12.4\n"
+        with pytest.raises(
+            InputError, match=r"1960-2200 .UTC., for UTC begins in 1960. .* in a column JD"
+        ) as refused:
+            read("time,mag\n" + rows)
+        (way,) = re.findall(r'columns="(time_scale=\w+)"', str(refused.value))
+        assert read("time,mag\n" + rows, columns=way).time.scale == "tdb"
+        with pytest.raises(InputError, match="for UTC begins in 1960"):
+            read("time,mag\n2433800.5,12.5\n2433800.6,12.4\n")
+
+    def test_a_satellite_has_no_such_times(self, read):
+        with pytest.raises(InputError, match="1960-2200"):
+            read("JD,mag\n2433800.5,12.5\n2433800.6,12.4\n", SCENE)

@@ -32,6 +32,9 @@ UNITS = {
     "alt": u.deg,
     "az": u.deg,
     "height": u.km,
+    "site_lat": u.deg,
+    "site_lon": u.deg,
+    "site_height": u.m,
 }
 UNITS |= {f"{prefix}_{axis}": u.km for prefix in ("sun", "obs", "r") for axis in "xyz"}
 UNITS |= {f"v_{axis}": u.km / u.s for axis in "xyz"}
@@ -321,16 +324,23 @@ def errors_told(header: Header, kind: str) -> list[str]:
 
 
 def taken(
-    header: Header, reading: Reading, columns: Iterable[str], timing: Timing, time_format: str
+    header: Header,
+    reading: Reading,
+    columns: Iterable[str],
+    timing: Timing,
+    time_format: str,
+    not_used: str = "",
 ) -> list[str]:
-    """One line on what was taken for what; none where a file has our own names and nothing else is to be said."""
+    """One line on what was taken for what, and what was not (``not_used``); none where a file has our own names and nothing
+    else is to be said."""
     roles = dict.fromkeys(
         "time" if name == "time" else name
         for name in columns
         if name in header.theirs and name in header.columns
     )
     renamed = any(header.theirs[name] != name for name in roles)
-    if not renamed and not header.format and header.decimal == "." and not reading.model_fields_set:
+    plainly_ours = not renamed and not header.format and header.decimal == "."
+    if plainly_ours and not reading.model_fields_set and not not_used:
         return []
     texts = []
     triples = {f"{p}_x": [f"{p}_{axis}" for axis in "xyz"] for p in VECTORS.values()}
@@ -350,4 +360,4 @@ def taken(
         texts.append(text)
     form = f"read as {header.format}: " if header.format else "columns: "
     comma = "; decimal commas" if header.decimal == "," else ""
-    return [form + ", ".join(texts) + comma]
+    return [form + ", ".join(texts) + comma + (f"; not used: {not_used}" if not_used else "")]

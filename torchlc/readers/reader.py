@@ -11,6 +11,7 @@ from astropy.time import Time
 from torchlc.digits import number_of
 from torchlc.errors import InputError
 from torchlc.readers import declared, groups
+from torchlc.readers.catalogue_numbers import told_of_another
 from torchlc.readers.column_limits import check_flux_errors, check_limits
 from torchlc.readers.copies import copies
 from torchlc.readers.empty_slots import empty_slots, rows_of_slots
@@ -25,7 +26,13 @@ from torchlc.readers.markers import (
 from torchlc.readers.measurements import Measurements, no_usable_row, seconds_since, too_few_rows
 from torchlc.readers.objects import ALL, chosen_object
 from torchlc.readers.roles import LABELS, VECTORS
-from torchlc.readers.stations import station_numbers
+from torchlc.readers.stations import (
+    SiteReader,
+    left_of_sites,
+    sites_read,
+    station_numbers,
+    stations_by_place,
+)
 from torchlc.readers.table import (
     BEYOND_MAG,
     MAX_ROWS,
@@ -41,6 +48,7 @@ from torchlc.readers.table import (
 from torchlc.readers.time_cells import TimeReader
 from torchlc.readers.timing import timing
 from torchlc.scene.reading import Reading
+from torchlc.scene.timestamps import UTC_BEGINS, ut_in_tdb
 
 if TYPE_CHECKING:
     from torchlc.scene import Scene
@@ -76,18 +84,25 @@ class _Reader:
         self.dropped_at: dict[str, np.ndarray] = {}
         self.kind = declared.brightness(header, use)
         self.timing = timing(header, reading, located=self._is_located())
-        self.times = TimeReader(header, self.timing, reading.date_order)
+        bound = scene is not None and scene.orbit.vectors is None
+        self.times = TimeReader(header, self.timing, reading.date_order, before_utc=not bound)
         self.frame = declared.frame(header, scene)
         self.labels = {name: LabelReader() for name in LABELS if name in header.names}
         self.limits = BrightnessReader(self.kind)
         self.units_told: list[str] = []
         self.columns = self._read()
         self.rows = np.arange(len(self.columns["time"]))
-        taken = declared.taken(header, reading, self.columns, self.timing, self.times.format)
+        old_times = self._to_tdb_where_old()
+        self._choose_object()
+        names = list(self.columns)
+        not_used = self._stations_by_place()
+        names = [name for name in names if name in self.columns or name in self.sites_used]
+        taken = declared.taken(header, reading, names, self.timing, self.times.format, not_used)
         self.warnings = [
             *taken,
             *declared.errors_told(header, self.kind),
             *self.timing.notes,
+            *old_times,
             *declared.units_told(header, self.kind),
             *declared.magnitudes_told(header, self.kind),
             *self.units_told,
@@ -110,6 +125,8 @@ class _Reader:
         readers: dict[str, Any] = {"time": self.times, **self.labels}
         readers |= dict.fromkeys([*needed, *(name for group in optional for name in group)], read_numbers)
         readers[self.kind] = self.limits
+        self.site_readers = {name: SiteReader() for name in sites_read(self.header)}
+        readers |= self.site_readers
         if "upper_limit" in self.header.names:
             readers["upper_limit"] = read_flags
         if "bad" in self.header.names:
@@ -133,7 +150,6 @@ class _Reader:
         }
 
     def measurements(self, min_rows: int) -> Measurements:
-        self._choose_object()
         if "bad" in self.columns:
             self._keep(~self.columns.pop("bad"), "flagged as bad")
         self._take_limits()
@@ -183,6 +199,7 @@ class _Reader:
         limit = columns.get("upper_limit", np.zeros(len(days), dtype=bool))
         seconds = seconds_since(time, cast(Time, time[:1]))
         objects, object_ids = self._objects()
+        self.warnings += told_of_another(self.header, self.scene, self._numbers_or_names())
         self.warnings += copies(seconds[~limit], columns[self.kind][~limit], curve[~limit], curve_ids)
         return Measurements(
             time=time,
@@ -269,6 +286,34 @@ class _Reader:
             name = chosen_object(self.source, [{label or "unnamed"} for label in ids], wanted)
             codes = [code for code, label in enumerate(ids) if (label or "unnamed") == name]
             self._keep(np.isin(self.columns["object"], codes), "of another object")
+
+    def _stations_by_place(self) -> str:
+        """The column ``station`` from latitude and longitude where none names it; and which columns like these are not used."""
+        sites = {name: self.columns.pop(name) for name in self.site_readers}
+        labels, because, bad = [], "", [reader.unreadable for reader in self.site_readers.values()]
+        if sites and not any(bad[:2]):
+            by_user = not {*sites}.isdisjoint(self.reading.columns)
+            labels, because = stations_by_place(self.header, self.scene, sites, self.rows, by_user=by_user)
+        elif sites:
+            because = f"{next(filter(None, bad))[:20]!r} is no number of degrees"
+        elif "station" in self.header.names:
+            because = "the station is named"
+        if labels:
+            self.labels["station"] = LabelReader()
+            self.columns["station"] = self.labels["station"](self.header, "station", labels, 0)
+        self.sites_used = tuple(sites) if labels else ()
+        return left_of_sites(self.header, self.sites_used, because)
+
+    def _to_tdb_where_old(self) -> list[str]:
+        """All times in TDB, which has no beginning, where some are older than UTC; and what has to be said of it."""
+        days = self.columns["time"]
+        if self.times.first_year is None or not (days.sum(-1) < UTC_BEGINS).any():
+            return []
+        self.columns["time"] = np.stack(ut_in_tdb(days[:, 0], days[:, 1]), axis=-1)
+        self.times.scale = "tdb"
+        return [
+            "UTC begins in 1960: times before it are taken as UT (3 s off in 1950, 35 s in 1900), and all are brought to TDB"
+        ]
 
     def _take_limits(self) -> None:
         """Rows without a magnitude, but with the limiting one of their image, are upper limits there."""
@@ -410,6 +455,11 @@ class _Reader:
             return None, ()
         names = [name or "unnamed" for name in self.labels["object"].ids]
         return groups.compact(self.columns["object"], names)
+
+    def _numbers_or_names(self) -> list[str]:
+        """What the column of catalogue numbers holds, or without one that of objects, in the rows that are used."""
+        name = next((name for name in ("object_number", "object") if name in self.columns), None)
+        return [] if name is None else [self.labels[name].ids[code] for code in np.unique(self.columns[name])]
 
     def _band(self) -> np.ndarray | None:
         """Band names (T,)."""

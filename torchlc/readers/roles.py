@@ -19,8 +19,10 @@ VECTORS = {"sun": "sun", "obs": "obs", "position": "r", "velocity": "v"}
 """Field of a Recording and the prefix of its three columns."""
 GEOMETRY = tuple(f"{prefix}_{axis}" for prefix in VECTORS.values() for axis in "xyz")
 HORIZONTAL = ("alt", "az", "height")
+SITE = ("site_lat", "site_lon", "site_height")
+"""Columns of the place of the observer, by which a row's station is known where no column names it."""
 BRIGHTNESS = ("mag", "mag_err", "flux", "flux_err")
-LABELS = ("station", "band", "curve", "object")
+LABELS = ("station", "band", "curve", "object", "object_number")
 """Columns of names: which of several a row belongs to."""
 ROLES = (
     "time",
@@ -32,6 +34,7 @@ ROLES = (
     "limiting_mag",
     *GEOMETRY,
     *HORIZONTAL,
+    *SITE,
 )
 """Columns of ours."""
 DELIVERED = "delivered "
@@ -108,7 +111,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "station": ("observatory", "site", "observatorycode", "obscode"),
     "limiting_mag": ("diffmaglim", "limitingmagnitude", "limmag", "maglim", "maglimit", "limitmag", "mag5sig"),
     "bad": ("catflags",),
-    "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber"),
+    "object": ("objectname", "satellite", "satellitename", "satelliteid", "satname", "noradcatid", "noradid", "norad", "catalognumber", "cataloguenumber"),
+    "object_number": ("noradcatid", "noradid", "norad", "noradnumber", "noradcatnumber", "catalognumber", "cataloguenumber", "satno", "satcat"),
 }  # fmt: skip
 """Names of other columns, letters and digits only, the preferred first."""
 OF_A_FILTER = ("vmag", "gmag", "rmag", "imag", "bmag")
@@ -153,6 +157,51 @@ PARTS_OF_DATE = (
     ("second", "seconds", "sec", "ss", "s", "sekunde"),
 )
 """Names of columns that hold the parts of a date, letters and digits only."""
+
+
+_OF_A_SITE = r"(?:station|site|observers?|obs|observatory|telescope|tel|sensor)"
+_OF_ANY = r"(?:geodetic|geographic|geo|gps|location|wgs84)"
+_DEGREES_NORTH, _DEGREES_EAST = (
+    r"(?:n|north|deg|degrees|degn|decdeg)?",
+    r"(?:e|east|deg|degrees|dege|decdeg)?",
+)
+_HEIGHT, _METRES = r"(?:altitude|alt|elevation|elev|height|hgt)", r"(?:m|meters?|metres?|masl)"
+NAMES_OF_SITE = {
+    "site_lat": rf"(?:{_OF_A_SITE}|{_OF_ANY})?(?:lat|latitude){_DEGREES_NORTH}|(?:lat|latitude){_OF_A_SITE}",
+    "site_lon": rf"(?:{_OF_A_SITE}|{_OF_ANY})?(?:lon|long|lng|longitude){_DEGREES_EAST}|(?:lon|long|longitude){_OF_A_SITE}",
+    "site_height": rf"{_OF_A_SITE}?{_OF_ANY}?{_HEIGHT}{_METRES}",
+}
+"""How the columns of the observer's place are called, letters and digits only. A height without metres may be an elevation."""
+_IN_BRACKETS = {
+    "site_lat": f"rad|{_DEGREES_NORTH}",
+    "site_lon": f"rad|{_DEGREES_EAST}",
+    "site_height": _METRES,
+}
+SAYS_WHOSE = re.compile(_OF_A_SITE)
+LIKE_A_SITE = re.compile(r"(?<![a-z])(lat|latitude|lon|long|lng|longitude)(?![a-z])")
+OF_ANOTHER_PLACE = re.compile(
+    r"(?<![a-z])(body|sun|sub|subsat|ssp|sat|satellite|target|object|ecl\w*|gal\w*|helio\w*|pab|phase)(?![a-z])"
+)
+"""Words beside a latitude or longitude that is not the observer's."""
+
+
+def named_as_site(name: str) -> str | None:
+    """Which of SITE a column of this name holds; None where it is none, or counts west or south."""
+    before, within = without_brackets(name)
+    folded, inside = plain(before), plain(within)
+    for role, pattern in NAMES_OF_SITE.items():
+        metres = role == "site_height" and inside in ("m", "km", "meters", "metres")
+        if inside and not metres and not re.fullmatch(_IN_BRACKETS[role], inside):
+            continue
+        if re.fullmatch(pattern, f"{folded}m" if metres else folded):
+            return role
+    return None
+
+
+def looks_like_site(name: str) -> bool:
+    """May a column of this name hold where the observer is?"""
+    words = re.sub(r"[\W_\d]+|(?<=[a-z])(?=[A-Z])", " ", name).lower()
+    return bool(named_as_site(name) or LIKE_A_SITE.search(words)) and not OF_ANOTHER_PLACE.search(words)
 
 
 def without_brackets(name: str) -> tuple[str, str]:
@@ -236,12 +285,24 @@ def assigned(header: Header, reading: Reading, columns: Mapping[str, Sequence[st
     for role in ROLES:
         if role not in taken and role in header.names and header.names.index(role) not in used:
             taken[role] = (header.names.index(role),)
-    for role in ("time", "mag", "flux", "exptime", "band", "station", "object", "bad", "limiting_mag"):
+    for role in (
+        "time",
+        "mag",
+        "flux",
+        "exptime",
+        "band",
+        "station",
+        "object",
+        "object_number",
+        "bad",
+        "limiting_mag",
+    ):
         if role not in taken:
             others = [*STAMPS, *filter(stamp_named, header.names)] if role == "time" else NAMES.get(role, ())
             if role == "mag" and not _one_filter(header, columns.get("mag", ())):
                 continue
             taken |= _found(header, role, [*columns.get(role, ()), role, *others], taken)
+    taken |= _site(header, taken)
     for kind in ("mag", "flux"):
         role = f"{kind}_err"
         if kind in taken and role not in taken:
@@ -320,6 +381,19 @@ def _found(
     return next(({role: (free[plain(name)],)} for name in names if plain(name) in free), {})
 
 
+def _site(header: Header, taken: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Latitude, longitude and height of the observer, where both of the former are known; names that say whose they are come first."""
+    used = {column for places in taken.values() for column in places}
+    free = [index for index, name in enumerate(header.names) if name and index not in used]
+    free.sort(key=lambda index: not SAYS_WHOSE.search(plain(header.names[index])))
+    sites: dict[str, tuple[int, ...]] = {}
+    for index in free:
+        role = named_as_site(header.names[index])
+        if role is not None and role not in taken:
+            sites.setdefault(role, (index,))
+    return sites if {"site_lat", "site_lon"} <= {*sites, *taken} else {}
+
+
 def _one_filter(header: Header, known: Sequence[str]) -> bool:
     """False where only the user can say which of several filters' magnitudes is meant."""
     folded = {plain(name) for name in header.names}
@@ -393,7 +467,10 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
         unit = without_brackets(source)[1]
         # brackets behind a magnitude hold its band, which V and G are, and not volts and gauss
         in_mag = role not in ("mag", "mag_err", "limiting_mag") or "mag" in unit.lower()
-        if source != role and not units[role] and in_mag and _is_unit(role, unit):
+        of_a_place = role in SITE and not unit.lower().startswith(
+            ("deg", "rad", "arc", "m", "k")
+        )  # N and E are no units
+        if source != role and not units[role] and in_mag and not of_a_place and _is_unit(role, unit):
             units[role] = unit
         if role == "time" and source != role:
             # the sign of an offset, as in UTC-7, stays

@@ -198,10 +198,23 @@ def lines_of(path: Path) -> Iterator[str]:
             yield f"# {line}" if number == 1 and OF_SPREADSHEETS.fullmatch(line) else line
 
 
-def check_names(path: Path, names: Sequence[str]) -> None:
-    repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) < 1000 else ["..."]
-    if repeated:
-        raise InputError(path, "header", f"column {repeated[0]!r} appears twice", "distinct column names")
+def repeated_names(names: Sequence[str]) -> dict[str, list[int]]:
+    """Places of the columns that share a name, by that name; blank names are none."""
+    places: dict[str, list[int]] = {}
+    for column, name in enumerate(names):
+        if name:
+            places.setdefault(name, []).append(column)
+    return {name: shared for name, shared in places.items() if len(shared) > 1}
+
+
+def check_names(path: Path, names: Sequence[str], hint: str = "Rename one of them in the header") -> None:
+    """InputError where two columns have one name, which says which two."""
+    for name, places in repeated_names(names).items():
+        numbers = [str(column + 1) for column in places]
+        listed = f"{', '.join(numbers[:-1])} and {numbers[-1]}"[:200]
+        twice = "twice" if len(places) == 2 else f"{len(places)} times"
+        found = f"column {name[:60]!r} appears {twice}, as columns {listed}"
+        raise InputError(path, "header", found, "distinct column names", hint)
 
 
 def _chunks(header: Header) -> Iterator[list[Row]]:

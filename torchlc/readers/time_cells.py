@@ -15,6 +15,8 @@ from torchlc.readers.dates import WHICH_ORDER, Calendar
 from torchlc.readers.table import BLANK, Header, read_numbers, row_place, with_point, without_row
 from torchlc.readers.timing import FORMAT_WORDS, Timing, count_of, ways_to_say
 from torchlc.scene.timestamps import (
+    BEFORE_UTC,
+    EARLIEST_AS_UT,
     ISO,
     JULIAN_DATE,
     REDUCED,
@@ -41,10 +43,17 @@ SECONDS_SINCE_1970 = (1e8, 1e10)
 
 class TimeReader:
     """Reads the cells of a file in pieces; what one piece tells of the ``format``, the order of dates (``calendar``) and offsets holds for
-    the next. ``scale`` is that of the dates: tdb or utc."""
+    the next. ``scale`` is that of the dates: tdb or utc. ``before_utc``: Julian dates of before 1960 are read, as UT."""
 
-    def __init__(self, header: Header, timing: Timing, date_order: str | None) -> None:
+    def __init__(
+        self, header: Header, timing: Timing, date_order: str | None, *, before_utc: bool = False
+    ) -> None:
         self.header, self.timing, self.format = header, timing, timing.format
+        # a date of a satellite from before 1960 is a slip, and a number that nobody calls a Julian date may be anything
+        self.first_year = (
+            EARLIEST_AS_UT if before_utc and timing.format == "jd" and timing.scale == "utc" else None
+        )
+        self._before_utc = before_utc
         self.scale = "tdb" if timing.scale == "tdb" else "utc"
         self.calendar = Calendar(date_order or "")
         self._offsets = False
@@ -92,7 +101,9 @@ class TimeReader:
             )
             raise UnreadableTime(int(short[0]), cells[short[0]].strip(), expected)
         zero, per_day = count_of(self.format, self.timing.scale)
-        return julian_dates_of_numbers(numbers, self.timing.scale, zero=zero, per_day=per_day)
+        return julian_dates_of_numbers(
+            numbers, self.timing.scale, zero=zero, per_day=per_day, first_year=self.first_year
+        )
 
     def _iso(self, cells: list[str]) -> list[str]:
         """Cells as ISO texts; none may hold an offset of its own where the user tells the zone."""
@@ -114,6 +125,9 @@ class TimeReader:
 
     def _hint(self, found: str, expected: str) -> str | None:
         """What to do about a time that is no Julian date but may be one of a known kind."""
+        if self._before_utc and expected.endswith(BEFORE_UTC):
+            said = ways_to_say(self.header, "time_scale", "tdb")
+            return f"For times from 1900 on give Julian dates in a column JD, which are read as UT. If they are TDB, say {said}"
         try:
             number = decimal(found)
         except ValueError:

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -80,7 +80,9 @@ class FitResult:
             update={"model": scene.model.model_copy(update={"effects": list(dict.fromkeys(entries))})}
         )
         scene.model.model_fields_set.add("effects")
-        return scene.with_spin_epoch(str(cast(Any, self.recording.first_time).utc.isot))
+        first: Any = self.recording.first_time
+        # a prediction reads the epoch as UTC; where none can be made only recordings do, in their own scale
+        return scene.with_spin_epoch(str((first.utc if scene.orbit.known else first).isot))
 
     @property
     def names(self) -> list[str]:

@@ -20,6 +20,12 @@ JULIAN_DATE = re.compile(r"\s*[+-]?[\d.]+([eE][+-]?\d+)?\s*", re.ASCII)
 """A text that is meant as a number of days, not as ISO."""
 EARLIEST_YEAR = {"utc": 1960, "tai": 1960, "tt": 1960, "tdb": 1900, "gps": 1980}
 """UTC is not defined before 1960, and the clock of GPS began in 1980."""
+EARLIEST_AS_UT = 1900
+"""From here on Julian dates may be read as UT where UTC is not defined yet."""
+JULIAN_1900, UTC_BEGINS = 2415020.5, 2436934.5
+"""Julian dates of 1900-01-01 and 1960-01-01."""
+BEFORE_UTC = ", for UTC begins in 1960"
+"""How an error of such a time ends."""
 AS_TAI = {"gps": 19.0 / 86400.0}
 """Clocks that run as TAI does, and by how many days they are behind it."""
 LATEST_YEAR = 2200
@@ -55,15 +61,20 @@ def julian_dates_of_iso(texts: Sequence[str], scale: str) -> tuple[np.ndarray, n
 
 
 def julian_dates_of_numbers(
-    numbers: np.ndarray, scale: str, *, zero: tuple[float, float] = (0.0, 0.0), per_day: float = 1.0
+    numbers: np.ndarray,
+    scale: str,
+    *,
+    zero: tuple[float, float] = (0.0, 0.0),
+    per_day: float = 1.0,
+    first_year: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Two-part Julian dates of numbers (T,), of which a day has ``per_day``, since the two-part Julian date ``zero``;
-    not-a-number stays not-a-number.
+    not-a-number stays not-a-number. Earlier ones than ``first_year`` (else that of the scale) are refused.
     """
     days = np.floor(numbers / per_day)
     jd1, jd2 = days + zero[0], (numbers - days * per_day) / per_day + zero[1]
     finite = np.isfinite(numbers)
-    _check_range(np.where(finite, jd1 + jd2, MJD_ZERO + 51544), scale, numbers)
+    _check_range(np.where(finite, jd1 + jd2, MJD_ZERO + 51544), scale, numbers, first_year)
     return jd1, jd2
 
 
@@ -130,19 +141,37 @@ def _parse_iso(texts: list[str], scale: str) -> Time:
         raise UnreadableTime(error.index + middle, error.found, error.expected) from None
 
 
-def _check_range(jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray) -> None:
-    first_year = EARLIEST_YEAR[scale]
+def _check_range(
+    jd: np.ndarray, scale: str, found: Sequence[str] | np.ndarray, first_year: int | None = None
+) -> None:
+    first_year = EARLIEST_YEAR[scale] if first_year is None else first_year
     low, high = ((year - 2000) * 365.25 + 2451544.5 for year in (first_year, LATEST_YEAR))
     outside = np.flatnonzero(~((jd >= low) & (jd <= high)))
     if outside.size:
         index = int(outside[0])
         expected = f"a time in {first_year}-{LATEST_YEAR} ({scale.upper()})"
+        if scale == "utc" and JULIAN_1900 <= jd[index] < low:
+            expected += BEFORE_UTC
         if REDUCED[0] < jd[index] < REDUCED[1]:
             expected += (
                 " as a whole Julian date: add 2400000.5 to a modified Julian date (MJD), 2400000 to one "
                 "written as JD - 2400000"
             )
         raise UnreadableTime(index, str(found[index]), expected)
+
+
+def ut_in_tdb(jd1: np.ndarray, jd2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two-part Julian dates (T,) of UTC, and of UT before 1960, as those of TDB; not-a-number stays not-a-number.
+
+    Before 1960 TT is UT and 32.184 s, as astropy has it: 3 s late in 1950 and 35 s in 1900. A light curve of hours does not
+    show either.
+    """
+    known = np.isfinite(jd1 + jd2)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
+        moved: Any = Time(np.where(known, jd1, MJD_ZERO), np.where(known, jd2, 0.0), format="jd", scale="utc")
+        tdb = moved.tdb
+    return np.where(known, tdb.jd1, np.nan), np.where(known, tdb.jd2, np.nan)
 
 
 def in_utc(jd1: np.ndarray, jd2: np.ndarray, scale: str) -> tuple[np.ndarray, np.ndarray]:

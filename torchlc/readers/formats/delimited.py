@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise, takewhile
 from typing import ClassVar
@@ -13,8 +13,9 @@ from torchlc.errors import InputError, option
 from torchlc.readers.comments import TOLD, metadata_of, told_in
 from torchlc.readers.dates import are_apart, is_moment, moment_of
 from torchlc.readers.format import FORMATS, Format, Head
-from torchlc.readers.roles import known_names
-from torchlc.readers.table import BLANK, Header, check_names, without_blank_end
+from torchlc.readers.roles import assigned, known_names
+from torchlc.readers.table import BLANK, Header, check_names, repeated_names, without_blank_end
+from torchlc.scene.reading import Reading
 from torchlc.scene.timestamps import JULIAN_DATE
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -91,7 +92,7 @@ def table_header(head: Head) -> Header:
     header = (
         _by_names(head, wanted) or _by_comment(head, wanted) or _without_names(head) or _by_first_line(head)
     )
-    check_names(head.path, [name for name in header.names if name])
+    header = _told_apart(header, head.reading, wanted)
     rows = _sample(head, header)
     above = [text for number, text in head.lines if number <= header.skip]
     if above and cells_of(above[-1], header.delimiter) == list(header.names):
@@ -113,6 +114,31 @@ def table_header(head: Head) -> Header:
     return replace(
         header, meta=meta, comments=tuple(others), told=reading, decimal=_decimal(head, header, rows)
     )
+
+
+def _told_apart(header: Header, reading: Reading, wanted: Mapping[str, Sequence[str]]) -> Header:
+    """``header`` with a number behind the names that several of its columns share, but for the one that the user tells by
+    its number, which keeps its name. InputError where such a name has a use and the user does not tell which is meant."""
+    repeated = repeated_names(header.names)
+    if not repeated:
+        return header
+    parts = {part.strip() for text in reading.columns.values() for part in text.split("+")}
+    meant = {int(part) - 1 for part in parts - set(header.names) if re.fullmatch(r"\d{1,6}", part, re.ASCII)}
+    names = list(header.names)
+    for name, places in repeated.items():
+        kept = next((column for column in places if column in meant), places[0])
+        for column in places:
+            if column != kept:
+                names[column] = f"{name} column {column + 1}"
+    apart = replace(header, names=tuple(names))
+    roles = assigned(apart, reading, wanted).columns
+    for name, places in repeated.items():
+        role = next((role for role, used in roles.items() if places[0] in used), None)
+        if role is not None and not meant & set(places):
+            way = option("columns", f"{role}={places[1] + 1}")
+            hint = f"Rename one of them, or say which is meant by its number, as in {way}"
+            check_names(header.source, [other if other == name else "" for other in header.names], hint)
+    return apart
 
 
 def _above_all(head: Head) -> dict[str, str]:

@@ -190,7 +190,7 @@ def named_as_site(name: str) -> str | None:
     before, within = without_brackets(name)
     folded, inside = plain(before), plain(within)
     for role, pattern in NAMES_OF_SITE.items():
-        metres = role == "site_height" and inside in ("m", "km", "meters", "metres")
+        metres = role == "site_height" and bool(re.fullmatch("k?m|meters|metres", inside))
         if inside and not metres and not re.fullmatch(_IN_BRACKETS[role], inside):
             continue
         if re.fullmatch(pattern, f"{folded}m" if metres else folded):
@@ -467,9 +467,7 @@ def _renamed(header: Header, reading: Reading, taken: Mapping[str, tuple[int, ..
         unit = without_brackets(source)[1]
         # brackets behind a magnitude hold its band, which V and G are, and not volts and gauss
         in_mag = role not in ("mag", "mag_err", "limiting_mag") or "mag" in unit.lower()
-        of_a_place = role in SITE and not unit.lower().startswith(
-            ("deg", "rad", "arc", "m", "k")
-        )  # N and E are no units
+        of_a_place = role in SITE and not re.match("deg|rad|arc|m|k", unit.lower())  # N and E are no units
         if source != role and not units[role] and in_mag and not of_a_place and _is_unit(role, unit):
             units[role] = unit
         if role == "time" and source != role:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from torchlc.errors import InputError
 from torchlc.readers.dates import Calendar, is_moment
+from torchlc.scene.timestamps import instant
 
 MOMENT = datetime.datetime(2020, 11, 25, 19, 2, 4)
 FORMS = [
@@ -173,3 +174,12 @@ def test_a_long_name_is_read_at_once(read, name: str):
     with pytest.raises(InputError):
         read(f"{name},mag\n1,2\n")
     assert time.process_time() - start < 3.0
+
+
+@pytest.mark.parametrize("scale", ["utc", "tt", "tdb"])
+def test_an_epoch_that_ends_in_z_is_utc_beside_any_scale(scale: str) -> None:
+    """Against astropy's scales: without the Z it is 69 s off beside TT and TDB."""
+    wanted = Time("2026-01-01T00:00:00", scale="utc")
+    assert abs((instant("2026-01-01T00:00:00Z", scale) - wanted).sec) < 1e-6
+    plain = instant("2026-01-01T00:00:00", scale)
+    assert (wanted - plain).sec == pytest.approx(0.0 if scale == "utc" else 69.184, abs=0.01)

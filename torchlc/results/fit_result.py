@@ -82,7 +82,9 @@ class FitResult:
         scene.model.model_fields_set.add("effects")
         first: Any = self.recording.first_time
         # a prediction reads the epoch as UTC; where none can be made only recordings do, in their own scale
-        return scene.with_spin_epoch(str((first.utc if scene.orbit.known else first).isot))
+        if not scene.orbit.known:
+            return scene.with_spin_epoch(str(first.isot))
+        return scene.with_spin_epoch(f"{first.utc.isot}{'Z' if first.scale in ('tdb', 'tt') else ''}")
 
     @property
     def names(self) -> list[str]:

@@ -80,7 +80,9 @@ def julian_dates_of_numbers(
 
 def instant(value: str | float, scale: str) -> Time:
     """One instant from ISO text or a Julian date, e.g. the ``epoch`` of a scene; raises UnreadableTime. On a clock of AS_TAI
-    it is that clock's reading, as if it were TAI's."""
+    it is that clock's reading, as if it were TAI's. Text that ends in Z is UTC beside TDB and TT too."""
+    if isinstance(value, str) and value.endswith("Z") and scale in ("tdb", "tt"):
+        return cast(Time, getattr(instant(value, "utc"), scale))
     if isinstance(value, str):
         jd1, jd2 = julian_dates_of_iso([value], scale)
     else:

@@ -39,6 +39,11 @@ effects = []
 band_sun_magnitude = -26.76
 zero_point = { value = 0.0, sigma = 0.02, prior = "normal" }
 """
+METAL = """model = "ashikhmin-shirley"
+n = { value = 50.0, low = 1.0, high = 1000.0, prior = "loguniform" }
+r_spec = { value = 0.3, low = 0.0, high = 1.0 }
+r_diff = { value = 0.3, low = 0.0, high = 1.0 }"""
+"""A law with a lobe, in the place of the ball's."""
 ERROR = 0.02
 ROWS = 120
 

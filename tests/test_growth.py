@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.ball import changed, searched, stepped
+from tests.ball import METAL, changed, searched, stepped
 from torchlc.diagnosis.growth import GROWN
 from torchlc.diagnosis.hypotheses import LAW_ODDS, Hypothesis, Workbench
-
-METAL = """model = "ashikhmin-shirley"
-n = { value = 50.0, low = 1.0, high = 1000.0, prior = "loguniform" }
-r_spec = { value = 0.3, low = 0.0, high = 1.0 }
-r_diff = { value = 0.3, low = 0.0, high = 1.0 }"""
 
 
 @pytest.mark.parametrize(("step", "refitted"), [(0.3, False), (0.03, True)])

@@ -109,29 +109,10 @@ def test_score_with_other_names_of_the_place(read):
 
 
 def test_coordinates_of_something_else_are_no_place():
-    for name in (
-        "obs_lat_body",
-        "sun_lon_body",
-        "ecl_lon",
-        "sat_lat",
-        "sub_lon",
-        "PAB lon",
-        "flatness",
-        "colon",
-        "long_exposure_flag",
-    ):
-        assert named_as_site(name) is None, name
-    for name in (
-        "obs_lat_body",
-        "sun_lon_body",
-        "ecl_lon",
-        "sat_lat",
-        "sub_lon",
-        "PAB lon",
-        "flatness",
-        "colon",
-    ):
-        assert not looks_like_site(name), name
+    others = ("obs_lat_body", "sun_lon_body", "ecl_lon", "sat_lat", "sub_lon", "PAB lon", "flatness", "colon")
+    for name in others:
+        assert named_as_site(name) is None and not looks_like_site(name), name
+    assert named_as_site("long_exposure_flag") is None
     assert (
         named_as_site("alt") is None
         and named_as_site("obs_alt") is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.ball import BALL, searched, stepped
+from tests.ball import BALL, METAL, searched, stepped
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import Hypothesis, Workbench
@@ -18,10 +18,6 @@ from torchlc.inference.density import Posterior
 from torchlc.readers import Recording
 from torchlc.scene import Scene
 
-METAL = """model = "ashikhmin-shirley"
-n = { value = 50.0, low = 1.0, high = 1000.0, prior = "loguniform" }
-r_spec = { value = 0.3, low = 0.0, high = 1.0 }
-r_diff = { value = 0.3, low = 0.0, high = 1.0 }"""
 WINGED = BALL.replace('model = "lambert"\nalbedo = 0.5', METAL).replace(
     """[[components]]
 name = "ball"

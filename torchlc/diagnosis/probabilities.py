@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
 
 import torch
 
@@ -231,27 +232,24 @@ def promised(search: Search) -> dict[Hypothesis, float]:
     times what its probe promises as the best single effect did, within a share PROMISE_SPREAD, normally distributed; one that was not
     even probed reaches them with the odds of something unknown."""
     null, leader = Hypothesis().under(*search.robust), search.leader
-    late = [entry for entry in search.bench.entries if entry in search.unexamined]
     explains = leader.added or search.correlated(leader)
     if not explains or null not in search.visited or leader.law:
         return {}
     top, bare = search.log_odds(leader), search.visited[null].log_z
     # beside errors far larger than quoted every probe promises too little
     times = 1.0 if near_quoted(search.visited[null]) else LONGEST
-    for hypothesis in search.of_size(1)[:1]:
-        probe = search.probes.get(hypothesis.added[0])
-        if probe is not None and probe.score > 0:
-            times = min(max((search.visited[hypothesis].log_z - bare) / (0.5 * probe.score), times), LONGEST)
+    singles = search.of_size(1)
+    probe = search.probes.get(singles[0].added[0]) if singles else None
+    if probe is not None and probe.score > 0:
+        times = min(max((search.visited[singles[0]].log_z - bare) / (0.5 * probe.score), times), LONGEST)
     reached = {}
-    for entry in late:
+    for entry in _late(search):
         hypothesis = Hypothesis((entry,), search.robust)
         share = UNKNOWN_ODDS
         if entry in search.probes:
             expected = times * 0.5 * search.probes[entry].score
             missing = top - search.bench.log_odds(hypothesis) - bare - expected
-            share = (
-                0.5 * math.erfc(missing / (PROMISE_SPREAD * expected * math.sqrt(2))) if expected > 0 else 0.0
-            )
+            share = NormalDist().cdf(-missing / (PROMISE_SPREAD * expected)) if expected > 0 else 0.0
         if share > WEIGHED:
             reached[hypothesis] = top + math.log(share)
     return reached
@@ -260,9 +258,13 @@ def promised(search: Search) -> dict[Hypothesis, float]:
 def share_of_unexamined(search: Search) -> float:
     """Of what none of the examined effects explains, how much belongs to those that were not examined: they may explain it as well as
     something unknown does, and are to it as their prior odds."""
-    late = [entry for entry in search.bench.entries if entry in search.unexamined]
-    odds = sum(math.exp(search.bench.log_odds(Hypothesis((entry,)))) for entry in late)
+    odds = sum(math.exp(search.bench.log_odds(Hypothesis((entry,)))) for entry in _late(search))
     return odds / (odds + ODDS)
+
+
+def _late(search: Search) -> list[str]:
+    """Effects for which there was no time, without laws."""
+    return [entry for entry in search.bench.entries if entry in search.unexamined]
 
 
 def less_unseen(

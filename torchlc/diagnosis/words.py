@@ -51,7 +51,7 @@ def added_values(added: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 
 def headline(content: Mapping[str, Any]) -> str:
     """The verdict in one line with its probability, from the content of diagnosis.json."""
-    if content["verdict"] == "adequate" and content["doubt"]:
+    if _cannot_tell(content):
         return f"These data cannot tell whether anything is missing: {content['doubt']}."
     families = [_or(family) for family in content["families"]]
     noise = [with_title(name) for name in content["named"]]
@@ -63,6 +63,11 @@ def headline(content: Mapping[str, Any]) -> str:
         verdict = f"{verdict} {_first_upper(content['doubt'])}."
     p = chance(content["global_p"])
     return f"{verdict} The chance of structure like this where nothing is missing: {p}."
+
+
+def _cannot_tell(content: Mapping[str, Any]) -> bool:
+    """Whether the data say nothing of what is missing: no row is to spare."""
+    return content["verdict"] == "adequate" and bool(content["doubt"])
 
 
 def probability(p: float) -> str:
@@ -200,7 +205,7 @@ def words(content: Mapping[str, Any], added: Mapping[str, str]) -> list[str]:
 
 def _answer(content: Mapping[str, Any]) -> list[str]:
     """The verdict, and the probabilities of all answers unless the data say nothing of them."""
-    if content["verdict"] == "adequate" and content["doubt"]:
+    if _cannot_tell(content):
         return [headline(content)]
     return [headline(content), odds(content)]
 

@@ -25,6 +25,7 @@ from torchlc.results.parameter_values import noise_levels, parameter_values, thi
 from torchlc.results.residual_rms import rms_mag, rms_relative
 from torchlc.results.tables import parameter_table
 from torchlc.scene import Scene
+from torchlc.scene.timestamps import utc_text
 from torchlc.stages.light import View
 
 if TYPE_CHECKING:
@@ -82,9 +83,7 @@ class FitResult:
         scene.model.model_fields_set.add("effects")
         first: Any = self.recording.first_time
         # a prediction reads the epoch as UTC; where none can be made only recordings do, in their own scale
-        if not scene.orbit.known:
-            return scene.with_spin_epoch(str(first.isot))
-        return scene.with_spin_epoch(f"{first.utc.isot}{'Z' if first.scale in ('tdb', 'tt') else ''}")
+        return scene.with_spin_epoch(utc_text(first) if scene.orbit.known else str(first.isot))
 
     @property
     def names(self) -> list[str]:

@@ -78,10 +78,19 @@ def julian_dates_of_numbers(
     return jd1, jd2
 
 
+BESIDE_UTC = ("tdb", "tt")
+"""Scales of a recording beside which an instant of the scene may be UTC, if it says so."""
+
+
+def utc_text(moment: Time) -> str:
+    """ISO text in UTC of an instant, which :func:`instant` reads as the same beside the moment's own scale."""
+    return f"{cast(Any, moment).utc.isot}{'Z' if moment.scale in BESIDE_UTC else ''}"
+
+
 def instant(value: str | float, scale: str) -> Time:
     """One instant from ISO text or a Julian date, e.g. the ``epoch`` of a scene; raises UnreadableTime. On a clock of AS_TAI
     it is that clock's reading, as if it were TAI's. Text that ends in Z is UTC beside TDB and TT too."""
-    if isinstance(value, str) and value.endswith("Z") and scale in ("tdb", "tt"):
+    if isinstance(value, str) and value.endswith("Z") and scale in BESIDE_UTC:
         return cast(Time, getattr(instant(value, "utc"), scale))
     if isinstance(value, str):
         jd1, jd2 = julian_dates_of_iso([value], scale)

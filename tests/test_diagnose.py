@@ -20,10 +20,10 @@ from tests.noisy_rows import changed
 from torchlc.diagnosis.clock import Clock
 from torchlc.diagnosis.engine import Search
 from torchlc.diagnosis.hypotheses import SCALE, Hypothesis, Workbench
-from torchlc.diagnosis.joint import joint_sets
+from torchlc.diagnosis.joint import ALIKE, joint_sets
 from torchlc.diagnosis.plan import Forecast, next_nights, told_by
 from torchlc.diagnosis.probabilities import Probabilities, worth_of_p
-from torchlc.diagnosis.probes import Probe
+from torchlc.diagnosis.probes import Probe, beyond
 from torchlc.diagnosis.run import _runner_up, diagnose
 from torchlc.diagnosis.words import headline
 from torchlc.files.numbers import Free
@@ -78,7 +78,9 @@ def test_practice_case_is_named(name: str) -> None:
         for short, truth in values.items():
             after = content["materials"]["after"].get(f"{material}.{short}")
             if after is not None and after["sd"] < 0.2 * after["median"]:
-                assert abs(after["median"] - truth) < 4 * after["sd"], f"{material}.{short}"
+                # two surfaces may make the same glint: the posterior has more than one top, and its sd says little
+                wide = 0.5 * (after["q95"] - after["q05"])
+                assert abs(after["median"] - truth) < 4 * wide, f"{material}.{short}"
 
 
 def overlap(found: list[dict], truth: list[list[str]], recording) -> float:
@@ -343,17 +345,23 @@ def test_two_effects_are_found_together_that_neither_a_third_nor_their_sizes_hid
         for one in (made("background", first), made("saturation", second), made("wobble", between))
     }
     assert max(probes, key=lambda entry: probes[entry].score) == "wobble"
-    best, *_ = joint_sets(probes, at, 2, lambda entries: 0.0, 3)
+    (best, promised), *_ = joint_sets(probes, at, 2, lambda entries: 0.0, 3)
     assert set(best) == {"background", "saturation"}
+    left = beyond(torch.stack([first, second]) * unit, at)
+    squares = float(at.residual_rows.square().sum())
+    unfitted = np.linalg.lstsq(left.numpy().T, at.residual_rows.numpy(), rcond=None)[1].item()
+    assert promised == pytest.approx(0.5 * (squares - unfitted), rel=ALIKE)  # which keeps them from being one
     apart = joint_sets(probes, at, 2, lambda entries: -math.inf if "background" in entries else 0.0, 3)
-    assert [set(one) for one in apart] == [{"saturation", "wobble"}]
+    assert [set(one) for one, _ in apart] == [{"saturation", "wobble"}]
     assert joint_sets(probes, at, 4, lambda entries: 0.0, 3) == []
     # an appendage adds light: beside a background that is there, no less of it explains anything
     probes["appendage"] = made("appendage", -second)
     assert all(
-        set(one) != {"background", "appendage"} for one in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
+        set(one) != {"background", "appendage"}
+        for one, _ in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
     )
     probes["appendage"] = made("appendage", second)
     assert any(
-        set(one) == {"background", "appendage"} for one in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
+        set(one) == {"background", "appendage"}
+        for one, _ in joint_sets(probes, at, 2, lambda entries: 0.0, 9)
     )

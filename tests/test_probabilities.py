@@ -19,6 +19,7 @@ from torchlc.diagnosis.probabilities import (
     LEAST_TAKEN,
     WEIGHED,
     less_unseen,
+    part_of_the_answer,
     share_of_unexamined,
     share_taken,
     stands_for_something_else,
@@ -61,6 +62,18 @@ def summed(rows: Sequence[tuple[str, Hypothesis, float, float]]) -> dict[tuple[s
     for kind, hypothesis, p, _ in rows:
         total[kind, hypothesis] += p
     return dict(total)
+
+
+def taken(search: Search, hypothesis: Hypothesis) -> float:
+    """Share of the scene's own misfit that a hypothesis takes."""
+    at = search.visited[hypothesis]
+    return share_taken(search.best(), at, at.wide)
+
+
+def stands(search: Search, hypothesis: Hypothesis) -> bool:
+    """Whether a set by itself, in the errors that it has, stands for something else."""
+    errors = search.visited[hypothesis].wide
+    return stands_for_something_else(search, hypothesis, len(hypothesis.added), errors)
 
 
 # ------------------------------------------------------------------ what was not examined
@@ -152,8 +165,8 @@ def test_what_is_improbable_or_was_not_fitted_stays_where_it_is(faint) -> None:
 @pytest.mark.parametrize("share", [0.4, 0.6, 0.95])
 def test_a_drift_takes_its_own_part_of_the_misfit(parted, share) -> None:
     """Of squares that are known: the wave has the rest. The prior of the drift keeps less than 1 in 1000 of it."""
-    assert share_taken(parted[share], DRIFT) == pytest.approx(share, abs=1e-3)
-    assert share_taken(parted[share], NULL) == pytest.approx(0.0, abs=1e-3)
+    assert taken(parted[share], DRIFT) == pytest.approx(share, abs=1e-3)
+    assert taken(parted[share], NULL) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_errors_are_those_of_the_hypothesis(parted) -> None:
@@ -163,7 +176,7 @@ def test_errors_are_those_of_the_hypothesis(parted) -> None:
     at = search.renoise(search.visited[DRIFT], (SCALE,))
     square = float((at.wide / ERROR).square().mean())
     assert 2.0 < square < 3.0
-    assert share_taken(search, scaled) == pytest.approx(360.0 / (600.0 - 121.0 * (square - 1.0)), rel=1e-3)
+    assert taken(search, scaled) == pytest.approx(360.0 / (600.0 - 121.0 * (square - 1.0)), rel=1e-3)
 
 
 def test_a_row_far_off_counts_as_far_and_a_bad_row_not_at_all(ball) -> None:
@@ -173,24 +186,24 @@ def test_a_row_far_off_counts_as_far_and_a_bad_row_not_at_all(ball) -> None:
     added[59], added[61] = 100.0, -100.0
     search = grown(even(ball, added), "zero_point_drift")
     # each has FAR^2, of which 1 is no excess
-    assert share_taken(search, DRIFT) == pytest.approx(0.6 * EXCESS / (EXCESS + 2 * (FAR**2 - 1)), abs=0.01)
+    assert taken(search, DRIFT) == pytest.approx(0.6 * EXCESS / (EXCESS + 2 * (FAR**2 - 1)), abs=0.01)
     robust = DRIFT.under("outliers")
     search.extend(search.renoise(search.visited[NULL], ("outliers",)), "zero_point_drift", None)
     assert int((search.visited[robust].outlying() > 0.5).sum()) == 2
-    assert share_taken(search, robust) == pytest.approx(0.6, abs=0.01)
+    assert taken(search, robust) == pytest.approx(0.6, abs=0.01)
 
 
 def test_where_rows_err_less_than_they_say_there_is_no_misfit_to_take(ball) -> None:
     rows = len(ball[1].observed)
     added = 4.0 * drift_and_wave(ball)[0] - 0.5 * (-1.0) ** np.arange(rows)
-    assert share_taken(grown(even(ball, added), "zero_point_drift"), DRIFT) == 0.0
+    assert taken(grown(even(ball, added), "zero_point_drift"), DRIFT) == 0.0
 
 
 def test_effects_that_take_too_little_or_are_too_many_stand_for_something_else(parted) -> None:
     """One has to take half of the misfit, two three quarters, and three are not asked how much they take."""
     assert LEAST_TAKEN == 0.5
     judged = {
-        (share, len(hypothesis.added)): stands_for_something_else(parted[share], hypothesis)
+        (share, len(hypothesis.added)): stands(parted[share], hypothesis)
         for share in parted
         for hypothesis in (NULL, DRIFT, PAIR)
     }
@@ -199,29 +212,54 @@ def test_effects_that_take_too_little_or_are_too_many_stand_for_something_else(p
         (0.6, 0): False, (0.6, 1): False, (0.6, 2): True,
         (0.95, 0): False, (0.95, 1): False, (0.95, 2): False,
     }  # fmt: skip
-    assert share_taken(parted[0.95], THREE) > 0.95
-    assert stands_for_something_else(parted[0.95], THREE)
+    assert taken(parted[0.95], THREE) > 0.95
+    assert stands(parted[0.95], THREE)
+
+
+@pytest.mark.parametrize(("share", "of_pair"), [(0.4, NULL), (0.6, NULL), (0.95, DRIFT)])
+def test_of_a_set_that_leaves_structure_counts_what_takes_half_of_what_others_leave(
+    parted, share, of_pair
+) -> None:
+    """A step beside a drift takes little of a wave, and so does a background. The drift then has to take what the whole set has to: three
+    quarters beside one, seven eighths beside two."""
+    search = parted[share]
+    assert share_taken(search.visited[DRIFT], search.visited[PAIR], search.visited[PAIR].wide) < LEAST_TAKEN
+    assert part_of_the_answer(search, DRIFT) == (DRIFT if share > LEAST_TAKEN else NULL)
+    assert part_of_the_answer(search, PAIR) == of_pair
+    if THREE in search.visited:
+        assert part_of_the_answer(search, THREE) == of_pair
+
+
+def test_two_effects_that_each_take_half_of_what_the_other_leaves_are_both_part(ball) -> None:
+    """A step of 900 in the middle and a drift of 900, at right angles to it, above a wave of 60; a background takes nothing of it."""
+    drift, wave = drift_and_wave(ball)
+    step = np.sign(np.arange(len(drift)) - 0.5 * len(drift) + 0.5)
+    step -= (step @ drift) * drift
+    added = np.sqrt(900) * (drift + step / np.linalg.norm(step)) + np.sqrt(60) * wave
+    search = grown(even(ball, added), "zero_point_step", "zero_point_drift", "background")
+    pair = Hypothesis(("zero_point_step", "zero_point_drift"))
+    assert part_of_the_answer(search, pair.with_effect("background")) == pair
 
 
 @pytest.mark.parametrize(
-    ("beside", "ahead", "stands"), [(NULL, 0.1, True), (NULL, -0.1, False), (DRIFT, 9.0, False)]
+    ("beside", "ahead", "expected"), [(NULL, 0.1, True), (NULL, -0.1, False), (DRIFT, 9.0, False)]
 )
 def test_something_unknown_that_is_likelier_alone_has_the_place_of_an_effect(
-    parted, beside, ahead, stands
+    parted, beside, ahead, expected
 ) -> None:
     search, at = parted[0.95], parted[0.95].visited[beside]
     none, rows = torch.zeros(len(at.delta)), torch.ones(len(at.delta), dtype=torch.bool)
     gain = search.log_odds(DRIFT) - search.log_odds(beside) + ahead
     odd = Discrepancy(beside, at.log_z, "time", gain, 0.0, none, none, rows)
     known = replace(search, odd=[odd])
-    assert stands_for_something_else(known, DRIFT) is stands
-    assert not stands_for_something_else(known, NULL)
+    assert stands(known, DRIFT) is expected
+    assert not stands(known, NULL)
 
 
 def test_without_errors_nothing_says_how_much_of_a_misfit_is_taken(ball, parted) -> None:
     """They are fitted to what is left: three effects are as good as one."""
     quoted = parted[0.95]
-    assert stands_for_something_else(quoted, THREE)
+    assert stands(quoted, THREE)
     unquoted = grown((quoted.bench.scene, replace(quoted.bench.recording, error=None)), *THREE.added)
     assert unquoted.visited[THREE].likelihood.fitted_errors
-    assert not stands_for_something_else(unquoted, THREE)
+    assert not stands(unquoted, THREE)

@@ -59,7 +59,7 @@ EVENT, REPEATING = "time, for a while", "time, again and again"
 class Discrepancy:
     """A change of the light that follows ``coordinate``, beside a hypothesis, whose log evidence was ``log_z``: what it gains of that,
     with prior odds; ``curve`` (T,) and its standard deviation ``band`` (T,), mag; ``rows`` (T,) where it is; ``period`` in
-    seconds of what repeats, else 0. Where a fit ``like`` it is what shows the curve, ``words`` say what that is."""
+    seconds of what repeats, else 0; ``errors`` (T,) of the rows beside it, in the unit of the residuals. Where a fit ``like`` it is what shows the curve, ``words`` say what that is."""
 
     beside: Hypothesis
     log_z: float
@@ -72,6 +72,7 @@ class Discrepancy:
     period: float = 0.0
     like: Fitted | None = None
     words: str = ""
+    errors: Tensor | None = None
 
     def course(self, seconds: Tensor) -> str:
         """What it follows, in words; ``seconds`` (T,) count from the first row."""
@@ -323,4 +324,5 @@ def _refitted(
         / unit
     )
     gain = fitted.laplace - plain + best.gain - best.alone
-    return Discrepancy(at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period)
+    found = Discrepancy(at.hypothesis, at.log_z, name, gain, log_odds, curve, band, best.rows, best.period)
+    return replace(found, errors=fitted.wide)

@@ -24,7 +24,7 @@ from torchlc.diagnosis.joint import joint_sets
 from torchlc.diagnosis.promises import DEAR_FIT_S, NEAR, first_steps_seconds, refit_seconds
 from torchlc.effects import effect_class
 from torchlc.inference.density import Fitted
-from torchlc.inference.posterior import MOST_MINIMA, UNLIKE, likeliest, material_starts
+from torchlc.inference.posterior import LONGEST, MOST_MINIMA, UNLIKE, likeliest, material_starts
 from torchlc.stages.entry import Entry
 
 LAWS_IF_SLOW = 2
@@ -82,16 +82,18 @@ class Search(Growth):
 
     def jointly(self, clean: bool) -> None:
         """Sets of two and of FEW_EFFECTS by what their probes promise together: what one effect alone would be blamed for may be several
-        that each take little of it. Beside a ``clean`` leader those without its effects: what hides beside these is asked of it. Where its errors
-        are as quoted, none of more numbers than it has: there is nothing more to describe."""
+        that each take little of it. Beside a leader that is ``clean``, or far ahead of all others, those without its effects: what hides beside
+        these is asked of it. Where its errors are as quoted, none of more numbers than it has: there is nothing more to describe. And none
+        that would stay behind the leader if it gained LONGEST times what it promises."""
         most = self.numbers(self.foremost) if clean and self.as_quoted else math.inf
         at = self.visited[Hypothesis().under(*self.robust)]
+        apart = clean or not self.behind(self.of_size(1))
         quick = {
             entry: probe
             for entry, probe in self.probes.items()
             if probe.visible
             and len(probe.scores)
-            and not (clean and Entry.parse(entry).plain in self.foremost.plain)
+            and not (apart and Entry.parse(entry).plain in self.foremost.plain)
             and refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) < DEAR_FIT_S
         }
         numbers = {entry: self.numbers(Hypothesis((entry,))) for entry in quick}
@@ -109,8 +111,9 @@ class Search(Growth):
         for size in (2, FEW_EFFECTS):
             # threes with one that has no number are grown to: begun together they led, and left a fourth unseen
             among = {entry: probe for entry, probe in quick.items() if size == 2 or probe.psi.shape[-1]}
-            for chosen in joint_sets(among, at, size, log_odds, JOINT):
-                if not self.clock.left(0.7) or self.exactly(*chosen):
+            for chosen, promised in joint_sets(among, at, size, log_odds, JOINT):
+                reached = at.log_z + log_odds(sorted(chosen)) + LONGEST * promised
+                if reached < self.mark - NEAR or self.exactly(*chosen) or not self.clock.left(0.7):
                     continue
                 hypothesis = Hypothesis(tuple(chosen), self.robust)
                 if refit_seconds(self.posterior(hypothesis)) >= DEAR_FIT_S:

@@ -64,11 +64,15 @@ class Growth(Standing):
             stems = sized[: 1 if clean or beyond or self.stranger_leads else BEAM]
             if stems[0].law:  # beside the wrong law others lead
                 stems += [hypothesis for hypothesis in sized if not hypothesis.law][:1]
-            steps: list[Step] = []
-            for number, stem in enumerate(dict.fromkeys(stems)):  # that may be among them already
-                most = GROWN if number == 0 else GROWN // 2
-                steps += self.promising(stem, entries, most, anew=number == 0)
-            self.take(steps, None if clean else left)
+            first, *others = dict.fromkeys(stems)  # the last may be among them already
+            # probes beside others take as long as those beside a leader that is far ahead of them
+            for group in ([first, *others],) if self.behind(sized) else ([first], others):
+                steps: list[Step] = []
+                for stem in group:
+                    most = GROWN if stem == first else GROWN // 2
+                    steps += self.promising(stem, entries, most, anew=stem == first)
+                if self.take(steps, None if clean else left):
+                    break
             if self.settled:
                 # what probes promise beside fits that are far apart does not compare
                 for stems in (self.behind(sized), *([hypothesis] for hypothesis in self.shorter())):
@@ -112,9 +116,9 @@ class Growth(Standing):
         odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * probe.score
         return Step(stem, entry, probe, odds)
 
-    def take(self, steps: Iterable[Step], left: Callable[[Fitted], float] | None = None) -> None:
+    def take(self, steps: Iterable[Step], left: Callable[[Fitted], float] | None = None) -> bool:
         """What promises the highest odds first, whichever set it grows: what is refitted early spares what falls behind it. With ``left``, until
-        the foremost is clean: what may overtake it is asked next."""
+        the foremost is clean, and returns whether it is: what may overtake it is asked next."""
         for step in sorted(steps, key=lambda step: -step.odds):
             at = self.visited[step.stem]
             if step.key in self.grown or not self.clock.left(0.8):
@@ -124,7 +128,8 @@ class Growth(Standing):
                 foremost = self.foremost
                 self.extend(at, step.entry, step.probe)
                 if left is not None and self.foremost != foremost and self.as_quoted and self.clean(left):
-                    break
+                    return True
+        return False
 
     def exchange(self, whole: Hypothesis, entries: Sequence[str]) -> None:
         """A set without each of its effects, and with another in the place of each."""

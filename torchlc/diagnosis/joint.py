@@ -23,9 +23,9 @@ def joint_sets(
     size: int,
     log_odds: Callable[[Sequence[str]], float],
     most: int,
-) -> list[dict[str, Tensor]]:
+) -> list[tuple[dict[str, Tensor], float]]:
     """The ``most`` best sets of ``size`` effects by the linear forms of their probes beside a fit, each with the values psi (k,) that
-    promise most; ``log_odds`` gives those before the data, minus infinity of what cannot stand together. Sets that need the opposite of an
+    promise most, and with the log evidence that they promise; ``log_odds`` gives those before the data, minus infinity of what cannot stand together. Sets that need the opposite of an
     effect that has none are left out."""
     entries, places, rows = [], [], []
     for entry, probe in probes.items():
@@ -49,12 +49,14 @@ def joint_sets(
     possible = ((sizes > 0) | ~one_sided[sets]).all(1)
     sets, promised = sets[possible], (sizes * pull[sets]).sum(1)[possible]
     values: dict[frozenset[str], dict[str, Tensor]] = {}
+    gains: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], float] = {}
     # of sets that promise alike the odds decide, which are within some tens of each other
     for number in torch.argsort(promised, descending=True)[: 200 * most].tolist():
         chosen = {entries[k]: probes[entries[k]].psi[places[k]] for k in sets[number].tolist()}
         key = frozenset(chosen)
         if key not in values:
-            values[key], best[key] = chosen, 0.5 * float(promised[number]) + log_odds(sorted(chosen))
+            values[key], gains[key] = chosen, 0.5 * float(promised[number])
+            best[key] = gains[key] + log_odds(sorted(chosen))
     order = sorted(values, key=lambda key: -best[key])
-    return [values[key] for key in order if best[key] > float("-inf")][:most]
+    return [(values[key], gains[key]) for key in order if best[key] > float("-inf")][:most]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 
 import torch
+from torch import Tensor
 
 from torchlc.diagnosis.discrepancy import FAR, ODDS
 from torchlc.diagnosis.engine import Search
@@ -16,7 +17,7 @@ from torchlc.diagnosis.promises import LINEAR_NEAR
 from torchlc.diagnosis.standing import near_quoted
 from torchlc.diagnosis.unseen import unseen_noise_share, unseen_shares
 from torchlc.effects import mending_kind
-from torchlc.inference.density import BAD_ROW
+from torchlc.inference.density import BAD_ROW, Fitted
 from torchlc.inference.posterior import LONGEST
 from torchlc.stages.entry import Entry
 
@@ -183,14 +184,11 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     laws: dict[str, float] = {}
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
-    for kind, hypothesis, p, unsure in less_unseen(search, masses):
+    for kind, examined, p, unsure in less_unseen(search, masses):
+        hypothesis = part_of_the_answer(search, examined) if kind else examined
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
-        if (
-            hypothesis.unlisted
-            or (not entries and (kind or hypothesis.law))
-            or (kind and stands_for_something_else(search, hypothesis))
-        ):
+        if hypothesis.unlisted or (not entries and (kind or hypothesis.law)):
             unknown += p
             if not kind and not hypothesis.unlisted:
                 laws[hypothesis.law] = laws.get(hypothesis.law, 0.0) + p
@@ -306,28 +304,48 @@ def less_unseen(
     return done
 
 
-def stands_for_something_else(search: Search, hypothesis: Hypothesis) -> bool:
-    """Whether effects that leave structure are no part of the answer: something unknown alone is more likely than they are,
-    they are FEW_EFFECTS or more, or they take too little of the misfit."""
+def part_of_the_answer(search: Search, hypothesis: Hypothesis) -> Hypothesis:
+    """What of a set that leaves structure is part of the answer: without the effect that takes least of the misfit which the others leave, one
+    after another, as long as that is less than LEAST_TAKEN; without any where what is left stands for something else. It has to take what
+    the whole set has to: effects that came with it bent the model with it. Rows err as they do beside what is left."""
+    core, at = hypothesis, search.visited[hypothesis]
+    curves = [odd for odd in search.odd if odd.beside == hypothesis and odd.errors is not None]
+    errors = max(curves, key=search.odd_log_odds).errors if curves else None
+    errors = at.wide if errors is None else torch.minimum(errors, at.wide)
+    while len(core.added) > 1 and not at.likelihood.fitted_errors:
+        fewer = [search.counterpart(core.without(entry)) for entry in core.added]
+        shares = [
+            (share_taken(search.visited[less], search.visited[core], errors), less)
+            for less in fewer
+            if less is not None
+        ]
+        share, less = min(shares, key=lambda pair: pair[0], default=(1.0, core))
+        if share >= LEAST_TAKEN:
+            break
+        core = less
+    many = len(hypothesis.added)
+    return replace(core, added=()) if stands_for_something_else(search, core, many, errors) else core
+
+
+def stands_for_something_else(search: Search, hypothesis: Hypothesis, many: int, errors: Tensor) -> bool:
+    """Whether effects, of a set of so ``many``, that leave structure are no part of the answer: something unknown alone is more likely than
+    they are, they are FEW_EFFECTS or more, or they take too little of the misfit in ``errors`` (T,)."""
     if not hypothesis.added:
         return False
     if search.stranger_alone > search.log_odds(hypothesis):
         return True
     if search.visited[hypothesis].likelihood.fitted_errors:  # nothing says what the misfit is
         return False
-    return len(hypothesis.added) >= FEW_EFFECTS or share_taken(search, hypothesis) < 1 - (
-        1 - LEAST_TAKEN
-    ) ** len(hypothesis.added)
+    share = share_taken(search.best(), search.visited[hypothesis], errors)
+    return len(hypothesis.added) >= FEW_EFFECTS or share < 1 - (1 - LEAST_TAKEN) ** many
 
 
-def share_taken(search: Search, hypothesis: Hypothesis) -> float:
-    """How much of the excess of squared residuals of the scene's own model, in errors as the hypothesis has them, that takes away, of
-    rows that are good under it."""
-    before, after = search.best(), search.visited[hypothesis]
+def share_taken(before: Fitted, after: Fitted, errors: Tensor) -> float:
+    """How much of the excess of squared residuals of one fit, in ``errors`` (T,) of a row, another takes away, of rows that are good
+    under it."""
     good = after.outlying() < BAD_ROW
     squares = [
-        float((fitted.delta / after.wide)[good].square().clamp(max=FAR**2).sum())
-        for fitted in (before, after)
+        float((fitted.delta / errors)[good].square().clamp(max=FAR**2).sum()) for fitted in (before, after)
     ]
     excess = squares[0] - int(good.sum())
     return (squares[0] - squares[1]) / excess if excess > 0 else 0.0

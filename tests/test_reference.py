@@ -367,6 +367,22 @@ def test_clock_error_reads_the_curve_elsewhere() -> None:
     np.testing.assert_allclose(late[:-1], reference.simulate(one, t, 1.0, "weihai", {}).flux[1:], rtol=1e-9)
 
 
+def test_where_all_is_does_not_depend_on_materials() -> None:
+    """A bright plate, from where a dark one was, gives the same light to the last bit as from the beginning; and 3.2 times the dark one's."""
+    dark = scene(ATTITUDE + plate("a", [0, 0, 0])).with_materials(
+        {"white": {"model": "lambert", "albedo": 0.25}}
+    )
+    bright = dark.with_materials({"white": {"model": "lambert", "albedo": 0.8}})
+    t = sky.seconds("2020-10-17T15:00:00") + np.arange(20) * 300.0
+    effects = {"exposure_smearing": {}, "time_offset": {"s": 3.0}, "self_shadowing": {}}
+    times = (t, 30.0, "weihai", effects)
+    known = reference.placed(dark, *times, instants=4)
+    anew, again = (reference.simulate(bright, *times, instants=4, known=one).flux for one in (None, known))
+    assert (anew == again).all()
+    of_dark = reference.simulate(dark, *times, instants=4, known=known).flux
+    np.testing.assert_allclose(again, 0.8 / 0.25 * of_dark, rtol=1e-12)
+
+
 CASES = sorted(p.parent.name for p in PRACTICE.glob("*/answer.json"))
 
 

@@ -34,18 +34,19 @@ Conventions, where more than one reading is possible:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import sky
-from body import Scene, build, number
+from body import Face, Part, Scene, build, number
 from bounces import two_bounces
 from curve import Curve, Effects
 from earth import sunlit_fraction
 from face_light import DEFAULTS, TILES, appendage_faces, earthlight, sunlight
 from sampling import additive_sequence
 from sky import Array, apply
-from views import view_of
+from views import View, view_of
 
 
 def scene_effects(scene: Scene) -> dict[str, dict[str, Any]]:
@@ -57,6 +58,37 @@ def scene_effects(scene: Scene) -> dict[str, dict[str, Any]]:
             if key.startswith(name + ".") and "[" not in key:
                 out[name][key.split(".", 1)[1]] = number(value)
     return out
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Parts and faces, and where they are: what does not depend on the materials."""
+
+    parts: list[Part]
+    faces: list[Face]
+    view: View
+
+
+def placed(
+    scene: Scene,
+    t: Array,
+    exptime: Array | float,
+    station: Array | str,
+    effects: Effects,
+    instants: int = 64,
+    cylinder_facets: int = 240,
+) -> Placed:
+    """Where all is at mid-exposure stamps t (T,) s, and at ``instants`` of each exposure if these are asked for."""
+    exptime = np.broadcast_to(np.asarray(exptime, float), t.shape)
+    station = np.broadcast_to(np.asarray(station), t.shape)
+    parts, faces = build(scene.components, cylinder_facets)
+    if "appendage" in effects:
+        faces = faces + appendage_faces(effects["appendage"])
+    k = instants if "exposure_smearing" in effects else 1
+    inside = (np.arange(k) + 0.5) / k - 0.5
+    moments = t[:, None] + exptime[:, None] * inside
+    sites = np.broadcast_to(station[:, None], (len(t), k))
+    return Placed(parts, faces, view_of(scene, parts, moments, float(t.min()), sites, effects))
 
 
 def simulate(
@@ -71,24 +103,19 @@ def simulate(
     rays: int = 8192,
     cylinder_facets: int = 240,
     seed: int = 0,
+    known: Placed | None = None,
 ) -> Curve:
-    """The curve at mid-exposure stamps t (T,) s with the scene's materials and exactly these ``effects``."""
+    """The curve at mid-exposure stamps t (T,) s with the scene's materials and exactly these ``effects``. ``known`` is where all is, if a
+    curve of other materials had that."""
     t = np.asarray(t, float)
     rows_total = len(t)
-    exptime = np.broadcast_to(np.asarray(exptime, float), t.shape)
-    station = np.broadcast_to(np.asarray(station), t.shape)
-    parts, faces = build(scene.components, cylinder_facets)
-    if "appendage" in effects:
-        faces = faces + appendage_faces(effects["appendage"])
+    if known is None:
+        known = placed(scene, t, exptime, station, effects, instants, cylinder_facets)
+    parts, faces, view = known.parts, known.faces, known.view
     sampled = any(name in effects for name in ("finite_sun", "self_shadowing", "normal_dispersion"))
     k = instants if "exposure_smearing" in effects else 1
     per_instant = max(samples // k, 1) if sampled else 1
     count = k * per_instant
-    inside = (np.arange(k) + 0.5) / k - 0.5
-    first = float(t.min())
-    moments = t[:, None] + exptime[:, None] * inside
-    sites = np.broadcast_to(station[:, None], (rows_total, k))
-    view = view_of(scene, parts, moments, first, sites, effects)
     sequence = additive_sequence(count, 6).reshape(per_instant, k, 6).swapaxes(0, 1).reshape(count, 6)
     rng = np.random.default_rng(seed)
     shift = rng.random((rows_total, 1, 6))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import sky
-from bruteforce import scene_effects, simulate
+from bruteforce import Placed, placed, scene_effects, simulate
 from circumstances import QUICK, Setup
 from curve import Curve
 from detector import photometry
@@ -26,6 +26,7 @@ class Baseline:
         """``exact`` (T,): the curve at the true materials with full sampling, to correct quick curves by."""
         self.setup, self.sigma = setup, sigma
         self.scene = setup.scene()
+        self._placed: dict[str, Placed] = {}
         self.effects = scene_effects(self.scene)
         self.free = [
             (material, key, table[key])
@@ -51,7 +52,12 @@ class Baseline:
         scene = self.scene.with_materials(materials)
         use = self.effects if effects is None else effects
         setup = self.setup
-        curve = simulate(scene, setup.t, setup.exptime, setup.station, use, **sampling)
+        times = (scene, setup.t, setup.exptime, setup.station, use)
+        key = repr((use, sampling))
+        if key not in self._placed:
+            fine = {name: sampling[name] for name in ("instants", "cylinder_facets") if name in sampling}
+            self._placed[key] = placed(*times, **fine)
+        curve = simulate(*times, **sampling, known=self._placed[key])
         return photometry(curve, scene, use) + (self.correction if effects is None else 0.0)
 
     def _prior(self, theta: sky.Array) -> tuple[sky.Array, sky.Array]:

@@ -111,7 +111,7 @@ def test_one_more_law_of_reflection_makes_none_less_likely_than_the_scene_togeth
     assert len(bench.laws) > 1
     odds = [np.exp(bench.log_odds(Hypothesis(law=law))) for law in bench.laws]
     assert sum(odds) == pytest.approx(LAW_ODDS)
-    kinds = bench.kinds()
+    kinds = bench.kinds
     together = [name for name, kind in kinds.items() if kind.correlates]
     apart = [name for name, kind in kinds.items() if not kind.correlates]
     assert together and apart

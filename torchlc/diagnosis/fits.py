@@ -127,18 +127,18 @@ class Fits:
         """The noise under which candidates are compared: a free scale of the errors and bad rows."""
         if self.bench.base.context.errors is False:
             return ()
-        laws = [name for name, kind in self.bench.kinds().items() if kind.reshapes]
+        laws = [name for name, kind in self.bench.kinds.items() if kind.reshapes]
         return (SCALE, *laws[:1])
 
     def correlated(self, hypothesis: Hypothesis) -> bool:
         """Whether its rows err together."""
-        kinds = self.bench.kinds()
+        kinds = self.bench.kinds
         return any(kinds[kind].correlates for kind in hypothesis.noise if kind in kinds)
 
     def noises(self) -> list[tuple[str, ...]]:
         """Ways to err: as quoted, each kind alone, a scale of the errors alone and with each kind that is independent
         between rows."""
-        kinds = self.bench.kinds()
+        kinds = self.bench.kinds
         noises: list[tuple[str, ...]] = [(), *((name,) for name in kinds)]
         if self.bench.base.context.errors:
             noises += [(SCALE,), *((SCALE, name) for name, kind in kinds.items() if kind.reshapes)]

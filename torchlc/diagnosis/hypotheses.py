@@ -10,6 +10,7 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -227,6 +228,7 @@ class Workbench:
                 divisions.append("object")
         return divisions
 
+    @cached_property
     def kinds(self) -> dict[str, NoiseKind]:
         """The kinds of noise that these data could have beyond the scene's own, by name."""
         context = self.base.context

@@ -134,7 +134,7 @@ def _explore(search: Search, coordinate_values: dict[str, Tensor]) -> None:
 def _at_quoted_errors(search: Search) -> Fitted:
     """The scene's own model at the quoted errors, or where there are some bad rows with these among the noise: larger errors, or a third of the
     rows bad, leave nothing of another lobe to be seen."""
-    laws = [name for name, kind in search.bench.kinds().items() if kind.reshapes]
+    laws = [name for name, kind in search.bench.kinds.items() if kind.reshapes]
     noises = [(), *((name,) for name in laws)]
     chosen = [Hypothesis(noise=noise) for noise in noises]
     best = search.visited[

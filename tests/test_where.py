@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.ball import changed, searched
+from tests.ball import changed, drift_and_wave, even, grown, searched
+from torchlc.diagnosis.discrepancy import Discrepancy
 from torchlc.diagnosis.hypotheses import Hypothesis
 from torchlc.diagnosis.where import (
     FOLDS,
@@ -21,6 +22,7 @@ from torchlc.diagnosis.where import (
     joined,
     locate,
     refitted,
+    rows_of_unknown,
 )
 
 
@@ -101,3 +103,16 @@ def test_a_curve_of_a_coordinate_is_foreseen_and_noise_is_not():
     assert best[1:] == pytest.approx((-0.45, 0.45), abs=0.02)  # the middle nine tenths of the marked
     assert best_coordinate(noise, {}, marked) == (None, {})
     assert Where(marked, [], [], None, {}).coordinate is None
+
+
+def test_where_something_unknown_is_there_are_the_effects_that_stand_in_for_a_part_of_it(ball) -> None:
+    """A drift of 17 errors stands in for a part of a drift and a wave of 17: rows where both together are over two errors."""
+    drift, wave = (np.sqrt(300.0) * one for one in drift_and_wave(ball))
+    search = grown(even(ball, drift + wave), "zero_point_drift")
+    null, beside = search.visited[Hypothesis()], search.visited[Hypothesis(("zero_point_drift",))]
+    curve, none = torch.as_tensor(0.02 * wave), torch.zeros(len(wave), dtype=torch.float64)
+    odd = Discrepancy(beside.hypothesis, beside.log_z, "time", 9.0, 0.0, curve, none, none > 1)
+    rows = rows_of_unknown(odd, beside, null, null).numpy()
+    sure = np.abs(np.abs(drift + wave) - 2.0) > 0.02
+    assert sure.mean() > 0.95 and (rows == (np.abs(drift + wave) > 2.0))[sure].all()
+    assert (rows != (np.abs(wave) > 2.0)).any()

@@ -20,7 +20,7 @@ from torchlc.diagnosis.probes import Probe
 from torchlc.diagnosis.proof import Unseen, make_blocks, unseen
 from torchlc.diagnosis.result import Diagnosis
 from torchlc.diagnosis.standing import CLEAN_P, near_quoted
-from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate
+from torchlc.diagnosis.where import Where, best_coordinate, intervals, locate, rows_of_unknown
 from torchlc.errors import option
 from torchlc.files.steps import Steps
 from torchlc.inference.density import Fitted
@@ -221,7 +221,8 @@ def _where(
         return _located(search, odd.like, null, coordinate_values)
     rows = torch.zeros(len(null.delta), dtype=torch.bool)
     if odd is not None and odds.verdict == "unexplained":
-        rows = odd.curve.abs() > 2 * torch.maximum(odd.band, null.wide / null.scale)
+        alike = search.visited.get(replace(odd.beside, added=()), null)
+        rows = rows_of_unknown(odd, search.visited[odd.beside], alike, null)
     order = torch.argsort(null.model.assembly.context.seconds)
     rank = torch.empty_like(order)
     rank[order] = torch.arange(len(order))

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchlc.diagnosis.discrepancy import Discrepancy
 from torchlc.diagnosis.gate import runs
 from torchlc.diagnosis.hypotheses import carried
 from torchlc.inference.density import Fitted, Posterior
@@ -95,6 +96,13 @@ def locate(
         component_shares(bare, after, rows),
         *best_coordinate(difference, coordinates, rows),
     )
+
+
+def rows_of_unknown(odd: Discrepancy, beside: Fitted, alike: Fitted, quoted: Fitted) -> Tensor:
+    """Rows (T,) where something unknown and the effects that it is beside, which stand in for a part of it, together change the light by more
+    than SEEN_SIGMA errors of the scene's own model, fitted ``alike`` under the same noise and as ``quoted``."""
+    shown = odd.curve + (alike.delta - beside.delta) / quoted.scale
+    return shown.abs() > SEEN_SIGMA * torch.maximum(odd.band, quoted.wide / quoted.scale)
 
 
 def intervals(rows: Tensor, strength: Tensor, refit: Fitted) -> list[tuple[int, int, float]]:

@@ -147,3 +147,25 @@ def test_where_nothing_is_missing_no_effect_gains_from_a_want_of_time(ball) -> N
     search.tell_unexamined()
     odds = probabilities(search, 0.5)
     assert odds.verdict == "adequate" and not odds.effects
+
+
+@pytest.mark.parametrize(("score", "first"), [(52.0, "zero_point_drift"), (80.0, "zero_point_step")])
+def test_of_two_that_promise_alike_that_of_fewer_numbers_is_refitted_first(ball, score, first) -> None:
+    """A step has an instant beside its size, which the rows have to tell too: of 52 it promises less evidence than a drift of 50."""
+    entries = ["zero_point_step", "zero_point_drift"]
+    known = searched(stepped(ball, 0.1, 0.05))
+    probes = known.probe_all(known.visited[Hypothesis().under(*known.robust)], entries)
+    promised = {"zero_point_step": score, "zero_point_drift": 50.0}
+    probes = {
+        entry: replace(one, scores=one.scores * (promised[entry] / one.score))
+        for entry, one in probes.items()
+    }
+
+    class Promised(Search):
+        def probe_all(self, *_, **__):
+            return probes
+
+    search = Promised(known.bench, Clock(None), 0)
+    search.null()
+    search.singles(entries, lambda at: 1.0)
+    assert next(hypothesis.added for hypothesis in search.visited if hypothesis.added) == (first,)

@@ -49,25 +49,25 @@ class Search(Growth):
     """Sets of effects that were fitted from materials of their own."""
 
     def singles(self, entries: Sequence[str], left: Callable[[Fitted], float]) -> None:
-        """Every candidate alone, first those that are fitted fast, by what their signatures promise, most first: a budget then ends among
+        """Every candidate alone, first those that are fitted fast, by the evidence that their signatures promise, most first: a budget then ends among
         those that promise least, and they set the mark that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.6 or 0.8
+        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.8
         self.settled = self.clean(left) and self.as_quoted
         slow = {
             entry: refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) >= DEAR_FIT_S
             for entry in self.probes
         }
-        order = sorted(self.probes, key=lambda entry: (slow[entry], -self.probes[entry].score))
+        order = sorted(self.probes, key=lambda entry: (slow[entry], -self.probes[entry].worth))
         # beside materials that are wrong for want of the effect, which a probe holds, the true one may promise an eighth of its gain
         first = sorted(self.probes, key=lambda entry: -self.probes[entry].score)[:GROWN]
         clean: dict[Hypothesis, bool] = {}
         for number, entry in enumerate(order):
             if self.foremost not in clean:
                 clean[self.foremost] = self.clean(left)
-            # as long as structure is left, what comes next has nothing to begin from
-            if not self.clock.left(0.6 if clean[self.foremost] else 0.8):
+            # as long as structure is left, what comes next has nothing to begin from; beside a clean one what was not asked may be the answer
+            if not self.clock.left(0.8):
                 break
             probe = self.probes[entry]
             if not probe.visible:

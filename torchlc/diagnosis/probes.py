@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -67,6 +68,12 @@ class Probe:
     @property
     def score(self) -> float:
         return float(self.scores.max()) if len(self.scores) else self.together
+
+    @property
+    def worth(self) -> float:
+        """Twice the log evidence that is promised: the score is one column's, and each number but one is at best known to 1 / sqrt(score) of
+        what its prior allows."""
+        return self.score - max(self.psi.shape[-1] - 1, 0) * math.log(max(self.score, 1.0))
 
     def best_change(self, at: Fitted) -> Tensor:
         """Change of the light (T,), in the unit of the rows of a fit, that the best of the values makes."""

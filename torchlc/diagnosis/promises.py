@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -177,10 +176,7 @@ class Promises(Fits):
             linear = fit(at.hypothesis, line, start[None], turns=1)
         self.linear[hypothesis] = linear.laplace + self.bench.log_odds(hypothesis)
         if settled:
-            # one column is one number of the effect; each other is at best known to 1 / sqrt(score) of what its prior allows
-            self.linear[hypothesis] -= (
-                0.5 * max(probed.psi.shape[-1] - 1, 0) * math.log(max(probed.score, 1.0))
-            )
+            self.linear[hypothesis] -= 0.5 * (probed.score - probed.worth)
         if self.linear[hypothesis] < self.mark - near:
             return False
         if settled and cost > LONG_FIT_S and self.linear[hypothesis] < self.mark:

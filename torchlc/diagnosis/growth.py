@@ -93,7 +93,7 @@ class Growth(Standing):
         self.of_fewer_numbers(entries)
 
     def promising(self, stem: Hypothesis, entries: Sequence[str], most: int, anew: bool) -> list[Step]:
-        """The ``most`` effects of highest score beside a set; where probes take long, they are made ``anew`` or held against what the set
+        """The ``most`` effects that promise the most evidence beside a set; where probes take long, they are made ``anew`` or held against what the set
         leaves."""
         at = self.visited[stem]
         seen = [entry for entry in entries if entry not in self.invisible]
@@ -109,11 +109,11 @@ class Growth(Standing):
             if probe.score > self.least_score(stem, entry) or not probe.psi.shape[-1]
         ]
         fresh = [step for step in steps if step.key not in self.grown]
-        return sorted(fresh, key=lambda step: -step.probe.score)[:most]
+        return sorted(fresh, key=lambda step: -step.probe.worth)[:most]
 
     def step(self, stem: Hypothesis, entry: str, probe: Probe) -> Step:
         """An effect added to a set, with the log odds that its probe promises."""
-        odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * probe.score
+        odds = self.visited[stem].log_z + self.bench.log_odds(stem.with_effect(entry)) + 0.5 * probe.worth
         return Step(stem, entry, probe, odds)
 
     def take(self, steps: Iterable[Step], left: Callable[[Fitted], float] | None = None) -> bool:

@@ -109,7 +109,7 @@ def draw_outcomes(rows: Sequence[dict[str, Any]], file: Path) -> None:
 
 
 def number_marks(axes: Axes, bins: Sequence[dict[str, Any]]) -> None:
-    """How many answers each mark stands for, beside it; where marks stand close, each a line below the one before."""
+    """How many answers each mark stands for, at the foot of the picture below it; where marks stand close, one above the other."""
     level, before = 0, -math.inf
     for one in sorted(bins, key=lambda one: one["told"]):
         level = level + 1 if one["told"] - before < CLOSE else 0
@@ -117,11 +117,11 @@ def number_marks(axes: Axes, bins: Sequence[dict[str, Any]]) -> None:
         axes.annotate(
             str(one["cases"]),
             (one["told"], one["right"]),
-            (-10, -7 - 13 * level),
-            textcoords="offset points",
-            ha="right",
+            (one["told"], 0.04 + 0.06 * level),
+            ha="center",
             va="center",
-            arrowprops={"arrowstyle": "-", "color": GRID, "shrinkA": 0, "shrinkB": 3},
+            zorder=1,
+            arrowprops={"arrowstyle": "-", "color": GRID, "zorder": 1, "shrinkA": 2, "shrinkB": 3},
         )
 
 

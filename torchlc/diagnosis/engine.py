@@ -53,7 +53,7 @@ class Search(Growth):
         those that promise least, and they set the mark that slow ones have to come near. Then all from the leaders' materials."""
         at = self.best()
         at = self.visited[at.hypothesis.under(*self.robust)]
-        self.probes = self.probe_all(at, entries, 0.4)  # refits of these go on until 0.8
+        self.probes = self.probe_all(at, entries, 0.5)  # refits of these go on until 0.8
         self.settled = self.clean(left) and self.as_quoted
         slow = {
             entry: refit_seconds(self.posterior(at.hypothesis.with_effect(entry))) >= DEAR_FIT_S

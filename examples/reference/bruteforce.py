@@ -113,7 +113,7 @@ def simulate(
         known = placed(scene, t, exptime, station, effects, instants, cylinder_facets)
     parts, faces, view = known.parts, known.faces, known.view
     sampled = any(name in effects for name in ("finite_sun", "self_shadowing", "normal_dispersion"))
-    k = instants if "exposure_smearing" in effects else 1
+    k = view.to_sun.shape[1]
     per_instant = max(samples // k, 1) if sampled else 1
     count = k * per_instant
     sequence = additive_sequence(count, 6).reshape(per_instant, k, 6).swapaxes(0, 1).reshape(count, 6)

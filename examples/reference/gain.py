@@ -53,9 +53,9 @@ class Baseline:
         use = self.effects if effects is None else effects
         setup = self.setup
         times = (scene, setup.t, setup.exptime, setup.station, use)
-        key = repr((use, sampling))
+        fine = {name: sampling[name] for name in ("instants", "cylinder_facets") if name in sampling}
+        key = repr((use, fine))
         if key not in self._placed:
-            fine = {name: sampling[name] for name in ("instants", "cylinder_facets") if name in sampling}
             self._placed[key] = placed(*times, **fine)
         curve = simulate(*times, **sampling, known=self._placed[key])
         return photometry(curve, scene, use) + (self.correction if effects is None else 0.0)

@@ -25,8 +25,8 @@ def joint_sets(
     most: int,
 ) -> list[tuple[dict[str, Tensor], float]]:
     """The ``most`` best sets of ``size`` effects by the linear forms of their probes beside a fit, each with the values psi (k,) that
-    promise most, and with the log evidence that they promise; ``log_odds`` gives those before the data, minus infinity of what cannot stand together. Sets that need the opposite of an
-    effect that has none are left out."""
+    promise most, and with the log evidence that they promise; ``log_odds`` gives those before the data, minus infinity of what cannot stand
+    together. Sets that need the opposite of an effect that has none are left out."""
     entries, places, rows = [], [], []
     for entry, probe in probes.items():
         for place in torch.argsort(probe.scores, descending=True)[:VALUES].tolist():
@@ -48,15 +48,14 @@ def joint_sets(
     one_sided = torch.tensor([effect_class(entry).one_sided() for entry in entries])
     possible = ((sizes > 0) | ~one_sided[sets]).all(1)
     sets, promised = sets[possible], (sizes * pull[sets]).sum(1)[possible]
-    values: dict[frozenset[str], dict[str, Tensor]] = {}
-    gains: dict[frozenset[str], float] = {}
+    values: dict[frozenset[str], tuple[dict[str, Tensor], float]] = {}
     best: dict[frozenset[str], float] = {}
     # of sets that promise alike the odds decide, which are within some tens of each other
     for number in torch.argsort(promised, descending=True)[: 200 * most].tolist():
         chosen = {entries[k]: probes[entries[k]].psi[places[k]] for k in sets[number].tolist()}
         key = frozenset(chosen)
         if key not in values:
-            values[key], gains[key] = chosen, 0.5 * float(promised[number])
-            best[key] = gains[key] + log_odds(sorted(chosen))
+            gain = 0.5 * float(promised[number])
+            values[key], best[key] = (chosen, gain), gain + log_odds(sorted(chosen))
     order = sorted(values, key=lambda key: -best[key])
-    return [(values[key], gains[key]) for key in order if best[key] > float("-inf")][:most]
+    return [values[key] for key in order if best[key] > float("-inf")][:most]

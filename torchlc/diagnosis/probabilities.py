@@ -185,7 +185,7 @@ def probabilities(search: Search, p_left: float) -> Probabilities:
     sets: dict[tuple[str, ...], float] = {}
     kinds: dict[str, float] = {}
     for kind, examined, p, unsure in less_unseen(search, masses):
-        hypothesis = part_of_the_answer(search, examined) if kind else examined
+        hypothesis = part_of_the_answer(search, examined) if kind and not examined.unlisted else examined
         entries = tuple(sorted(hypothesis.plain))
         name = "" if entries else noise_name(search, hypothesis)
         if hypothesis.unlisted or (not entries and (kind or hypothesis.law)):

@@ -16,7 +16,7 @@ TITLE = "torchlc diagnose"
 NEEDS: Sequence[str] = ()
 NAMES = True
 SHARES: Sequence[str] = ()
-BUDGET_S = 20.0
+BUDGET_S = 40.0
 """CPU seconds of a case, so that three hundred take less than three hours on two cores."""
 
 

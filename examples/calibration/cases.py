@@ -217,7 +217,6 @@ def other_law(law: str, words: list[str], at: Mapping[str, Kind], rng: Rng) -> C
     setup = at[kind](rng)
     _, maker, first, limits = RECIPES[effect]
     make = maker(rng)
-    setup, concealed = make(sized(setup, make, first, limits, 20.0), setup)
     rough = {
         material: {
             "model": law,
@@ -233,7 +232,8 @@ def other_law(law: str, words: list[str], at: Mapping[str, Kind], rng: Rng) -> C
         + (", bare" if bare else " over a Lambert base"),
         "family": [[effect, "lobe_tail"]],
     }
-    return replace(setup, true_materials=rough), concealed, answer
+    setup = replace(setup, true_materials=rough)
+    return *make(sized(setup, make, first, limits, 20.0), setup), answer
 
 
 def outside(words: list[str], at: Mapping[str, Kind], rng: Rng) -> Composed:

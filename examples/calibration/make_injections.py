@@ -10,7 +10,8 @@ truth: near 3, 6 and 20. An effect without a size is sized by what makes it matt
 exposure, a polish. Surfaces are such as spacecraft have; with --from-priors they are all that the scene's priors allow, as
 they must be where intervals and probabilities are held to what they promise.
 
-Under another law of reflection ``verdicts_accepted`` holds "unexplained" where the effect itself is too weak to be sure of.
+Under another law of reflection the gain that an effect is sized by is what numbers of that law leave of it; where that is under 5
+``verdicts_accepted`` holds "unexplained" as well, for then the law alone explains the rows.
 In answer.json, ``family`` lists the sets of effects that are right answers: the truth; each single rival of a single effect, and
 of several effects each part of the set, alone or with one other effect, that leaves less than 4 in chi2 of the noiseless truth (``rivals_chi2``, by linear projection at
 the refit of the baseline, so that rivals of large effects are only roughly judged).
@@ -37,7 +38,7 @@ import sky
 from cases import NOISE, OUTSIDE, SUBSET, Composed, compose, listed, names
 from circumstances import Setup
 from concealed import Concealed, Rng
-from gain import Baseline, truth_of
+from gain import Baseline, beyond_own_law, truth_of
 from nominal import error_factor, loose_tangents, mishaps
 from rivals import ENOUGH, others, rivals
 from scene_files import toml
@@ -161,9 +162,8 @@ def write_observed(name: str, folder: Path, seed: int, case: Observed) -> str:
     if said["verdict"] in ("missing_physics", "unexplained") and left < 25.0:
         accepted = [*accepted, "adequate", *(["noise_model"] if brought else [])]  # too weak to be sure of
     if setup.true_materials is not None and physics:
-        # what the effect changes under the law that the surfaces have, less what materials of the scene's law take up of it
-        own = baseline.projected((mag - plain_mag) / error, baseline.tangents(theta))
-        if float(own @ own) < 25.0:
+        own = beyond_own_law(setup, mag - plain_mag, error)
+        if float(own @ own) < 25.0:  # the law alone explains the rows as well
             accepted = [*accepted, "unexplained"]
     answer = {
         "key": name,

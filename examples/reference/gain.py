@@ -170,18 +170,44 @@ def gain(setup: Setup, concealed: Mapping[str, Any], linear: bool = False) -> fl
 
     Known physics is left out on both sides (it hardly changes a gain, and costs most of the time), and priors
     are centred on the truth. ``linear``: by projection on the tangents at the truth, quick, never too small.
-    GONE_DARK where the effect leaves a row no light, and so no magnitude.
+    GONE_DARK where the effect leaves a row no light, and so no magnitude. Where the surfaces obey another law than the
+    scene's, what numbers of that law leave, always linear.
     """
     bare = with_effects(setup, [])
     target = truth_of(bare, concealed, **QUICK)[1]
     if not np.isfinite(target).all():
         return GONE_DARK
+    if setup.true_materials is not None:
+        change = target - truth_of(bare, {}, **QUICK)[1]
+        return float(np.linalg.norm(beyond_own_law(bare, change, errors(target, setup.floor), **QUICK)))
     baseline = Baseline(centred(bare), errors(target, setup.floor))
     if linear:
         change = (target - baseline.curve(baseline.truth)) / baseline.sigma
         left = baseline.projected(change, baseline.tangents(baseline.truth))
         return float(np.linalg.norm(left))
     return float(np.sqrt(baseline.best_refit(target)[0]))
+
+
+def beyond_own_law(setup: Setup, change: sky.Array, sigma: sky.Array, **sampling: int) -> sky.Array:
+    """What of a change (T,) of magnitudes, in errors, the numbers of the law that the surfaces have do not take up, (T,)."""
+    assert setup.true_materials is not None
+    slopes = []
+    for name, surface in setup.true_materials.items():
+        for key, value in surface.items():
+            if not isinstance(value, float):
+                continue
+            ends = [value, 0.99 * value if value else 0.003]
+            mags = [
+                truth_of(
+                    replace(setup, true_materials={**setup.true_materials, name: {**surface, key: end}}),
+                    {},
+                    **sampling,
+                )[1]
+                for end in ends
+            ]
+            slopes.append((mags[1] - mags[0]) / (ends[1] - ends[0]) / sigma)
+    tangents = np.array(slopes).T
+    return change / sigma - tangents @ np.linalg.lstsq(tangents, change / sigma, rcond=1e-9)[0]
 
 
 def centred(setup: Setup) -> Setup:
